@@ -1,0 +1,3 @@
+"""Step-size laws for piezoelectric stick-slip actuators, from step counts to calibrated moves."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,144 @@
+"""What people type at the command line, as the objects that the rooms work with."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stickslip_fit.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from stickslip_fit.fit import Result
+    from stickslip_fit.logs import Log
+    from stickslip_fit.moves import Calibrated, Drive
+
+    Array = npt.NDArray[np.float64]
+
+_DRIVE = re.compile(r"([123])([+-])(\d+)")
+
+
+def command() -> str:
+    """The command as it was typed, without the path of the program."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def log_of(
+    paths: list[Path], machine: Path | None, since: str | None = None, until: str | None = None
+) -> Log:
+    """Read the log that the paths name."""
+    from stickslip_fit.logs import read_log
+    from stickslip_fit.machine import load_machine
+
+    return read_log(paths, machine=load_machine(machine), since=since, until=until)
+
+
+def result_of(paths: list[Path], machine: Path | None) -> Result:
+    """A saved result, or the least-squares fit of a log."""
+    from stickslip_fit.fit import least_squares, load_result
+
+    if len(paths) == 1 and paths[0].suffix == ".json":
+        if machine is not None:
+            raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
+        return load_result(paths[0])
+    return least_squares(log_of(paths, machine), command=command())
+
+
+def arm_of(
+    paths: list[Path], machine: Path | None, session: str | None, theta: float, psi: float
+) -> Calibrated:
+    """One session's calibration with the base turned by `theta` and `psi`, degrees."""
+    from stickslip_fit.moves import calibrated
+    from stickslip_fit.units import to_si
+
+    return calibrated(result_of(paths, machine), session, to_si(theta, "deg"), to_si(psi, "deg"))
+
+
+def positions(text: str, option: str) -> Array:
+    """Joint positions "Q1,Q2,Q3" in deg, deg and mm."""
+    import numpy as np
+
+    from stickslip_fit.units import to_si
+
+    q1, q2, q3 = _three_numbers(text, option, "three numbers Q1,Q2,Q3 in deg,deg,mm, e.g. 0,-90,6")
+    return np.array([to_si(q1, "deg"), to_si(q2, "deg"), to_si(q3, "mm")])
+
+
+def tip_position(text: str, option: str) -> Array:
+    """A tip position "X,Y,Z" in mm, base frame."""
+    import numpy as np
+
+    from stickslip_fit.units import to_si
+
+    numbers = _three_numbers(text, option, "three numbers X,Y,Z in mm, e.g. 50,0,10")
+    return np.array([to_si(value, "mm") for value in numbers])
+
+
+def joint_order(text: str, option: str) -> tuple[int, ...]:
+    """Joints in the order in which they move, e.g. "3,1,2"."""
+    parts = tuple(part.strip() for part in text.split(","))
+    if sorted(parts) != ["1", "2", "3"]:
+        raise InputError(Problem("give each joint once, e.g. 3,2,1", column=option, value=text))
+    return tuple(int(part) for part in parts)
+
+
+def drive_of(text: str, option: str) -> Drive:
+    """A drive such as "3+5000": joint, direction, steps."""
+    from stickslip_fit.moves import Drive
+
+    match = _DRIVE.fullmatch(text.strip())
+    if match is None:
+        raise InputError(
+            Problem("give joint, direction and steps, e.g. 3+5000 or 2-1200", column=option, value=text)
+        )
+    return Drive(int(match[1]), match[2], int(match[3]))
+
+
+def default_output(paths: list[Path]) -> Path:
+    """Where a report of these paths goes: reports/, named after the log."""
+    folder = Path("reports")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            Problem(f"cannot be made here ({error.strerror}); name a file with -o", str(folder))
+        ) from None
+    return folder / f"{paths[0].resolve().stem}.html"
+
+
+def reference_campaign() -> Path:
+    """The simulated campaign that the demo runs on, in a checkout or in an installed package.
+
+    Raises
+    ------
+    InputError
+        If it is in neither.
+    """
+    package = Path(__file__).parent
+    for folder in (package.parent / "data", package / "data"):
+        found = folder / "reference" / "campaign.csv"
+        if found.exists():
+            return found
+    raise InputError("the reference campaign is not installed; give a log of your own")
+
+
+def browser_is_there() -> bool:
+    """Whether a person sits in front of a screen that can show a page."""
+    screen = (
+        sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    return bool(screen) and sys.stdout.isatty()
+
+
+def _three_numbers(text: str, option: str, wanted: str) -> tuple[float, float, float]:
+    try:
+        first, second, third = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(Problem(f"give {wanted}", column=option, value=text)) from None
+    return first, second, third

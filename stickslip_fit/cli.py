@@ -1,0 +1,259 @@
+"""The command line: one verb a question."""
+
+from __future__ import annotations
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stickslip_fit import __version__
+from stickslip_fit.arguments import (
+    arm_of,
+    browser_is_there,
+    command,
+    default_output,
+    drive_of,
+    joint_order,
+    log_of,
+    positions,
+    reference_campaign,
+    tip_position,
+)
+from stickslip_fit.errors import InputError
+
+if TYPE_CHECKING:
+    from stickslip_fit.logs import Log
+
+app = typer.Typer(
+    help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+LogPath = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG...", help="Campaign log: CSV or Parquet files, or a folder of them."),
+]
+MachinePath = Annotated[
+    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
+]
+Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
+Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
+Calibration = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG|RESULT...", help="A campaign log to fit, or a result saved with `fit --json`."
+    ),
+]
+Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
+Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
+Psi = Annotated[float, typer.Option(help="Base turned about y, degrees.")]
+At = Annotated[str, typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm.")]
+
+
+class Method(StrEnum):
+    """How to fit."""
+
+    closed_form = "closed-form"
+    least_squares = "least-squares"
+
+
+@app.command()
+def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
+    """Read a campaign log, report every fault in it, and say what it holds."""
+    print(log_of(log, machine, since, until).summary())
+
+
+@app.command()
+def calibrate(
+    log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None, json: Json = None
+) -> None:
+    """Calibrate each session from its three (prismatic) or four (rotary) configurations."""
+    fit(log, Method.closed_form, machine, since, until, json)
+
+
+@app.command()
+def fit(
+    log: LogPath,
+    method: Annotated[Method, typer.Option(help="Estimator.")] = Method.least_squares,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    json: Json = None,
+) -> None:
+    """Fit the laws' parameters for each session and direction."""
+    from stickslip_fit.fit import closed_form, least_squares, save_result, summary
+
+    estimator = closed_form if method is Method.closed_form else least_squares
+    result = estimator(log_of(log, machine, since, until), command=command())
+    print(summary(result))
+    if json is not None:
+        save_result(result, json)
+        print(f"\nsaved to {json}")
+
+
+@app.command()
+def report(
+    log: LogPath,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+) -> None:
+    """Write the accuracy report of a log: one self-contained HTML page."""
+    written = _write_report(log_of(log, machine, since, until), output or default_output(log))
+    print(f"report written to {written}")
+
+
+@app.command()
+def simulate(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
+    law: Annotated[Path, typer.Option(help="Law file (TOML): the parameters to simulate with.")],
+    machine: MachinePath = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the plan's seed.")] = None,
+) -> None:
+    """Simulate the campaign of a plan under a law; the same seed gives the same log."""
+
+
+@app.command()
+def sheet(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="CSV to fill in; a page to print goes beside it.")
+    ],
+    machine: MachinePath = None,
+) -> None:
+    """Write a fill-in sheet for counts taken by hand: a CSV and a page to print."""
+
+
+@app.command()
+def steps(
+    calibration: Calibration,
+    at: At,
+    tip: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Where the tip is to go, base frame, mm.")
+    ] = None,
+    joints: Annotated[
+        str | None, typer.Option(metavar="Q1,Q2,Q3", help="Or where the joints are to go: deg,deg,mm.")
+    ] = None,
+    order: Annotated[str, typer.Option(help="Which joint moves first.")] = "1,2,3",
+    session: Session = None,
+    theta: Theta = 0.0,
+    psi: Psi = 0.0,
+    machine: MachinePath = None,
+) -> None:
+    """How many steps take the tip from here to there, joint by joint, with uncertainty."""
+    from stickslip_fit.machine import nearest_solution
+    from stickslip_fit.moves import steps_for_move
+    from stickslip_fit.report.text import move_text
+
+    arm = arm_of(calibration, machine, session, theta, psi)
+    start = positions(at, "--at")
+    if (tip is None) == (joints is None):
+        raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
+    if tip is not None:
+        target = nearest_solution(arm.machine, tip_position(tip, "--tip"), start)
+    else:
+        target = positions(str(joints), "--joints")
+    print(move_text(arm, steps_for_move(arm, start, target, joint_order(order, "--order"))))
+
+
+@app.command()
+def where(
+    calibration: Calibration,
+    at: At,
+    drive: Annotated[
+        list[str],
+        typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeat for a run."),
+    ],
+    tolerance: Annotated[
+        float, typer.Option(help="Say when the tip is no longer known to within this many µm (95 %).")
+    ] = 10.0,
+    session: Session = None,
+    theta: Theta = 0.0,
+    psi: Psi = 0.0,
+    machine: MachinePath = None,
+) -> None:
+    """Where the tip is after N steps from a stop, how sure, and when to go back to a stop."""
+    from stickslip_fit.moves import where_after
+    from stickslip_fit.report.text import whereabouts_text
+    from stickslip_fit.units import to_si
+
+    arm = arm_of(calibration, machine, session, theta, psi)
+    found = where_after(arm, positions(at, "--at"), [drive_of(text, "--drive") for text in drive])
+    print(whereabouts_text(arm, found, to_si(tolerance, "µm")))
+
+
+@app.command()
+def demo(
+    log: Annotated[
+        list[Path] | None, typer.Argument(metavar="[LOG...]", help="The reference campaign without it.")
+    ] = None,
+    machine: MachinePath = None,
+    browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
+) -> None:
+    """Check, calibrate and report a log: the whole way on the reference campaign, or on yours."""
+    from stickslip_fit.fit import closed_form, summary
+
+    chosen = log or [reference_campaign()]
+    campaign = log_of(chosen, machine)
+    print(campaign.summary())
+    print("\n" + summary(closed_form(campaign, command=command())))
+    written = _write_report(campaign, default_output(chosen)).resolve()
+    print(f"\nreport written to {written}")
+    if browse and browser_is_there():
+        import webbrowser
+
+        webbrowser.open(written.as_uri())
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=lambda wanted: _version(wanted), is_eager=True, help="Version."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one clear message and status 2."""
+    try:
+        app()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted; nothing was left half-written", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        # The reader of our output has gone; closing quietly is what other tools do.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"stickslip-fit {__version__}")
+        raise typer.Exit
+
+
+def _write_report(log: Log, output: Path) -> Path:
+    from stickslip_fit.files import write_atomically
+    from stickslip_fit.fit import closed_form, constant_step, least_squares
+    from stickslip_fit.report import report_html
+
+    calibration = closed_form(log, command=command())
+    constant = constant_step(log, calibration)
+    best = least_squares(log, command=command())
+    write_atomically(output, report_html(log, calibration, constant, best, command=command()))
+    return output

@@ -1,0 +1,186 @@
+"""The lab's daily calibration: as many traverses as parameters, solved exactly (thesis 6.2 to 6.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
+from stickslip_fit.fit.identifiability import configuration_rows, describe
+from stickslip_fit.fit.least_squares import provenance
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.fit.repeatability import from_replicates, variance_of, without_error_bars
+from stickslip_fit.fit.result import JointFit, Result
+from stickslip_fit.fit.solve_d import solve_d
+from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, travel
+from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+SAME_FEATURES = 1e-6
+SAME_PLACE = 1e-9  # of the range
+
+
+def closed_form(log: Log, *, command: str = "") -> Result:
+    """Calibrate every session and direction from the first traverse of each calibration configuration.
+
+    Parameters
+    ----------
+    log : Log
+    command : str, optional
+        Kept in the result's provenance.
+
+    Returns
+    -------
+    Result
+        Error bars come from the repeatability that the log's replicates show, carried through the
+        calibration equations to first order.
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse.
+    """
+    rows = usable_rows(log)
+    laws = {
+        joint: published_law(joint, rows[rows["joint"] == joint], log.machine)
+        for joint in log.joints
+        if (rows["joint"] == joint).any()
+    }
+    return calibrate(log, laws, "closed-form", command=command)
+
+
+def calibrate(log: Log, laws: dict[int, StepLaw], method: str, *, command: str = "") -> Result:
+    """Solve the calibration equations of the given laws, one for each joint."""
+    rows = usable_rows(log)
+    joints, residuals, remarks = {}, [], []
+    for joint, law in laws.items():
+        mine = rows[rows["joint"] == joint]
+        groups = group_rows(mine)
+        picked = pick_calibration(law, mine, groups, log.machine)
+        joints[joint] = _calibrate_joint(law, mine, groups, picked, log.machine)
+        residuals.append(_residuals(joints[joint], mine, groups, picked))
+        remarks += _missing(law, groups, picked, joints[joint])
+        remarks += without_error_bars(law, groups.table, joints[joint].repeatability)
+    return Result(
+        method=method,
+        machine=log.machine,
+        joints=joints,
+        residuals=pd.concat(residuals).sort_index(),
+        remarks=tuple(remarks),
+        provenance=provenance(log, command),
+    )
+
+
+def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: Machine) -> Indices:
+    """First full traverse of each group in each calibration configuration.
+
+    A traverse serves if the law cannot tell its configuration from the one asked for: the base may
+    lie on either side.
+
+    Returns
+    -------
+    array of int, shape (g, p)
+        Positions in `rows`; -1 where there is none.
+    """
+    low, high = machine.ranges[law.joint]
+    full = np.isclose(travel(rows), high - low, rtol=SAME_PLACE, atol=0.0)
+    features = law.features(rows)
+    wanted = law.features(configuration_rows(law.calibration(), law.joint, "+", machine))
+    picked = np.full((len(groups), len(wanted)), -1)
+    for index, target in enumerate(wanted):
+        scale = np.maximum(np.max(np.abs(wanted), axis=0), SAME_FEATURES)
+        serves = np.flatnonzero(full & np.all(np.abs(features - target) < SAME_FEATURES * scale, axis=1))
+        group, first = np.unique(groups.of_row[serves], return_index=True)
+        picked[group, index] = serves[first]
+    return picked
+
+
+def _calibrate_joint(
+    law: StepLaw, rows: pd.DataFrame, groups: Groups, picked: Indices, machine: Machine
+) -> JointFit:
+    y, rounding = law.response(rows)
+    steps = np.where(picked >= 0, np.exp(y)[picked], np.nan)
+    values = _solve(law, rows, machine, picked, steps)
+    repeatability = from_replicates(law, rows)
+    variance = variance_of(rows, rounding, repeatability)
+    covariance = _carried(law, rows, picked, values, variance)
+    freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
+    covariance[freedom < 1] = np.nan
+    return JointFit(law, groups.table, values, np.isfinite(values), covariance, repeatability)
+
+
+def _solve(law: StepLaw, rows: pd.DataFrame, machine: Machine, picked: Indices, steps: Array) -> Array:
+    """Parameters from the steps of each calibration traverse, (g, p) -> (g, p); NaN in, NaN out."""
+    gamma = travel(rows)[picked] / steps
+    if isinstance(law, ConstantStep):
+        return gamma
+    if isinstance(law, Prismatic):
+        plain, recoiling, loaded = gamma.T
+        return np.stack([plain, 1.0 - recoiling / plain, plain * (1.0 - loaded / recoiling)], axis=-1)
+    if isinstance(law, Rotary):
+        return _solve_rotary(law, rows, machine, picked, steps, gamma)
+    raise TypeError(f"no closed form is known for the law {law.name}")
+
+
+def _solve_rotary(
+    law: Rotary, rows: pd.DataFrame, machine: Machine, picked: Indices, steps: Array, gamma: Array
+) -> Array:
+    m = picked.shape[1] // 2
+    gamma0, loaded = gamma[:, :m], picked[:, m:]
+    amplitude, phase = law.swing(rows)
+    start, stop = (rows[name].to_numpy()[loaded].ravel() for name in ("start", "stop"))
+    d = solve_d(
+        steps[:, m:].ravel(), gamma0.ravel(), amplitude[loaded].ravel(), phase[loaded].ravel(), start, stop
+    ).reshape(gamma0.shape)
+    unloaded = law.calibration()[:m]
+    inverse = np.linalg.inv(law.basis(configuration_rows(unloaded, law.joint, "+", machine)))
+    # A missing traverse is to spoil only the parameters that need it: 0 times NaN counts as 0 here.
+    needed = np.abs(inverse) > SAME_FEATURES * np.max(np.abs(inverse))
+    both = [np.sum(np.where(needed, inverse * part[:, None, :], 0.0), axis=2) for part in (gamma0, d)]
+    return np.concatenate(both, axis=1)
+
+
+def _carried(law: StepLaw, rows: pd.DataFrame, picked: Indices, values: Array, variance: Array) -> Array:
+    """Covariance of the parameters: the counts' variances through the inverse of the law's Jacobian."""
+    covariance = np.full((*values.shape, values.shape[1]), np.nan)
+    known, made = np.isfinite(values), picked >= 0
+    patterns, pattern_of = np.unique(np.concatenate([known, made], axis=1), axis=0, return_inverse=True)
+    for index, pattern in enumerate(patterns):
+        these = np.flatnonzero(pattern_of == index)
+        names, traverses = (np.flatnonzero(half) for half in np.split(pattern, 2))
+        taken = picked[np.ix_(these, traverses)]
+        # The traverses made do not depend on the parameters that are not known, so any value does for those.
+        filled = np.repeat(np.nan_to_num(values[these]), len(traverses), axis=0)
+        slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(len(these), len(traverses), -1)
+        inverse = np.linalg.pinv(slopes[:, :, names])
+        block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken], inverse)
+        covariance[np.ix_(these, names, names)] = block
+    return covariance
+
+
+def _residuals(fit: JointFit, rows: pd.DataFrame, groups: Groups, picked: Indices) -> pd.DataFrame:
+    y, _ = fit.law.response(rows)
+    used = np.zeros(len(rows), dtype=bool)
+    used[picked[picked >= 0]] = True
+    residual = y - fit.law.predict(rows, fit.values[groups.of_row])
+    return pd.DataFrame({"joint": fit.law.joint, "residual": residual, "used": used}, index=rows.index)
+
+
+def _missing(law: StepLaw, groups: Groups, picked: Indices, fit: JointFit) -> list[Remark]:
+    remarks = []
+    names = [parameter.name for parameter in law.parameters]
+    for index in np.flatnonzero(~fit.known.all(axis=1)):
+        session, direction = groups.table.loc[index, ["session", "direction"]]
+        unknown = tuple(name for name, fine in zip(names, fit.known[index], strict=True) if not fine)
+        absent = [law.calibration()[k] for k in np.flatnonzero(picked[index] < 0)]
+        why = f"missing: {'; '.join(map(describe, absent))}" if absent else (
+            "no step size above zero gives the counts of its calibration traverses; repeat them"
+        )  # fmt: skip
+        where = f"joint {law.joint}, direction {direction}, session {session}"
+        message = f"{where}: {', '.join(unknown)} cannot be calibrated; {why}"
+        remarks.append(Remark("not_identified", law.joint, direction, session, unknown, message))
+    return remarks

@@ -1,0 +1,136 @@
+"""Which parameters a log knows, and which traverses would make the others known."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import degrees, isnan
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.fit.groups import Groups
+from stickslip_fit.fit.levenberg_marquardt import SMALLEST
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.laws import Configuration, StepLaw
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import from_si
+
+Array = npt.NDArray[np.float64]
+
+
+def known_parameters(curvature: Array, scales: Array) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Which parameters stand alone, and the covariance of all that is known.
+
+    Parameters
+    ----------
+    curvature : array, shape (g, p, p)
+        J' W J with W the inverse variance of each response, SI.
+    scales : array, shape (g, p)
+        A change of each parameter that matters.
+
+    Returns
+    -------
+    known : array of bool, shape (g, p)
+    covariance : array, shape (g, p, p)
+        Pseudo-inverse of the curvature, SI: right for every combination that the log knows.
+    """
+    scaled = curvature * scales[:, :, None] * scales[:, None, :]
+    eigenvalue, vector = np.linalg.eigh(scaled)
+    top = np.maximum(eigenvalue[:, -1:], np.finfo(float).tiny)
+    seen = eigenvalue > SMALLEST**2 * top
+    unseen_share = np.sum(np.where(seen[:, None, :], 0.0, vector**2), axis=2)
+    inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
+    covariance = np.einsum("gik,gk,gjk->gij", vector, inverse, vector)
+    return unseen_share < 1e-6, covariance * scales[:, :, None] * scales[:, None, :]
+
+
+def explain_unknown(
+    law: StepLaw,
+    machine: Machine,
+    groups: Groups,
+    known: npt.NDArray[np.bool_],
+    rows: pd.DataFrame,
+    values: Array,
+    scales: Array,
+) -> list[Remark]:
+    """For each group with unknown parameters, a remark naming them and the traverses to make."""
+    remarks = []
+    names = [parameter.name for parameter in law.parameters]
+    for group in np.flatnonzero(~known.all(axis=1)):
+        session, direction = groups.table.loc[group, ["session", "direction"]]
+        mine = rows[groups.of_row == group]
+        slopes = law.jacobian(mine, values[group]) * scales[group]
+        unknown = tuple(name for name, fine in zip(names, known[group], strict=True) if not fine)
+        wanted = _fewest_traverses(law, machine, direction, slopes, values[group], scales[group])
+        told = "; ".join(describe(configuration) for configuration in wanted)
+        subject = f"{_listed(unknown)} cannot be known"
+        together = " one by one" if len(unknown) > 1 else ""
+        remarks.append(
+            Remark(
+                "not_identified", law.joint, direction, session, unknown,
+                f"joint {law.joint}, direction {direction}, session {session}: {subject}{together} from "
+                f"{len(mine)} usable traverse{'s' if len(mine) != 1 else ''}; missing: {told}",
+            )
+        )  # fmt: skip
+    return remarks
+
+
+def configuration_rows(
+    configurations: tuple[Configuration, ...], joint: int, direction: str, machine: Machine
+) -> pd.DataFrame:
+    """Full traverses of a joint at the given configurations, in a log's columns."""
+    low, high = machine.ranges[joint]
+    start, stop = (low, high) if direction == "+" else (high, low)
+    return pd.DataFrame(
+        {
+            "joint": joint,
+            "direction": direction,
+            **{
+                name: [getattr(c, name) for c in configurations]
+                for name in ("q1", "q2", "q3", "theta", "psi")
+            },
+            "start": start,
+            "stop": stop,
+        }
+    )
+
+
+def describe(configuration: Configuration) -> str:
+    """A configuration in words and people's units.
+
+    Examples
+    --------
+    >>> describe(Configuration("arm upright", q2=0.0))
+    'a full traverse at q2 = 0°, theta = 0°, psi = 0° (arm upright)'
+    """
+    parts = []
+    if not isnan(configuration.q2):
+        parts.append(f"q2 = {degrees(configuration.q2):.4g}°")
+    if not isnan(configuration.q3):
+        parts.append(f"q3 = {from_si(configuration.q3, 'mm'):.4g} mm")
+    parts += [f"theta = {degrees(configuration.theta):.4g}°", f"psi = {degrees(configuration.psi):.4g}°"]
+    return f"a full traverse at {', '.join(parts)} ({configuration.label})"
+
+
+def _fewest_traverses(
+    law: StepLaw, machine: Machine, direction: str, slopes: Array, values: Array, scales: Array
+) -> tuple[Configuration, ...]:
+    """The smallest choice of the law's calibration that makes every parameter known."""
+    candidates = law.calibration()
+    rows = configuration_rows(candidates, law.joint, direction, machine)
+    # Where the fit left a law that stalls in a candidate, any law of ordinary effect serves to find the rank.
+    gained = law.jacobian(rows, values) * scales
+    if not np.all(np.isfinite(gained)):
+        ordinary = law.start_values(np.array([np.max(np.abs(scales))]))[0]
+        gained = law.jacobian(rows, ordinary) * scales
+    for size in range(1, len(candidates)):
+        for choice in combinations(range(len(candidates)), size):
+            singular = np.linalg.svd(np.vstack([slopes, gained[list(choice)]]), compute_uv=False)
+            if len(singular) == len(scales) and singular[-1] > 100 * SMALLEST * singular[0]:
+                return tuple(candidates[index] for index in choice)
+    return candidates
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

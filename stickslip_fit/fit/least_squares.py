@@ -1,0 +1,137 @@
+"""All parameters from all sweeps: nonlinear least squares for each session and direction."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
+from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
+from stickslip_fit.fit.levenberg_marquardt import Minimum, minimise
+from stickslip_fit.fit.provenance import Provenance, versions
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.fit.repeatability import Repeatability, pooled, variance_of, without_error_bars
+from stickslip_fit.fit.result import JointFit, Result
+from stickslip_fit.laws import StepLaw, published_law, travel
+from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
+
+Array = npt.NDArray[np.float64]
+
+# The first pass weighs all traverses alike; the rounding's share of the variance then changes the weights
+# a little, and two more settle them.
+PASSES = 3
+
+
+def least_squares(log: Log, *, command: str = "") -> Result:
+    """Fit the published law of every joint to all usable traverses of a log.
+
+    Parameters
+    ----------
+    log : Log
+    command : str, optional
+        Kept in the result's provenance.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse.
+
+    Notes
+    -----
+    The response is log(steps), so that the errors are relative, as the repeatability is. Its variance
+    is the repeatability's, pooled over the log by joint and direction, plus the rounding's.
+    """
+    rows = usable_rows(log)
+    joints, residuals, remarks = {}, [], []
+    for joint in log.joints:
+        mine = rows[rows["joint"] == joint]
+        if len(mine):
+            joints[joint], residual, said = fit_joint(
+                published_law(joint, mine, log.machine), mine, log.machine
+            )
+            residuals.append(
+                pd.DataFrame({"joint": joint, "residual": residual, "used": True}, index=mine.index)
+            )
+            remarks += said
+    return Result(
+        method="least-squares",
+        machine=log.machine,
+        joints=joints,
+        residuals=pd.concat(residuals).sort_index(),
+        remarks=tuple(remarks),
+        provenance=provenance(log, command),
+    )
+
+
+def fit_joint(law: StepLaw, rows: pd.DataFrame, machine: Machine) -> tuple[JointFit, Array, list[Remark]]:
+    """Fit one joint's law to its rows; also the residuals, shape (n,), and what is to be said."""
+    groups = group_rows(rows)
+    y, rounding = law.response(rows)
+    mean_step = np.exp(groups.sums(np.log(travel(rows)) - y) / groups.sums(np.ones(len(y))))
+    values, scales = law.start_values(mean_step), law.scales(mean_step)
+    weight = np.ones(len(y))
+    for _ in range(PASSES):
+        found = minimise(law.model(rows), y, weight, groups, values, scales)
+        known, covariance = known_parameters(found.curvature, scales)
+        repeatability = _from_residuals(rows, found, rounding, known, groups)
+        values, weight = found.values, 1.0 / variance_of(rows, rounding, repeatability)
+    fit = JointFit(
+        law,
+        groups.table,
+        found.values,
+        known,
+        _with_error_bars(covariance, groups, repeatability),
+        repeatability,
+    )
+    remarks = explain_unknown(law, machine, groups, known, rows, found.values, scales)
+    remarks += _not_converged(law, groups, found) + without_error_bars(law, groups.table, repeatability)
+    return fit, found.residual, remarks
+
+
+def provenance(log: Log, command: str) -> Provenance:
+    """Where a fit of `log` comes from."""
+    return Provenance(
+        log_files=tuple(name for name, _ in log.sources),
+        log_sha256=log.sha256,
+        machine_name=log.machine.name,
+        machine_sha256=log.machine.sha256,
+        versions=versions(),
+        command=command,
+    )
+
+
+def _from_residuals(
+    rows: pd.DataFrame, found: Minimum, rounding: Array, known: npt.NDArray[np.bool_], groups: Groups
+) -> dict[str, Repeatability]:
+    """Repeatability of each direction from what the fit leaves over."""
+    rank = known.sum(axis=1)
+    ways = groups.table["direction"].to_numpy()
+    repeatability = {}
+    for way in ("+", "-"):
+        mine = (rows["direction"] == way).to_numpy()
+        freedom = int(mine.sum() - rank[ways == way].sum())
+        repeatability[way] = pooled(found.residual[mine], rounding[mine], freedom, "residuals")
+    return repeatability
+
+
+def _with_error_bars(covariance: Array, groups: Groups, repeatability: dict[str, Repeatability]) -> Array:
+    freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
+    return np.where((freedom > 0)[:, None, None], covariance, np.nan)
+
+
+def _not_converged(law: StepLaw, groups: Groups, found: Minimum) -> list[Remark]:
+    names = tuple(parameter.name for parameter in law.parameters)
+    return [
+        Remark(
+            "not_converged", law.joint, group.direction, group.session, names,
+            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
+            f"settled after {found.iterations} iterations; look at this session's counts for one that is wildly off",
+        )
+        for group in groups.table[~found.converged].itertuples()
+    ]  # fmt: skip

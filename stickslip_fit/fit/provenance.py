@@ -1,0 +1,46 @@
+"""Where a result came from, so that it can be had again."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from importlib.metadata import version
+
+from stickslip_fit import __version__
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Hashes, versions and command behind a result.
+
+    Attributes
+    ----------
+    log_files : tuple of str
+        Names of the log's files.
+    log_sha256, machine_sha256 : str
+    machine_name : str
+    versions : dict of str to str
+    command : str
+        As typed; empty where the result was made in a notebook.
+    seed : int or None
+        None where nothing random took part.
+    """
+
+    log_files: tuple[str, ...]
+    log_sha256: str
+    machine_name: str
+    machine_sha256: str
+    versions: dict[str, str]
+    command: str = ""
+    seed: int | None = None
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computes the numbers."""
+    return {
+        "stickslip_fit": __version__,
+        "python": ".".join(str(part) for part in sys.version_info[:3]),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "pandas": version("pandas"),
+    }

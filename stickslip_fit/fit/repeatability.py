@@ -1,0 +1,96 @@
+"""How well a traverse repeats: the standard deviation of log steps, the counts' rounding left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.laws import StepLaw
+
+Array = npt.NDArray[np.float64]
+
+CONFIGURATION = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """One joint's repeatability in one direction.
+
+    Attributes
+    ----------
+    value : float
+        Standard deviation of log steps, i.e. relative; NaN where it cannot be known.
+    freedom : int
+        Degrees of freedom behind it.
+    source : {"replicates", "residuals"}
+    """
+
+    value: float
+    freedom: int
+    source: str
+
+
+def from_replicates(law: StepLaw, rows: pd.DataFrame) -> dict[str, Repeatability]:
+    """Repeatability of each direction from replicates of a configuration within a session.
+
+    Replicates hours apart also carry whatever drifts, so this bounds the repeatability from above.
+    """
+    y, rounding = law.response(rows)
+    keys = rows[CONFIGURATION].round(9)
+    together = keys.groupby(CONFIGURATION, dropna=False, sort=False, observed=True).ngroup().to_numpy()
+    size = np.bincount(together)
+    deviation = y - (np.bincount(together, y) / size)[together]
+    found = {}
+    for direction in ("+", "-"):
+        mine = (rows["direction"] == direction).to_numpy()
+        freedom = int(mine.sum() - len(np.unique(together[mine])))
+        found[direction] = pooled(deviation[mine], rounding[mine], freedom, "replicates")
+    return found
+
+
+def pooled(residual: Array, rounding: Array, freedom: int, source: str) -> Repeatability:
+    """Repeatability that makes sum(residual^2 / (value^2 + rounding)) equal its degrees of freedom."""
+    if freedom < 1:
+        return Repeatability(np.nan, 0, source)
+    squares = residual**2
+    # Rounding is a small part, so this fixed point gains two digits a pass; it stops at 0 from above.
+    variance = float(squares.sum()) / freedom
+    for _ in range(20):
+        weight = 1.0 / (variance + rounding)
+        excess = float((squares * weight).sum()) / freedom - 1.0
+        variance = max(variance * (1.0 + excess), 0.0) if variance > 0 else 0.0
+        if abs(excess) < 1e-10:
+            break
+    return Repeatability(float(np.sqrt(variance)), freedom, source)
+
+
+def variance_of(rows: pd.DataFrame, rounding: Array, repeatability: dict[str, Repeatability]) -> Array:
+    """Variance of each row's log steps, rounding included; shape (n,).
+
+    A direction whose repeatability is not known borrows the other's, so that weights stay sensible.
+    """
+    known = [found.value for found in repeatability.values() if found.freedom > 0]
+    fallback = float(np.mean(known)) if known else 0.0
+    value = {way: found.value if found.freedom > 0 else fallback for way, found in repeatability.items()}
+    forwards = (rows["direction"] == "+").to_numpy()
+    return np.where(forwards, value["+"], value["-"]) ** 2 + rounding
+
+
+def without_error_bars(
+    law: StepLaw, groups: pd.DataFrame, repeatability: dict[str, Repeatability]
+) -> list[Remark]:
+    """A remark for each direction that has no more traverses than parameters."""
+    names = tuple(parameter.name for parameter in law.parameters)
+    return [
+        Remark(
+            "few_replicates", law.joint, way, "", names,
+            f"joint {law.joint}, direction {way}: no error bars, since no traverse is left over to show how "
+            "well one repeats; make each calibration traverse twice",
+        )
+        for way, found in repeatability.items()
+        if found.freedom < 1 and (groups["direction"] == way).any()
+    ]  # fmt: skip

@@ -1,0 +1,182 @@
+"""What any estimator returns: parameters with uncertainty, what is wrong with them, where they came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.stats import t as student_t
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.fit.provenance import Provenance
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.fit.repeatability import Repeatability
+from stickslip_fit.laws import StepLaw, travel
+from stickslip_fit.machine import Machine
+
+Array = npt.NDArray[np.float64]
+COVERAGE = 0.95
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """One joint's law with its parameters for each session and direction.
+
+    Attributes
+    ----------
+    law : StepLaw
+    groups : DataFrame
+        Columns session and direction; g rows in order of time.
+    values : array, shape (g, p)
+        Parameters, SI. Where the log knows only a combination of them, one that fits it.
+    known : array of bool, shape (g, p)
+        Which of `values` the log determines one by one.
+    covariance : array, shape (g, p, p)
+        Of `values`; NaN where no error bar can be given.
+    repeatability : dict of str to Repeatability
+        By direction.
+    """
+
+    law: StepLaw
+    groups: pd.DataFrame
+    values: Array
+    known: npt.NDArray[np.bool_]
+    covariance: Array
+    repeatability: dict[str, Repeatability]
+
+    def group_of(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
+        """Index of each row's group; -1 where the fit has none for its session and direction."""
+        index = pd.MultiIndex.from_frame(self.groups[["session", "direction"]].astype(object))
+        wanted = pd.MultiIndex.from_frame(rows[["session", "direction"]].astype(object))
+        return index.get_indexer(wanted)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A fitted log.
+
+    Attributes
+    ----------
+    method : str
+        ``closed-form`` or ``least-squares``.
+    machine : Machine
+    joints : dict of int to JointFit
+    residuals : DataFrame
+        Indexed as the log's rows, the usable ones: joint, residual (log steps seen less predicted),
+        used (whether the traverse took part in the fit).
+    remarks : tuple of Remark
+    provenance : Provenance
+    """
+
+    method: str
+    machine: Machine
+    joints: dict[int, JointFit]
+    residuals: pd.DataFrame
+    remarks: tuple[Remark, ...]
+    provenance: Provenance
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Every parameter, SI: name, joint, direction, session, unit, estimate and what is known of it.
+
+        That is standard_error, low, high and flags. low and high bound 95 %; estimate and what follows are NaN where the log does not know them.
+        """
+        return pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
+
+    def _joint_table(self, fit: JointFit) -> pd.DataFrame:
+        parameters = fit.law.parameters
+        count = len(parameters)
+        names = [parameter.name for parameter in parameters]
+        table = fit.groups.loc[fit.groups.index.repeat(count), ["direction", "session"]].reset_index(
+            drop=True
+        )
+        table.insert(0, "name", names * len(fit.groups))
+        table.insert(1, "joint", fit.law.joint)
+        table["unit"] = [parameter.unit for parameter in parameters] * len(fit.groups)
+        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
+        error = np.sqrt(np.where(fit.known, variance, np.nan)).ravel()
+        reach = np.repeat(
+            [_quantile(fit.repeatability[way].freedom) for way in fit.groups["direction"]], count
+        )
+        table["estimate"] = np.where(fit.known, fit.values, np.nan).ravel()
+        table["standard_error"] = error
+        table["low"] = table["estimate"] - reach * error
+        table["high"] = table["estimate"] + reach * error
+        table["flags"] = self._flags(fit, names)
+        return table
+
+    def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
+        raised: dict[tuple[str, str, str], list[str]] = {}
+        for remark in self.remarks:
+            if remark.joint == fit.law.joint:
+                sessions = [remark.session] if remark.session else fit.groups["session"].unique()
+                for session, name in product(sessions, remark.parameters):
+                    raised.setdefault((session, remark.direction, name), []).append(remark.flag)
+        return [
+            tuple(raised.get((session, direction, name), ()))
+            for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
+            for name in names
+        ]
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Steps and step size for traverses, each by the parameters of its session and direction.
+
+        Parameters
+        ----------
+        rows : DataFrame
+            A log's columns; steps are not needed.
+
+        Returns
+        -------
+        DataFrame, indexed as `rows`
+            steps, step_size (rad or m), relative_error (of the law, from its parameters), and
+            low, high: 95 % interval of the steps that a new traverse takes, repeatability included.
+
+        Raises
+        ------
+        InputError
+            For a session, direction or joint that was not fitted.
+        """
+        parts = [self._predict_joint(joint, rows[rows["joint"] == joint]) for joint in rows["joint"].unique()]
+        return pd.concat(parts).loc[rows.index] if parts else _no_predictions()
+
+    def _predict_joint(self, joint: int, rows: pd.DataFrame) -> pd.DataFrame:
+        if joint not in self.joints:
+            raise InputError(f"joint {joint} was not fitted; this result knows joints {list(self.joints)}")
+        fit = self.joints[joint]
+        group = fit.group_of(rows)
+        if np.any(group < 0):
+            missing = rows.iloc[int(np.argmax(group < 0))]
+            fitted = ", ".join(map(str, fit.groups["session"].unique()))
+            raise InputError(
+                f"joint {joint} was not fitted for session {missing['session']!r}, direction "
+                f"{missing['direction']}; sessions fitted: {fitted}"
+            )
+        response, jacobian = fit.law.model(rows)(fit.values[group])
+        spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
+        ways = fit.groups["direction"].to_numpy()[group]
+        noise = np.array([fit.repeatability[way].value for way in ways])
+        reach = np.array([_quantile(fit.repeatability[way].freedom) for way in ways])
+        total = reach * np.hypot(spread, noise)
+        steps = np.exp(response)
+        return pd.DataFrame(
+            {
+                "steps": steps,
+                "step_size": travel(rows) / steps,
+                "relative_error": spread,
+                "low": np.exp(response - total),
+                "high": np.exp(response + total),
+            },
+            index=rows.index,
+        )
+
+
+def _no_predictions() -> pd.DataFrame:
+    return pd.DataFrame(columns=["steps", "step_size", "relative_error", "low", "high"], dtype=float)
+
+
+def _quantile(freedom: int) -> float:
+    return float(student_t.ppf(0.5 + COVERAGE / 2, freedom)) if freedom > 0 else np.nan

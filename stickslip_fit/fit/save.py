@@ -1,0 +1,174 @@
+"""Results as JSON, there and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.files import write_atomically
+from stickslip_fit.fit.provenance import Provenance
+from stickslip_fit.fit.remark import Remark
+from stickslip_fit.fit.repeatability import Repeatability
+from stickslip_fit.fit.result import JointFit, Result
+from stickslip_fit.laws import describe_law, restore_law
+from stickslip_fit.machine import Link, Machine
+from stickslip_fit.units import from_si
+
+SCHEMA = "stickslip-fit/result/1"
+
+
+def save_result(result: Result, path: str | Path) -> None:
+    """Write a result as JSON; nothing is left half-written.
+
+    Beside what `load_result` needs, the file holds ``parameters``: a list of name, joint, direction,
+    session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units.
+    """
+    text = json.dumps(_to_json(result), indent=1, ensure_ascii=False, allow_nan=False)
+    write_atomically(path, text + "\n")
+
+
+def load_result(path: str | Path) -> Result:
+    """Read a result that `save_result` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no saved result.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(Problem(f"cannot be read ({error.strerror})", str(path))) from None
+    except ValueError:
+        raise InputError(Problem("is no JSON; give a file that `fit --json` wrote", str(path))) from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(Problem(f"is no saved result of the form {SCHEMA}; fit the log again", str(path)))
+    try:
+        return _from_json(content)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(Problem(f"is a damaged result ({error!r}); fit the log again", str(path))) from None
+
+
+def _to_json(result: Result) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "method": result.method,
+        "parameters": _parameters(result.parameters),
+        "remarks": [asdict(remark) for remark in result.remarks],
+        "provenance": asdict(result.provenance),
+        "machine": asdict(result.machine),
+        "joints": [_joint_to_json(fit) for fit in result.joints.values()],
+        "residuals": {
+            "row": [int(row) for row in result.residuals.index],
+            "joint": [int(joint) for joint in result.residuals["joint"]],
+            "residual": _numbers(result.residuals["residual"].to_numpy(float)),
+            "used": [bool(used) for used in result.residuals["used"]],
+        },
+    }
+
+
+def _parameters(table: pd.DataFrame) -> list[dict[str, Any]]:
+    numbers = ("estimate", "standard_error", "low", "high")
+    return [
+        {
+            "name": row.name,
+            "joint": int(row.joint),
+            "direction": str(row.direction),
+            "session": str(row.session),
+            "unit": row.unit,
+            **{number: _number(from_si(getattr(row, number), row.unit)) for number in numbers},
+            "flags": list(row.flags),
+        }
+        for row in table.itertuples(index=False)
+    ]
+
+
+def _joint_to_json(fit: JointFit) -> dict[str, Any]:
+    return {
+        "law": describe_law(fit.law),
+        "sessions": [str(session) for session in fit.groups["session"]],
+        "directions": [str(direction) for direction in fit.groups["direction"]],
+        "values": _numbers(fit.values),
+        "known": fit.known.tolist(),
+        "covariance": _numbers(fit.covariance),
+        "repeatability": {
+            way: {**asdict(found), "value": _number(found.value)} for way, found in fit.repeatability.items()
+        },
+    }
+
+
+def _from_json(content: dict[str, Any]) -> Result:
+    machine = _machine(content["machine"])
+    fits = [_joint_from_json(item, machine) for item in content["joints"]]
+    residuals = content["residuals"]
+    source = content["provenance"]
+    return Result(
+        method=content["method"],
+        machine=machine,
+        joints={fit.law.joint: fit for fit in fits},
+        residuals=pd.DataFrame(
+            {
+                "joint": np.array(residuals["joint"], dtype=np.int64),
+                "residual": _array(residuals["residual"]),
+                "used": np.array(residuals["used"], dtype=bool),
+            },
+            index=np.array(residuals["row"], dtype=np.int64),
+        ),
+        remarks=tuple(
+            Remark(**{**item, "parameters": tuple(item["parameters"])}) for item in content["remarks"]
+        ),
+        provenance=Provenance(**{**source, "log_files": tuple(source["log_files"])}),
+    )
+
+
+def _joint_from_json(item: dict[str, Any], machine: Machine) -> JointFit:
+    return JointFit(
+        law=restore_law(item["law"], machine),
+        groups=pd.DataFrame(
+            {
+                "session": np.array(item["sessions"], dtype=object),
+                "direction": np.array(item["directions"], dtype=object),
+            }
+        ),
+        values=_array(item["values"]),
+        known=np.array(item["known"], dtype=bool),
+        covariance=_array(item["covariance"]),
+        repeatability={
+            way: Repeatability(**{**found, "value": np.nan if found["value"] is None else found["value"]})
+            for way, found in item["repeatability"].items()
+        },
+    )
+
+
+def _machine(item: dict[str, Any]) -> Machine:
+    links = [Link(link["mass"], link["com"], tuple(link["inertia"])) for link in item["links"]]
+    return Machine(
+        name=item["name"],
+        a1=item["a1"],
+        l2=item["l2"],
+        ranges={int(joint): (low, high) for joint, (low, high) in item["ranges"].items()},
+        links=(links[0], links[1], links[2]),
+        sha256=item["sha256"],
+    )
+
+
+def _number(value: float) -> float | None:
+    """JSON has no NaN: an unknown number is null."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers(values: npt.NDArray[np.float64]) -> Any:
+    shown = values.astype(object)
+    shown[~np.isfinite(values)] = None
+    return shown.tolist()
+
+
+def _array(values: Any) -> npt.NDArray[np.float64]:
+    return np.array(values, dtype=float)

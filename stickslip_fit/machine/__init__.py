@@ -1,0 +1,36 @@
+"""The manipulator: geometry, kinematics, dynamics, and the load on each joint."""
+
+from stickslip_fit.machine.dynamics import (
+    coriolis_matrix,
+    gravity_forces,
+    gravity_scale,
+    inertia_matrix,
+    joint_forces,
+    tip_load,
+)
+from stickslip_fit.machine.kinematics import forward, inverse, jacobian, nearest_solution, reach
+from stickslip_fit.machine.load import full_load, mean_load, published_load, up_in_base
+from stickslip_fit.machine.machine import JOINTS, PRISMATIC, Link, Machine, load_machine
+
+__all__ = [
+    "JOINTS",
+    "PRISMATIC",
+    "Link",
+    "Machine",
+    "coriolis_matrix",
+    "forward",
+    "full_load",
+    "gravity_forces",
+    "gravity_scale",
+    "inertia_matrix",
+    "inverse",
+    "jacobian",
+    "joint_forces",
+    "load_machine",
+    "mean_load",
+    "nearest_solution",
+    "published_load",
+    "reach",
+    "tip_load",
+    "up_in_base",
+]

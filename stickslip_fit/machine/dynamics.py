@@ -1,0 +1,256 @@
+"""The forces of motion, of gravity and at the tip: D(q) qdd + C(q, qd) qd + G(q) = tau.
+
+Joints 1, 2 and 3 move the arm in mutually perpendicular directions, so D is diagonal and all of it
+is short. Link conventions are those of mm3a.toml.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.machine.kinematics import jacobian
+from stickslip_fit.machine.load import Array, full_load
+from stickslip_fit.machine.machine import JOINTS, Machine
+
+STANDARD_GRAVITY = 9.80665
+
+
+def inertia_matrix(machine: Machine, q: npt.ArrayLike) -> Array:
+    """The inertia matrix D.
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+
+    Returns
+    -------
+    array, shape (..., 3, 3)
+        kg m^2 for the rotary joints, kg for the prismatic one.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(inertia_matrix(load_machine(), [0.0, 0.0, 0.0])[2, 2])
+    0.005
+    """
+    _, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
+    upper, fore, hand = machine.links
+    sine, cosine, out = np.sin(q2), np.cos(q2), _hand_distance(machine, q3)
+    inertia = np.zeros((*q2.shape, 3, 3))
+    inertia[..., 0, 0] = (
+        upper.mass * (machine.a1 - upper.com) ** 2
+        + upper.inertia[1]
+        + fore.mass * (machine.a1 - fore.com * sine) ** 2
+        + hand.mass * (machine.a1 - out * sine) ** 2
+        + (fore.inertia[0] + hand.inertia[0]) * sine**2
+        + (fore.inertia[2] + hand.inertia[2]) * cosine**2
+    )
+    inertia[..., 1, 1] = fore.mass * fore.com**2 + fore.inertia[1] + hand.mass * out**2 + hand.inertia[1]
+    inertia[..., 2, 2] = hand.mass
+    return inertia
+
+
+def coriolis_matrix(machine: Machine, q: npt.ArrayLike, qdot: npt.ArrayLike) -> Array:
+    """The matrix C of Coriolis and centrifugal terms, from the Christoffel symbols of D (thesis A.108).
+
+    C[k, j] = sum over i of c_ijk qd_i with c_ijk = (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) / 2. The
+    thesis prints c_322 (A.95), and with it C[3, 2], with the wrong sign: C[3, 2] is
+    -m3 (l2 + q3 - r3) qd2, the centrifugal force that throws the hand outward.
+
+    Parameters
+    ----------
+    machine : Machine
+    q, qdot : array_like, shape (..., 3)
+        Joint positions (rad, rad, m) and their rates (rad/s, rad/s, m/s); they broadcast.
+
+    Returns
+    -------
+    array, shape (..., 3, 3)
+        dD/dt - 2 C is skew-symmetric.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(coriolis_matrix(load_machine(), [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])[2, 1])
+    -0.0001125
+    """
+    q, qdot = np.broadcast_arrays(np.asarray(q, float), np.asarray(qdot, float))
+    _, q2, q3 = np.moveaxis(q, -1, 0)
+    rate1, rate2, rate3 = np.moveaxis(qdot, -1, 0)
+    base_by_q2, base_by_q3, elbow_by_q3 = _half_inertia_slopes(machine, q2, q3)
+    coriolis = np.zeros((*q2.shape, 3, 3))
+    coriolis[..., 0, 0] = base_by_q2 * rate2 + base_by_q3 * rate3
+    coriolis[..., 0, 1] = base_by_q2 * rate1
+    coriolis[..., 0, 2] = base_by_q3 * rate1
+    coriolis[..., 1, 0] = -base_by_q2 * rate1
+    coriolis[..., 1, 1] = elbow_by_q3 * rate3
+    coriolis[..., 1, 2] = elbow_by_q3 * rate2
+    coriolis[..., 2, 0] = -base_by_q3 * rate1
+    coriolis[..., 2, 1] = -elbow_by_q3 * rate2
+    return coriolis
+
+
+def gravity_scale(machine: Machine, q: npt.ArrayLike, g: float = STANDARD_GRAVITY) -> Array:
+    """The gravity force on each joint per unit of its load u, N m, N m and N.
+
+    It is the force that the joint would feel with the base turned so that u = 1. For joint 1 it is
+    below zero where the arm is bent so far back that its weight lies beyond joint 1's axis.
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+    g : float, optional
+        m/s^2.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(gravity_scale(load_machine(), [0.0, 0.0, 0.0], g=10.0)[2])
+    0.05
+    """
+    _, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
+    upper, fore, hand = machine.links
+    elbow = fore.mass * fore.com + hand.mass * _hand_distance(machine, q3)
+    base = upper.mass * (machine.a1 - upper.com) + (fore.mass + hand.mass) * machine.a1 - elbow * np.sin(q2)
+    return g * np.stack([base, elbow, np.full_like(elbow, hand.mass)], axis=-1)
+
+
+def gravity_forces(
+    machine: Machine,
+    q: npt.ArrayLike,
+    theta: npt.ArrayLike,
+    psi: npt.ArrayLike,
+    g: float = STANDARD_GRAVITY,
+) -> Array:
+    """What the joints must bear against gravity, G = dV/dq: `gravity_scale` times `full_load`.
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+    theta, psi : array_like, shape (...)
+        Orientation of the base, R = Rx(theta) Ry(psi), rad.
+    g : float, optional
+        m/s^2.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        N m, N m, N; above 0 where moving in `+` lifts the arm (thesis A.111 to A.113).
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(gravity_forces(load_machine(), [0.0, 0.0, 0.0], theta=0.0, psi=0.0, g=10.0)[2])
+    0.05
+    """
+    q1, q2, _ = np.moveaxis(np.asarray(q, float), -1, 0)
+    loads = np.broadcast_arrays(*(full_load(joint, q1, q2, theta, psi) for joint in JOINTS))
+    return gravity_scale(machine, q, g) * np.stack(loads, axis=-1)
+
+
+def joint_forces(machine: Machine, q: npt.ArrayLike, tip_force: npt.ArrayLike) -> Array:
+    """What the joints must bear against a force on the tip, tau = -J^T F.
+
+    The sign is gravity's: above 0 where moving in `+` goes against the force. A weight hung on the
+    tip is F = -m g `up_in_base`, and bears on the joints as one more mass would.
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+    tip_force : array_like, shape (..., 3)
+        Force that the world exerts on the tip, in the base's frame, N.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        N m, N m, N.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> pushed_back = joint_forces(load_machine(), [0.0, -np.pi / 2, 0.0], [-0.001, 0.0, 0.0])
+    >>> float(pushed_back[2])
+    0.001
+    """
+    return -np.einsum("...ij,...i->...j", jacobian(machine, q), np.asarray(tip_force, float))
+
+
+def tip_load(
+    machine: Machine,
+    joint: int,
+    q: npt.ArrayLike,
+    tip_force: npt.ArrayLike,
+    g: float = STANDARD_GRAVITY,
+) -> Array:
+    """A force on the tip as a load on one joint, on the scale of `full_load` and to be added to it.
+
+    A law's load coefficient is the step size gained from the joint's whole gravity load where it
+    stands, so a tip force counts as `joint_forces` divided by `gravity_scale`.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its masses set the scale: weigh them before you rely on it.
+    joint : {1, 2, 3}
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+    tip_force : array_like, shape (..., 3)
+        Force that the world exerts on the tip, in the base's frame, N.
+    g : float, optional
+        m/s^2.
+
+    Returns
+    -------
+    array, shape (...)
+
+    Raises
+    ------
+    InputError
+        Where the arm is balanced about the joint, so that gravity gives no scale.
+    ValueError
+        For a joint other than 1, 2 or 3.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> round(float(tip_load(load_machine(), 3, [0.0, 0.0, 0.0], [0.0, 0.0, -0.001])), 4)
+    0.0204
+    """
+    if joint not in JOINTS:
+        raise ValueError(f"joint {joint} is none of 1, 2, 3")
+    scale = gravity_scale(machine, q, g)[..., joint - 1]
+    if np.any(scale == 0.0):
+        raise InputError(f"the arm is balanced about joint {joint}: gravity gives tip forces no scale")
+    return joint_forces(machine, q, tip_force)[..., joint - 1] / scale
+
+
+def _half_inertia_slopes(machine: Machine, q2: Array, q3: Array) -> tuple[Array, Array, Array]:
+    """Half of dD11/dq2, dD11/dq3 and dD22/dq3; D has no other slopes."""
+    _, fore, hand = machine.links
+    sine, cosine, out = np.sin(q2), np.cos(q2), _hand_distance(machine, q3)
+    base_by_q2 = cosine * (
+        -fore.mass * fore.com * (machine.a1 - fore.com * sine)
+        - hand.mass * out * (machine.a1 - out * sine)
+        + (fore.inertia[0] + hand.inertia[0] - fore.inertia[2] - hand.inertia[2]) * sine
+    )
+    base_by_q3 = -hand.mass * sine * (machine.a1 - out * sine)
+    return base_by_q2, base_by_q3, hand.mass * out
+
+
+def _hand_distance(machine: Machine, q3: Array) -> Array:
+    """Link 3's centre of mass from joint 2's axis, l2 + q3 - r3."""
+    return machine.l2 + q3 - machine.links[2].com

@@ -1,0 +1,277 @@
+"""Where the tip is, how it moves with the joints, and where the joints stand for a tip position.
+
+Denavit-Hartenberg rows (theta, d, a, alpha): (q1, 0, a1, 90 deg), (q2, 0, 0, -90 deg), (0, l2 + q3, 0, 0).
+The arm stays in the vertical plane that joint 1 turns. In it the tip lies at the radial distance
+a1 - L sin q2 from joint 1's axis and at the height L cos q2, with L = l2 + q3.
+"""
+
+from __future__ import annotations
+
+from math import atan2, ceil, dist, floor, hypot, remainder, tau
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.machine.load import Array
+from stickslip_fit.machine.machine import JOINTS, PRISMATIC, Machine
+from stickslip_fit.units import from_si
+
+# A picometre, or a picoradian: far below any step, far above what rounding leaves of a position.
+ROUNDING = 1e-12
+
+
+def reach(machine: Machine, q2: npt.ArrayLike, q3: npt.ArrayLike) -> Array:
+    """How far the tip is out beyond joint 2's axis, rho = -(l2 + q3) sin q2, in m.
+
+    Parameters
+    ----------
+    machine : Machine
+    q2, q3 : array_like
+        Joint positions, rad and m; they broadcast.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(reach(load_machine(), q2=-np.pi / 2, q3=0.0))
+    0.0375
+    """
+    return -(machine.l2 + np.asarray(q3, float)) * np.sin(q2)
+
+
+def forward(machine: Machine, q: npt.ArrayLike) -> Array:
+    """The tip in the base's frame.
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        x, y, z in m.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> forward(load_machine(), [0.0, -np.pi / 2, 0.0]).round(6)
+    array([0.05, 0.  , 0.  ])
+    """
+    q1, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
+    radial = machine.a1 + reach(machine, q2, q3)
+    height = (machine.l2 + q3) * np.cos(q2)
+    return np.stack([np.cos(q1) * radial, np.sin(q1) * radial, height], axis=-1)
+
+
+def jacobian(machine: Machine, q: npt.ArrayLike) -> Array:
+    """How the tip moves with each joint, d(x, y, z) / d(q1, q2, q3).
+
+    Parameters
+    ----------
+    machine : Machine
+    q : array_like, shape (..., 3)
+        Joint positions, rad, rad, m.
+
+    Returns
+    -------
+    array, shape (..., 3, 3)
+        Column j is the tip's motion with joint j: m/rad, m/rad, m/m.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> float(jacobian(load_machine(), [0.0, -np.pi / 2, 0.0])[1, 0].round(6))
+    0.05
+    """
+    q1, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
+    radial = machine.a1 + reach(machine, q2, q3)
+    radial_by_q2 = -(machine.l2 + q3) * np.cos(q2)
+    columns = [
+        [-np.sin(q1) * radial, np.cos(q1) * radial, np.zeros_like(radial)],
+        [np.cos(q1) * radial_by_q2, np.sin(q1) * radial_by_q2, reach(machine, q2, q3)],
+        [-np.cos(q1) * np.sin(q2), -np.sin(q1) * np.sin(q2), np.cos(q2)],
+    ]
+    return np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)
+
+
+def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None = None) -> list[Array]:
+    """Every way the joints can stand, within their ranges, with the tip at `target`.
+
+    The arm can reach a point with joint 1 turned towards it, or turned away and bent back over joint
+    1's axis; the thesis's A.4 knows only the first. Within either,
+    q2 = atan2(-d_x, d_y) with d the tip seen from joint 2 in frame 1, and q3 = |d| - l2. The
+    thesis's A.6, q2 = atan2(d_y, d_x), is a quarter of a turn off.
+
+    Parameters
+    ----------
+    machine : Machine
+    target : array_like, shape (3,)
+        Tip in the base's frame, m.
+    near : array_like, shape (3,), optional
+        Where the joints stand now, rad, rad, m. It matters only for a target on joint 1's axis, which
+        any q1 reaches: q1 then stays as it is, since moving it would spend steps on nothing.
+        Without `near` it is the middle of its range.
+
+    Returns
+    -------
+    list of array, shape (3,)
+        At least one; more where both ways, or two turns of a wide range, lead there.
+
+    Raises
+    ------
+    InputError
+        If the target is out of reach, with the joints that would leave their ranges and by how much.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> for q1, q2, q3 in inverse(load_machine(), [0.0, 0.002, 0.042]):
+    ...     print(f"{np.degrees(q1):.2f} deg, {np.degrees(q2):.2f} deg, {q3 * 1000:.3f} mm")
+    90.00 deg, 14.04 deg, 5.793 mm
+    -90.00 deg, 19.05 deg, 6.933 mm
+    """
+    point = _three_numbers(target, "a target", "x, y, z in m")
+    ways = _ways(machine, point, _free_q1(machine, near))
+    found = [
+        np.array([q1, q2, q3])
+        for way in ways
+        for q1 in _within_range(machine, 1, way[0])
+        for q2 in _within_range(machine, 2, way[1])
+        for q3 in _within_range(machine, PRISMATIC, way[2])
+    ]
+    if not found:
+        raise InputError(_why_out_of_reach(machine, point, ways))
+    return found
+
+
+def nearest_solution(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike) -> Array:
+    """The solution of `inverse` that costs the least driving from where the joints stand.
+
+    Driving is counted in full ranges of each joint and summed, as joints move one after the other.
+
+    Parameters
+    ----------
+    machine : Machine
+    target : array_like, shape (3,)
+        Tip in the base's frame, m.
+    near : array_like, shape (3,)
+        Where the joints stand now, rad, rad, m.
+
+    Returns
+    -------
+    array, shape (3,)
+
+    Raises
+    ------
+    InputError
+        If the target is out of reach.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> machine = load_machine()
+    >>> q = nearest_solution(machine, [0.05, 0.0, 0.0], near=[0.0, -1.0, 0.0])
+    >>> np.degrees(q).round(6)
+    array([  0., -90.,   0.])
+    """
+    stand = np.array(_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
+    spans = np.array([machine.span(joint) for joint in JOINTS])
+    return min(inverse(machine, target, stand), key=lambda q: float(np.sum(np.abs(q - stand) / spans)))
+
+
+def _ways(machine: Machine, point: list[float], free_q1: float) -> list[list[float]]:
+    """Joint positions that put the tip at `point`, whatever the ranges and whole turns aside."""
+    x, y, z = point
+    radial = hypot(x, y)
+    if radial <= ROUNDING:
+        return [[free_q1, *_elbow_and_hand(machine, 0.0, z)]]
+    return [
+        [atan2(y, x), *_elbow_and_hand(machine, radial, z)],
+        [atan2(-y, -x), *_elbow_and_hand(machine, -radial, z)],
+    ]
+
+
+def _elbow_and_hand(machine: Machine, radial: float, height: float) -> tuple[float, float]:
+    """q2 and q3 in the arm's own plane."""
+    outward = radial - machine.a1
+    return atan2(-outward, height), hypot(outward, height) - machine.l2
+
+
+def _free_q1(machine: Machine, near: npt.ArrayLike | None) -> float:
+    low, high = machine.ranges[1]
+    if near is None:
+        return (low + high) / 2
+    q1, _, _ = _three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m")
+    return min(max(q1, low), high)
+
+
+def _within_range(machine: Machine, joint: int, position: float) -> list[float]:
+    """The stands of a joint, within its range, that amount to `position`."""
+    low, high = machine.ranges[joint]
+    if joint == PRISMATIC:
+        stands = [position] if low - ROUNDING <= position <= high + ROUNDING else []
+    else:
+        fewest = ceil((low - ROUNDING - position) / tau)
+        most = floor((high + ROUNDING - position) / tau)
+        stands = [position + turns * tau for turns in range(fewest, most + 1)]
+    return [min(max(stand, low), high) for stand in stands]
+
+
+def _why_out_of_reach(machine: Machine, point: list[float], ways: list[list[float]]) -> str:
+    """What stops the arm, for the way with the fewest joints stopped, then the one that comes closest."""
+    tips = [_closest(machine, way) for way in ways]
+    overruns = [_overruns(machine, way) for way in ways]
+    best = min(range(len(ways)), key=lambda way: (len(overruns[way]), dist(point, tips[way])))
+    missed = from_si(dist(point, tips[best]), "mm")
+    return (
+        f"the target {_shown(point)} is out of reach: {' and '.join(overruns[best])}. "
+        f"At its limits the arm has the tip at {_shown(tips[best])}, {missed:.4g} mm away; "
+        "choose a target within reach"
+    )
+
+
+def _closest(machine: Machine, way: list[float]) -> list[float]:
+    q = [_unwound(machine, joint, way[joint - 1]) for joint in JOINTS]
+    limits = np.array([machine.ranges[joint] for joint in JOINTS])
+    return [float(x) for x in forward(machine, np.clip(q, limits[:, 0], limits[:, 1]))]
+
+
+def _overruns(machine: Machine, way: list[float]) -> list[str]:
+    """What to say of each joint that would leave its range."""
+    said = []
+    for joint in JOINTS:
+        position, (low, high) = _unwound(machine, joint, way[joint - 1]), machine.ranges[joint]
+        if low - ROUNDING <= position <= high + ROUNDING:
+            continue
+        side, limit = ("below its lowest", low) if position < low else ("above its highest", high)
+        unit = "mm" if joint == PRISMATIC else "deg"
+        at, excess, end = (from_si(x, unit) for x in (position, abs(position - limit), limit))
+        said.append(
+            f"joint {joint} would have to stand at {at:.6g} {unit}, "
+            f"{excess:.4g} {unit} {side}, {end:.6g} {unit}"
+        )
+    return said
+
+
+def _unwound(machine: Machine, joint: int, position: float) -> float:
+    """A rotary position in the turn that comes closest to the joint's range."""
+    if joint == PRISMATIC:
+        return position
+    low, high = machine.ranges[joint]
+    middle = (low + high) / 2
+    return middle + remainder(position - middle, tau)
+
+
+def _shown(point: list[float]) -> str:
+    # Rounded to a nanometre, so that no rounding error is shown; + 0.0 turns -0.0 into 0.0.
+    x, y, z = (f"{round(from_si(coordinate, 'mm'), 6) + 0.0:.6g}" for coordinate in point)
+    return f"({x}, {y}, {z}) mm"
+
+
+def _three_numbers(values: npt.ArrayLike, what: str, meaning: str) -> list[float]:
+    given = np.asarray(values, float)
+    if given.shape != (3,) or not np.all(np.isfinite(given)):
+        raise InputError(f"{what} is three finite numbers, {meaning}, not {given.tolist()}")
+    return [float(x) for x in given]

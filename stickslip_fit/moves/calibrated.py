@@ -1,0 +1,95 @@
+"""A manipulator whose laws are known for one session: what every move is worked out from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.fit import Result
+from stickslip_fit.laws import StepLaw
+from stickslip_fit.machine import Machine
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """One session of a result, with the base standing one way.
+
+    Attributes
+    ----------
+    result : Result
+    session : str
+    theta, psi : float
+        Orientation of the base, rad.
+    """
+
+    result: Result
+    session: str
+    theta: float = 0.0
+    psi: float = 0.0
+
+    @property
+    def machine(self) -> Machine:
+        """The manipulator that the result was fitted for."""
+        return self.result.machine
+
+    def drive(self, q: Array, joint: int, stop: float) -> pd.DataFrame:
+        """The traverse that takes `joint` from where it stands in `q` to `stop`; one row of a log."""
+        direction = "+" if stop > q[joint - 1] else "-"
+        return pd.DataFrame(
+            {
+                "session": [self.session], "joint": [joint], "direction": [direction],
+                "q1": [q[0]], "q2": [q[1]], "q3": [q[2]], "theta": [self.theta], "psi": [self.psi],
+                "start": [q[joint - 1]], "stop": [stop],
+            }
+        )  # fmt: skip
+
+    def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
+        """The law of a joint, its parameters, their covariance, and the repeatability.
+
+        Raises
+        ------
+        InputError
+            If this session's log did not make them known.
+        """
+        fit = self.result.joints.get(joint)
+        group = fit.groups if fit else pd.DataFrame({"session": [], "direction": []})
+        found = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
+        if fit is None or not len(found):
+            raise InputError(
+                f"joint {joint} has no calibration for session {self.session!r}, direction {direction}: "
+                "the log holds no such traverse; measure some or choose another session"
+            )
+        index = int(found[0])
+        if not fit.known[index].all():
+            reasons = [
+                Problem(remark.message)
+                for remark in self.result.remarks
+                if (remark.joint, remark.session, remark.direction) == (joint, self.session, direction)
+            ]
+            raise InputError(reasons)
+        return fit.law, fit.values[index], fit.covariance[index], fit.repeatability[direction].value
+
+
+def calibrated(
+    result: Result, session: str | None = None, theta: float = 0.0, psi: float = 0.0
+) -> Calibrated:
+    """The calibration of a session, the latest unless named.
+
+    Raises
+    ------
+    InputError
+        If the result has no such session.
+    """
+    sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
+    latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
+    if session is None:
+        session = next(name for name in reversed(sessions) if name in latest)
+    if session not in sessions:
+        raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
+    return Calibrated(result, session, theta, psi)

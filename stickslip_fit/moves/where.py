@@ -1,0 +1,194 @@
+"""Where the tip is after a run of drives, how sure, and when to go back to a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.machine import forward, jacobian
+from stickslip_fit.moves.calibrated import Calibrated
+from stickslip_fit.moves.position import position_after
+from stickslip_fit.moves.steps import check_positions
+
+Array = npt.NDArray[np.float64]
+
+CERTAIN = 1.96  # standard deviations on either side of 95 %
+
+
+@dataclass(frozen=True)
+class Drive:
+    """So many steps of one joint in one direction."""
+
+    joint: int
+    direction: str
+    steps: int
+
+
+@dataclass(frozen=True)
+class Whereabouts:
+    """Where everything stands after the drives.
+
+    Attributes
+    ----------
+    q, q_error : array, shape (3,)
+        Joint positions and their standard deviations, rad, rad, m.
+    tip : array, shape (3,)
+        Base frame, m.
+    tip_covariance : array, shape (3, 3)
+        m^2.
+    at_stop : tuple of int
+        Joints whose last drive took them into a mechanical stop: their error is none again.
+    """
+
+    q: Array
+    q_error: Array
+    tip: Array
+    tip_covariance: Array
+    at_stop: tuple[int, ...]
+
+    @property
+    def tip_error(self) -> float:
+        """Standard deviation of the tip along its least certain direction, m."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.tip_covariance)[-1], 0.0)))
+
+
+@dataclass(frozen=True)
+class _Travelled:
+    """One drive's displacement (signed), and its relative slopes by the law's parameters."""
+
+    distance: float
+    slopes: Array
+
+
+def where_after(arm: Calibrated, start: Array, drives: Sequence[Drive]) -> Whereabouts:
+    """Follow a run of drives from joints that stand where `start` says, without error.
+
+    Errors of a law's parameters are the same in every drive of its joint and direction and so add up;
+    what does not repeat is new in every drive. A drive that surely reaches a stop ends there, known.
+
+    Parameters
+    ----------
+    arm : Calibrated
+    start : array, shape (3,)
+        Joint positions, rad, rad, m; best a stop.
+    drives : sequence of Drive
+
+    Returns
+    -------
+    Whereabouts
+
+    Raises
+    ------
+    InputError
+        If a drive may or may not have reached the stop, so that nobody can say where the joint is.
+    """
+    check_positions(arm, start, "start")
+    q = np.array(start, dtype=float)
+    travelled: dict[tuple[int, str], list[_Travelled]] = {}
+    at_stop: set[int] = set()
+    for drive in drives:
+        reached, part = _follow(arm, q, drive, _variance(arm, drive.joint, travelled))
+        q[drive.joint - 1] = reached
+        if part is None:
+            travelled = {key: parts for key, parts in travelled.items() if key[0] != drive.joint}
+            at_stop.add(drive.joint)
+        else:
+            at_stop.discard(drive.joint)
+            travelled.setdefault((drive.joint, drive.direction), []).append(part)
+    variance = np.array([_variance(arm, joint, travelled) for joint in (1, 2, 3)])
+    slope = jacobian(arm.machine, q)
+    tip_covariance = slope @ np.diag(variance) @ slope.T
+    return Whereabouts(q, np.sqrt(variance), forward(arm.machine, q), tip_covariance, tuple(sorted(at_stop)))
+
+
+def steps_until(arm: Calibrated, at: Whereabouts, joint: int, direction: str, tolerance: float) -> int | None:
+    """Further steps of a joint before the tip is no longer known to within `tolerance` at 95 %.
+
+    Parameters
+    ----------
+    arm : Calibrated
+    at : Whereabouts
+    joint, direction
+        What would be driven next.
+    tolerance : float
+        m.
+
+    Returns
+    -------
+    int or None
+        0 where it is not known so well even now: go back to a stop. None where the joint's stop comes first.
+    """
+    low, high = arm.machine.ranges[joint]
+    end = high if direction == "+" else low
+    if end == at.q[joint - 1]:
+        return None
+    if at.tip_error * CERTAIN > tolerance:
+        return 0
+    row = arm.drive(at.q, joint, end)
+    law, values, covariance, repeatability = arm.law(joint, direction)
+    counts, slopes = law.counts(row, values)
+    relative = slopes[0] / counts[0]
+    spread = np.hypot(np.sqrt(relative @ covariance @ relative), repeatability)
+    lever = jacobian(arm.machine, at.q)[:, joint - 1]
+    per_travel = (spread * lever)[:, None] * (spread * lever)[None, :]
+
+    def excess(travel: float) -> float:
+        covered = at.tip_covariance + per_travel * travel**2
+        return CERTAIN * float(np.sqrt(np.linalg.eigvalsh(covered)[-1])) - tolerance
+
+    whole = abs(end - at.q[joint - 1])
+    if excess(whole) <= 0:
+        return None
+    from scipy.optimize import brentq
+
+    travel = brentq(excess, 0.0, whole)
+    way = 1.0 if direction == "+" else -1.0
+    part = arm.drive(at.q, joint, float(at.q[joint - 1] + way * travel))
+    return int(law.counts(part, values)[0][0])
+
+
+def _follow(arm: Calibrated, q: Array, drive: Drive, before: float) -> tuple[float, _Travelled | None]:
+    """Where a drive takes its joint; no travelled part where it ends at a stop."""
+    low, high = arm.machine.ranges[drive.joint]
+    end = high if drive.direction == "+" else low
+    here = float(q[drive.joint - 1])
+    if here == end:
+        return end, None
+    row = arm.drive(q, drive.joint, end)
+    law, values, covariance, repeatability = arm.law(drive.joint, drive.direction)
+    counts, slopes = law.counts(row, values)
+    if not np.isfinite(counts[0]):
+        raise InputError(
+            f"joint {drive.joint} would stall on its way: the law gives a step size of zero or less"
+        )
+    relative = slopes[0] / counts[0]
+    spread = np.hypot(np.sqrt(relative @ covariance @ relative), repeatability)
+    margin = CERTAIN * np.hypot(spread, np.sqrt(before) / abs(end - here)) * counts[0]
+    if drive.steps >= counts[0] + margin:
+        return end, None
+    if drive.steps > counts[0] - margin:
+        raise InputError(
+            f"{drive.steps} steps of joint {drive.joint} in {drive.direction} may or may not reach its stop "
+            f"({counts[0]:.0f} ± {margin:.0f} steps away): drive {counts[0] + margin:.0f} or more to be at "
+            f"the stop for sure, or {counts[0] - margin:.0f} or fewer to stay short of it"
+        )
+    reached = position_after(law, row, values, float(drive.steps))
+    done = arm.drive(q, drive.joint, reached)
+    part_counts, part_slopes = law.counts(done, values)
+    return reached, _Travelled(reached - here, part_slopes[0] / part_counts[0])
+
+
+def _variance(arm: Calibrated, joint: int, travelled: dict[tuple[int, str], list[_Travelled]]) -> float:
+    total = 0.0
+    for (which, direction), parts in travelled.items():
+        if which != joint:
+            continue
+        _, _, covariance, repeatability = arm.law(joint, direction)
+        shared = sum(part.distance * part.slopes for part in parts)
+        total += float(shared @ covariance @ shared)
+        total += sum((repeatability * part.distance) ** 2 for part in parts)
+    return total

@@ -1,0 +1,50 @@
+"""Data flows downwards: a room imports only the rooms above it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "stickslip_fit"
+ROOMS = (
+    "errors", "files", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "anova", "diagnose",
+    "moves", "strategies", "capture", "report", "arguments", "cli",
+)  # fmt: skip
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported_rooms(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        found |= {
+            parts[1] for name in names if (parts := name.split("."))[0] == "stickslip_fit" and len(parts) > 1
+        }
+    return found - {"__version__"}
+
+
+def test_every_room_imports_only_rooms_above_it():
+    seen = set()
+    for path in PACKAGE.rglob("*.py"):
+        room = room_of(path)
+        if room == "__init__":
+            continue
+        seen.add(room)
+        below = {other for other in imported_rooms(path) if ROOMS.index(other) > ROOMS.index(room)}
+        assert not below, f"{path.relative_to(PACKAGE)} imports {below} from below"
+    assert seen <= set(ROOMS)
+
+
+def test_the_command_line_starts_without_the_heavy_libraries():
+    import subprocess
+    import sys
+
+    heavy = ("numpy", "pandas", "scipy", "matplotlib", "pyarrow", "jinja2")
+    code = f"import sys, stickslip_fit.cli; print([name for name in {heavy} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
