@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
     from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
+    from stickslip_fit.machine import Machine
     from stickslip_fit.moves import Calibrated, Drive
+    from stickslip_fit.simulate import LawValues
 
     Array = npt.NDArray[np.float64]
 
@@ -48,6 +51,38 @@ def result_of(paths: list[Path], machine: Path | None) -> Result:
             raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
         return load_result(paths[0])
     return least_squares(log_of(paths, machine), command=command())
+
+
+def law_values_of(path: Path, machine: Machine) -> LawValues:
+    """What is to be true in a simulation: a law file, or a saved result.
+
+    Sessions that a saved result does not know get the parameters of its latest.
+
+    Raises
+    ------
+    InputError
+        If a saved result was fitted for another machine.
+    """
+    from stickslip_fit.fit import load_result
+    from stickslip_fit.simulate import LawValues, read_law_values
+
+    if path.suffix != ".json":
+        return read_law_values(path, machine)
+    result = load_result(path)
+    if result.machine.sha256 != machine.sha256:
+        raise InputError(
+            Problem(
+                f"was fitted for the machine {result.machine.name!r}; pass that with --machine", str(path)
+            )
+        )
+    values: dict[tuple[int, str, str | None], Array] = {}
+    for joint, fit in result.joints.items():
+        for (session, direction), known, row in zip(
+            fit.groups[["session", "direction"]].itertuples(index=False), fit.known, fit.values, strict=True
+        ):
+            if known.all():
+                values[joint, direction, session] = values[joint, direction, None] = row
+    return LawValues({joint: fit.law for joint, fit in result.joints.items()}, values)
 
 
 def arm_of(
@@ -139,6 +174,8 @@ def browser_is_there() -> bool:
 def _three_numbers(text: str, option: str, wanted: str) -> tuple[float, float, float]:
     try:
         first, second, third = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (first, second, third))):
+            raise ValueError
     except ValueError:
         raise InputError(Problem(f"give {wanted}", column=option, value=text)) from None
     return first, second, third

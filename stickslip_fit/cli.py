@@ -18,6 +18,7 @@ from stickslip_fit.arguments import (
     default_output,
     drive_of,
     joint_order,
+    law_values_of,
     log_of,
     positions,
     reference_campaign,
@@ -32,6 +33,7 @@ app = typer.Typer(
     help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -67,7 +69,7 @@ class Method(StrEnum):
 
 @app.command()
 def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
-    """Read a campaign log, report every fault in it, and say what it holds."""
+    """Read a log, report every fault in it, and say what it holds."""
     print(log_of(log, machine, since, until).summary())
 
 
@@ -75,7 +77,7 @@ def check(log: LogPath, machine: MachinePath = None, since: Since = None, until:
 def calibrate(
     log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None, json: Json = None
 ) -> None:
-    """Calibrate each session from its three (prismatic) or four (rotary) configurations."""
+    """Calibrate each session from its first few traverses."""
     fit(log, Method.closed_form, machine, since, until, json)
 
 
@@ -107,7 +109,7 @@ def report(
     since: Since = None,
     until: Until = None,
 ) -> None:
-    """Write the accuracy report of a log: one self-contained HTML page."""
+    """Write the accuracy report of a log: one HTML page."""
     written = _write_report(log_of(log, machine, since, until), output or default_output(log))
     print(f"report written to {written}")
 
@@ -116,11 +118,20 @@ def report(
 def simulate(
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
-    law: Annotated[Path, typer.Option(help="Law file (TOML): the parameters to simulate with.")],
+    law: Annotated[Path, typer.Option(help="Law file (TOML), or a result saved with `fit --json`.")],
     machine: MachinePath = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the plan's seed.")] = None,
 ) -> None:
-    """Simulate the campaign of a plan under a law; the same seed gives the same log."""
+    """Simulate a plan under a law; the same seed, the same log."""
+    from stickslip_fit.logs import write_log
+    from stickslip_fit.logs.read_plan import read_plan
+    from stickslip_fit.machine import load_machine
+    from stickslip_fit.simulate import simulate as run
+
+    chosen = load_machine(machine)
+    log = run(read_plan(plan, chosen), law_values_of(law, chosen), chosen, seed)
+    write_log(log, output)
+    print(f"{len(log.rows):,} simulated traverses written to {output}")
 
 
 @app.command()
@@ -131,7 +142,17 @@ def sheet(
     ],
     machine: MachinePath = None,
 ) -> None:
-    """Write a fill-in sheet for counts taken by hand: a CSV and a page to print."""
+    """Write a sheet for counts taken by hand: a CSV, a page to print."""
+    from stickslip_fit.logs.read_plan import read_plan
+    from stickslip_fit.logs.sheet import write_sheet_csv
+    from stickslip_fit.machine import load_machine
+    from stickslip_fit.report.sheet import write_sheet_page
+
+    chosen = read_plan(plan, load_machine(machine))
+    page = output.with_suffix(".html")
+    write_sheet_csv(chosen, output)
+    write_sheet_page(chosen, page)
+    print(f"sheet to fill in: {output}\npage to print: {page}")
 
 
 @app.command()
@@ -150,7 +171,7 @@ def steps(
     psi: Psi = 0.0,
     machine: MachinePath = None,
 ) -> None:
-    """How many steps take the tip from here to there, joint by joint, with uncertainty."""
+    """Say how many steps take the tip from here to there."""
     from stickslip_fit.machine import nearest_solution
     from stickslip_fit.moves import steps_for_move
     from stickslip_fit.report.text import move_text
@@ -182,7 +203,7 @@ def where(
     psi: Psi = 0.0,
     machine: MachinePath = None,
 ) -> None:
-    """Where the tip is after N steps from a stop, how sure, and when to go back to a stop."""
+    """Say where the tip is after N steps, and when to re-home."""
     from stickslip_fit.moves import where_after
     from stickslip_fit.report.text import whereabouts_text
     from stickslip_fit.units import to_si
@@ -200,7 +221,7 @@ def demo(
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
 ) -> None:
-    """Check, calibrate and report a log: the whole way on the reference campaign, or on yours."""
+    """Go the whole way on the reference campaign, or on a log."""
     from stickslip_fit.fit import closed_form, summary
 
     chosen = log or [reference_campaign()]

@@ -120,7 +120,7 @@ def test_when_to_go_back_to_a_stop(arm):
 
 
 def test_positions_outside_the_range_are_refused(arm):
-    with pytest.raises(InputError, match="target q3 = 15.00 mm is outside its range, 0.00 mm to 12.00 mm"):
+    with pytest.raises(InputError, match=r"target q3 = 15.00 mm is outside its range, 0.00 mm to 12.00 mm"):
         steps_for_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.015]))
 
 

@@ -1,0 +1,158 @@
+"""The command line as a person uses it."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from stickslip_fit import cli
+
+ROOT = Path(__file__).parents[1]
+CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
+REFERENCE = ROOT / "data" / "reference"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; status, what it printed, what it complained."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+@pytest.fixture
+def log(campaign, tmp_path):
+    path = tmp_path / "log.csv"
+    campaign().to_csv(path, index=False)
+    return path
+
+
+def test_check_says_what_a_log_holds(run, log):
+    status, out, err = run("check", log)
+    assert (status, err) == (0, "")
+    assert "2 sessions" in out
+
+
+@pytest.mark.parametrize("method", ["closed-form", "least-squares"])
+def test_fit_prints_and_saves(run, log, tmp_path, method):
+    status, out, _ = run("fit", log, "--method", method, "--json", tmp_path / "fit.json")
+    assert status == 0
+    shown = re.search(r"2012-03-05 +\+ +(\d+\.\d) ± (\d+\.\d) nm", out)
+    assert shown
+    content = json.loads((tmp_path / "fit.json").read_text("utf-8"))
+    assert content["provenance"]["command"].startswith("stickslip-fit fit ")
+    a = next(item for item in content["parameters"] if item["name"] == "a")
+    assert a["estimate"] == pytest.approx(float(shown[1]), abs=0.051)
+
+
+def test_calibrate_is_the_closed_form(run, log):
+    assert run("calibrate", log)[1] == run("fit", log, "--method", "closed-form")[1]
+
+
+def test_a_move_from_a_log_and_from_a_saved_fit_agree(run, log, tmp_path):
+    run("fit", log, "--json", tmp_path / "fit.json")
+    move = ("--at", "0,-90,0", "--joints", "20,-60,6")
+    status, out, _ = run("steps", log, *move)
+    assert status == 0
+    assert run("steps", tmp_path / "fit.json", *move)[1] == out
+    assert re.search(r"3 \+ +0\.000 mm +6\.000 mm +9,\d{3}", out)
+
+
+def test_the_tip_goes_where_it_is_sent(run, log):
+    status, out, _ = run("steps", log, "--at", "-5,-90,0", "--tip", "55,3,-5", "--session", "2012-03-05")
+    assert status == 0
+    assert "tip at (55.000, 3.000, -5.000) mm" in out
+
+
+def test_where_says_when_to_go_back_to_a_stop(run, log):
+    status, out, _ = run(
+        "where", log, "--at=0,-90,0", "--drive", "3+2000", "--drive", "2-100", "--tolerance", 100
+    )
+    assert status == 0
+    assert re.search(r"joint 2 \+ +[\d,]+ steps, then go back to a stop", out)
+
+
+def test_simulate_check_and_sheet_from_one_plan(run, tmp_path):
+    plan, law = REFERENCE / "plan.toml", REFERENCE / "law.toml"
+    assert run("simulate", plan, "--law", law, "-o", tmp_path / "one.csv")[0] == 0
+    assert run("simulate", plan, "--law", law, "-o", tmp_path / "two.csv", "--seed", "7")[0] == 0
+    assert (tmp_path / "one.csv").read_bytes() == (REFERENCE / "campaign.csv").read_bytes()
+    assert (tmp_path / "one.csv").read_bytes() != (tmp_path / "two.csv").read_bytes()
+    assert run("check", tmp_path / "two.csv")[0] == 0
+    assert run("sheet", plan, "-o", tmp_path / "sheet.csv")[0] == 0
+    assert (tmp_path / "sheet.html").exists()
+
+
+def test_a_saved_fit_can_be_simulated_from(run, log, tmp_path):
+    run("fit", log, "--json", tmp_path / "fit.json")
+    plan = REFERENCE / "plan.toml"
+    status, _, err = run("simulate", plan, "--law", tmp_path / "fit.json", "-o", tmp_path / "again.csv")
+    assert (status, err) == (0, "")
+
+
+def test_the_demo_ends_with_a_report(run, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run("demo")
+    assert status == 0
+    assert "report written to" in out
+    assert (tmp_path / "reports" / "campaign.html").stat().st_size > 100_000
+
+
+@pytest.mark.skipif(not CAMPAIGNS.exists(), reason="the measured campaigns are not on this machine")
+@pytest.mark.parametrize("name", "abcdef")
+def test_the_demo_runs_on_measured_campaigns(run, monkeypatch, tmp_path, name):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run("demo", CAMPAIGNS / f"campaign-{name}.csv")
+    assert (status, err) == (0, "")
+    assert (tmp_path / "reports" / f"campaign-{name}.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["check", "absent.csv"], "absent.csv"),
+        (["fit", "absent.json"], "absent.json"),
+        (["steps", "{log}", "--at", "0,-90", "--joints", "0,0,0"], "--at, value '0,-90': give three numbers"),
+        (["steps", "{log}", "--at", "0,-90,0"], "either --tip X,Y,Z"),
+        (["steps", "{log}", "--at", "0,-90,0", "--tip", "500,0,0"], "mm"),
+        (["steps", "{log}", "--at", "0,-90,0", "--joints", "0,0,0", "--order", "1,1,2"], "--order"),
+        (["steps", "{log}", "--at", "0,-90,nan", "--joints", "0,0,0"], "--at"),
+        (
+            ["where", "{log}", "--at", "0,-90,0", "--drive", "3*50"],
+            "--drive, value '3*50': give joint, direction",
+        ),
+        (["where", "{log}", "--at", "0,-90,0", "--drive", "3+50", "--session", "never"], "'never'"),
+        (["fit", "{log}", "--machine", "absent.toml"], "absent.toml"),
+        (["report", "{log}", "-o", "absent/report.html"], "absent/report.html"),
+        (["fit", "{log}", "--json", "absent/fit.json"], "absent/fit.json"),
+        (["simulate", "absent.toml", "--law", "absent.toml", "-o", "x.csv"], "absent.toml"),
+    ],
+)
+def test_bad_input_ends_with_one_message_and_status_2(run, log, monkeypatch, arguments, told):
+    monkeypatch.chdir(log.parent)
+    status, _, err = run(*[str(argument).format(log=log) for argument in arguments])
+    assert status == 2
+    assert told in err
+    assert "Traceback" not in err
+
+
+def test_every_fault_of_a_log_is_told_and_nothing_is_written(run, log, tmp_path):
+    lines = log.read_text().splitlines()
+    lines[3] = lines[3].replace(",3,", ",4,", 1)
+    lines[7] = lines[7].replace("2012-03-05T", "yesterday ", 1)
+    log.write_text("\n".join(lines) + "\n")
+    status, out, err = run("report", log, "-o", tmp_path / "report.html")
+    assert (status, out) == (2, "")
+    assert "line 4, column joint, value '4'" in err
+    assert "line 8, column time" in err
+    assert not (tmp_path / "report.html").exists()
