@@ -46,6 +46,11 @@ def published_load(
     array
         Dimensionless, between -1 and 1; above 0 where moving in `+` lifts the arm.
 
+    Raises
+    ------
+    ValueError
+        For a joint other than 1, 2 or 3.
+
     Examples
     --------
     >>> float(published_load(3, q1=0.0, q2=0.0, theta=0.0, psi=0.0))
@@ -53,8 +58,10 @@ def published_load(
     """
     if joint == 1:
         return full_load(1, q1, q2, theta, psi)
+    swing = {2: np.sin, 3: np.cos}.get(joint)
+    if swing is None:
+        raise ValueError(f"joint {joint} is none of 1, 2, 3")
     zeta = np.asarray(psi, float) - np.asarray(q2, float)
-    swing = {2: np.sin, 3: np.cos}[joint]
     return swing(zeta) * np.cos(np.asarray(theta, float))
 
 
