@@ -57,7 +57,7 @@ def ours(rows: pd.DataFrame) -> np.ndarray:
     y, weight = weights(law, rows)
     mean = np.full(len(groups), 900e-9)
     start, scales = law.start_values(mean), law.scales(mean)
-    return minimise(law.model(rows), y, weight, groups, start, scales).values
+    return minimise(law.model(rows), y, weight, groups, start, scales, damping=0.0).values
 
 
 def scipy_loop(parts: list[pd.DataFrame]) -> np.ndarray:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.fit.identifiability import configuration_rows, describe
+from stickslip_fit.fit.intervals import quadratic_interval
 from stickslip_fit.fit.least_squares import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import from_replicates, variance_of, without_error_bars
@@ -110,7 +111,8 @@ def _calibrate_joint(
     covariance = _carried(law, rows, picked, values, variance)
     freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
     covariance[freedom < 1] = np.nan
-    return JointFit(law, groups.table, values, np.isfinite(values), covariance, repeatability)
+    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    return JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
 
 
 def _solve(law: StepLaw, rows: pd.DataFrame, machine: Machine, picked: Indices, steps: Array) -> Array:

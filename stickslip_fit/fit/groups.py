@@ -33,6 +33,11 @@ class Groups:
     def __len__(self) -> int:
         return len(self.table)
 
+    @property
+    def sizes(self) -> Indices:
+        """Rows in each group, shape (g,)."""
+        return np.bincount(self.of_row, minlength=len(self))
+
     def sums(self, values: Array) -> Array:
         """Sum over each group's rows, shape (n,) -> (g,).
 

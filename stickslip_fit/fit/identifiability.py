@@ -19,7 +19,9 @@ from stickslip_fit.units import from_si
 Array = npt.NDArray[np.float64]
 
 
-def known_parameters(curvature: Array, scales: Array) -> tuple[npt.NDArray[np.bool_], Array]:
+def known_parameters(
+    curvature: Array, scales: Array
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp], Array]:
     """Which parameters stand alone, and the covariance of all that is known.
 
     Parameters
@@ -32,6 +34,8 @@ def known_parameters(curvature: Array, scales: Array) -> tuple[npt.NDArray[np.bo
     Returns
     -------
     known : array of bool, shape (g, p)
+    rank : array of int, shape (g,)
+        How many combinations of parameters are known.
     covariance : array, shape (g, p, p)
         Pseudo-inverse of the curvature, SI: right for every combination that the log knows.
     """
@@ -42,7 +46,7 @@ def known_parameters(curvature: Array, scales: Array) -> tuple[npt.NDArray[np.bo
     unseen_share = np.sum(np.where(seen[:, None, :], 0.0, vector**2), axis=2)
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
     covariance = np.einsum("gik,gk,gjk->gij", vector, inverse, vector)
-    return unseen_share < 1e-6, covariance * scales[:, :, None] * scales[:, None, :]
+    return unseen_share < 1e-6, seen.sum(axis=1), covariance * scales[:, :, None] * scales[:, None, :]
 
 
 def explain_unknown(

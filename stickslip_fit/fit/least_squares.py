@@ -8,6 +8,7 @@ import pandas as pd
 
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
+from stickslip_fit.fit.intervals import quadratic_interval
 from stickslip_fit.fit.levenberg_marquardt import Minimum, minimise
 from stickslip_fit.fit.provenance import Provenance, versions
 from stickslip_fit.fit.remark import Remark
@@ -18,6 +19,7 @@ from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 # The first pass weighs all traverses alike; the rounding's share of the variance then changes the weights
 # a little, and two more settle them.
@@ -77,18 +79,13 @@ def fit_joint(law: StepLaw, rows: pd.DataFrame, machine: Machine) -> tuple[Joint
     values, scales = law.start_values(mean_step), law.scales(mean_step)
     weight = np.ones(len(y))
     for _ in range(PASSES):
-        found = minimise(law.model(rows), y, weight, groups, values, scales)
-        known, covariance = known_parameters(found.curvature, scales)
-        repeatability = _from_residuals(rows, found, rounding, known, groups)
+        found = minimise(law.model(rows), y, weight, groups, values, scales, damping=0.0)
+        known, rank, covariance = known_parameters(found.curvature, scales)
+        repeatability = _from_residuals(rows, found, rounding, rank, groups)
         values, weight = found.values, 1.0 / variance_of(rows, rounding, repeatability)
-    fit = JointFit(
-        law,
-        groups.table,
-        found.values,
-        known,
-        _with_error_bars(covariance, groups, repeatability),
-        repeatability,
-    )
+    covariance = _with_error_bars(covariance, groups, repeatability)
+    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    fit = JointFit(law, groups.table, values, known, covariance, interval, repeatability)
     remarks = explain_unknown(law, machine, groups, known, rows, found.values, scales)
     remarks += _not_converged(law, groups, found) + without_error_bars(law, groups.table, repeatability)
     return fit, found.residual, remarks
@@ -107,10 +104,9 @@ def provenance(log: Log, command: str) -> Provenance:
 
 
 def _from_residuals(
-    rows: pd.DataFrame, found: Minimum, rounding: Array, known: npt.NDArray[np.bool_], groups: Groups
+    rows: pd.DataFrame, found: Minimum, rounding: Array, rank: Indices, groups: Groups
 ) -> dict[str, Repeatability]:
     """Repeatability of each direction from what the fit leaves over."""
-    rank = known.sum(axis=1)
     ways = groups.table["direction"].to_numpy()
     repeatability = {}
     for way in ("+", "-"):
@@ -130,8 +126,8 @@ def _not_converged(law: StepLaw, groups: Groups, found: Minimum) -> list[Remark]
     return [
         Remark(
             "not_converged", law.joint, group.direction, group.session, names,
-            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
-            f"settled after {found.iterations} iterations; look at this session's counts for one that is wildly off",
+            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not settled; "
+            "look at this session's counts for one that is wildly off",
         )
         for group in groups.table[~found.converged].itertuples()
     ]  # fmt: skip

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.stats import t as student_t
 
 from stickslip_fit.errors import InputError
+from stickslip_fit.fit.intervals import quantile
 from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
@@ -18,7 +18,6 @@ from stickslip_fit.laws import StepLaw, travel
 from stickslip_fit.machine import Machine
 
 Array = npt.NDArray[np.float64]
-COVERAGE = 0.95
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,8 @@ class JointFit:
         Which of `values` the log determines one by one.
     covariance : array, shape (g, p, p)
         Of `values`; NaN where no error bar can be given.
+    interval : array, shape (g, p, 2)
+        95 % of each parameter, low and high.
     repeatability : dict of str to Repeatability
         By direction.
     """
@@ -45,6 +46,7 @@ class JointFit:
     values: Array
     known: npt.NDArray[np.bool_]
     covariance: Array
+    interval: Array
     repeatability: dict[str, Repeatability]
 
     def group_of(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
@@ -82,7 +84,8 @@ class Result:
     def parameters(self) -> pd.DataFrame:
         """Every parameter, SI: name, joint, direction, session, unit, estimate and what is known of it.
 
-        That is standard_error, low, high and flags. low and high bound 95 %; estimate and what follows are NaN where the log does not know them.
+        That is standard_error, low, high and flags. low and high bound 95 %; estimate and what follows
+        are NaN where the log does not know them.
         """
         return pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
 
@@ -96,15 +99,10 @@ class Result:
         table.insert(0, "name", names * len(fit.groups))
         table.insert(1, "joint", fit.law.joint)
         table["unit"] = [parameter.unit for parameter in parameters] * len(fit.groups)
-        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
-        error = np.sqrt(np.where(fit.known, variance, np.nan)).ravel()
-        reach = np.repeat(
-            [_quantile(fit.repeatability[way].freedom) for way in fit.groups["direction"]], count
-        )
-        table["estimate"] = np.where(fit.known, fit.values, np.nan).ravel()
-        table["standard_error"] = error
-        table["low"] = table["estimate"] - reach * error
-        table["high"] = table["estimate"] + reach * error
+        error = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+        columns = (fit.values, error, fit.interval[..., 0], fit.interval[..., 1])
+        for name, column in zip(("estimate", "standard_error", "low", "high"), columns, strict=True):
+            table[name] = np.where(fit.known, column, np.nan).ravel()
         table["flags"] = self._flags(fit, names)
         return table
 
@@ -158,8 +156,13 @@ class Result:
         response, jacobian = fit.law.model(rows)(fit.values[group])
         spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
         ways = fit.groups["direction"].to_numpy()[group]
-        noise = np.array([fit.repeatability[way].value for way in ways])
-        reach = np.array([_quantile(fit.repeatability[way].freedom) for way in ways])
+        found = fit.repeatability.items()
+        noise = pd.Series({way: repeatability.value for way, repeatability in found}).loc[ways].to_numpy()
+        reach = (
+            pd.Series({way: quantile(repeatability.freedom) for way, repeatability in found})
+            .loc[ways]
+            .to_numpy()
+        )
         total = reach * np.hypot(spread, noise)
         steps = np.exp(response)
         return pd.DataFrame(
@@ -176,7 +179,3 @@ class Result:
 
 def _no_predictions() -> pd.DataFrame:
     return pd.DataFrame(columns=["steps", "step_size", "relative_error", "low", "high"], dtype=float)
-
-
-def _quantile(freedom: int) -> float:
-    return float(student_t.ppf(0.5 + COVERAGE / 2, freedom)) if freedom > 0 else np.nan

@@ -98,6 +98,7 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
         "values": _numbers(fit.values),
         "known": fit.known.tolist(),
         "covariance": _numbers(fit.covariance),
+        "interval": _numbers(fit.interval),
         "repeatability": {
             way: {**asdict(found), "value": _number(found.value)} for way, found in fit.repeatability.items()
         },
@@ -140,6 +141,7 @@ def _joint_from_json(item: dict[str, Any], machine: Machine) -> JointFit:
         values=_array(item["values"]),
         known=np.array(item["known"], dtype=bool),
         covariance=_array(item["covariance"]),
+        interval=_array(item["interval"]),
         repeatability={
             way: Repeatability(**{**found, "value": np.nan if found["value"] is None else found["value"]})
             for way, found in item["repeatability"].items()

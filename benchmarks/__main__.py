@@ -1,0 +1,9 @@
+"""Run every benchmark; each prints its figures."""
+
+from __future__ import annotations
+
+from benchmarks import fit_groups, read_log, simulate_campaign, start_up
+
+for benchmark in (start_up, read_log, simulate_campaign, fit_groups):
+    print(f"--- {benchmark.__name__}: {(benchmark.__doc__ or '').splitlines()[0]}", flush=True)
+    benchmark.main()
