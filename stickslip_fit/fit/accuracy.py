@@ -72,18 +72,11 @@ def summarise(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     for model in ("law", "constant"):
         for suffix in ("", "_relative"):
             error = groups[f"{model}{suffix}_"]
-            summary[f"{model}_bias{suffix}"] = error.mean()
-            summary[f"{model}_rms{suffix}"] = error.agg(_rms)
-            summary[f"{model}_worst{suffix}"] = error.agg(_worst)
-        low, high = (summary["traverses"] / chi2.ppf(q, summary["traverses"]) for q in (0.975, 0.025))
-        summary[f"{model}_rms_low"] = summary[f"{model}_rms"] * np.sqrt(low)
-        summary[f"{model}_rms_high"] = summary[f"{model}_rms"] * np.sqrt(high)
+            bias, high, low = error.mean(), error.max(), error.min()
+            summary[f"{model}_bias{suffix}"] = bias
+            summary[f"{model}_rms{suffix}"] = np.hypot(bias, error.std(ddof=0))
+            summary[f"{model}_worst{suffix}"] = high.where(high >= -low, low)
+        for end, q in (("low", 0.975), ("high", 0.025)):
+            ratio = summary["traverses"] / chi2.ppf(q, summary["traverses"])
+            summary[f"{model}_rms_{end}"] = summary[f"{model}_rms"] * np.sqrt(ratio)
     return summary.reset_index()
-
-
-def _rms(values: pd.Series[float]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _worst(values: pd.Series[float]) -> float:
-    return float(values.loc[values.abs().idxmax()])

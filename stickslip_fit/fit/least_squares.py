@@ -126,8 +126,8 @@ def _not_converged(law: StepLaw, groups: Groups, found: Minimum) -> list[Remark]
     return [
         Remark(
             "not_converged", law.joint, group.direction, group.session, names,
-            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not settled; "
-            "look at this session's counts for one that is wildly off",
+            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
+            "settled; look at this session's counts for one that is wildly off",
         )
         for group in groups.table[~found.converged].itertuples()
     ]  # fmt: skip
