@@ -120,7 +120,7 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
     law: Annotated[Path, typer.Option(help="Law file (TOML), or a result saved with `fit --json`.")],
     machine: MachinePath = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the plan's seed.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
 ) -> None:
     """Simulate a plan under a law; the same seed, the same log."""
     from stickslip_fit.logs import write_log
@@ -148,6 +148,8 @@ def sheet(
     from stickslip_fit.machine import load_machine
     from stickslip_fit.report.sheet import write_sheet_page
 
+    if output.suffix == ".html":
+        raise InputError("-o names the CSV to fill in; the page to print goes beside it as .html")
     chosen = read_plan(plan, load_machine(machine))
     page = output.with_suffix(".html")
     write_sheet_csv(chosen, output)

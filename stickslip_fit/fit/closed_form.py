@@ -157,7 +157,7 @@ def _carried(law: StepLaw, rows: pd.DataFrame, picked: Indices, values: Array, v
         taken = picked[np.ix_(these, traverses)]
         # The traverses made do not depend on the parameters that are not known, so any value does for those.
         filled = np.repeat(np.nan_to_num(values[these]), len(traverses), axis=0)
-        slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(len(these), len(traverses), -1)
+        slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(*taken.shape, values.shape[1])
         inverse = np.linalg.pinv(slopes[:, :, names])
         block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken], inverse)
         covariance[np.ix_(these, names, names)] = block

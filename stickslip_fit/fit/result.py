@@ -67,8 +67,8 @@ class Result:
     machine : Machine
     joints : dict of int to JointFit
     residuals : DataFrame
-        Indexed as the log's rows, the usable ones: joint, residual (log steps seen less predicted),
-        used (whether the traverse took part in the fit).
+        Indexed as the log's usable rows: joint, residual (log steps seen less predicted), used (whether
+        the traverse took part in the fit).
     remarks : tuple of Remark
     provenance : Provenance
     """

@@ -130,7 +130,7 @@ def _link(table: _Table) -> Link:
     moments = table.numbers(
         "inertia_g_mm2", 3, "[xx, yy, zz] in g mm^2, zero or more", lambda values: min(values) >= 0
     )
-    xx, yy, zz = (moment * 1e-9 for moment in moments)
+    xx, yy, zz = (to_si(moment, "g mm²") for moment in moments)
     return Link(to_si(mass, "g"), to_si(com, "mm"), (xx, yy, zz))
 
 

@@ -42,6 +42,7 @@ _ALL = (
     Unit("V"),
     Unit("kg"),
     Unit("g", 1, 1_000),
+    Unit("g mm²", 1, 1_000_000_000),
     Unit("N"),
     Unit("mN", 1, 1_000),
 )

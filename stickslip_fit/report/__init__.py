@@ -1,0 +1,18 @@
+"""Pages for people: the accuracy report of a log. Reads results, computes none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stickslip_fit.fit import Result
+    from stickslip_fit.logs import Log
+
+__all__ = ["report_html"]
+
+
+def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *, command: str = "") -> str:
+    """The accuracy report of a log; see `page.report_html`."""
+    from stickslip_fit.report.page import report_html as build
+
+    return build(log, calibration, constant, fit, command=command)
