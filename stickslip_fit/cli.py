@@ -27,6 +27,7 @@ from stickslip_fit.arguments import (
 from stickslip_fit.errors import InputError
 
 if TYPE_CHECKING:
+    from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
 
 app = typer.Typer(
@@ -78,7 +79,7 @@ def calibrate(
     log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None, json: Json = None
 ) -> None:
     """Calibrate each session from its first few traverses."""
-    fit(log, Method.closed_form, machine, since, until, json)
+    fit(log, Method.closed_form, machine, since, until, json, heavy_tails=False, profile=False)
 
 
 @app.command()
@@ -89,13 +90,26 @@ def fit(
     since: Since = None,
     until: Until = None,
     json: Json = None,
+    heavy_tails: Annotated[
+        bool,
+        typer.Option("--heavy-tails", help="Least squares with Student's t: misheard stops pull little."),
+    ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Also show profile-likelihood intervals.")
+    ] = False,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
-    from stickslip_fit.fit import closed_form, least_squares, save_result, summary
+    from stickslip_fit.fit import save_result, summary
+    from stickslip_fit.fit.profile import profile_intervals
+    from stickslip_fit.fit.summary import profile_summary
 
-    estimator = closed_form if method is Method.closed_form else least_squares
-    result = estimator(log_of(log, machine, since, until), command=command())
+    if (method is Method.closed_form and (heavy_tails or profile)) or (heavy_tails and profile):
+        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
+    campaign = log_of(log, machine, since, until)
+    result = _estimate(campaign, method, heavy_tails)
     print(summary(result))
+    if profile:
+        print("\n" + profile_summary(profile_intervals(campaign, result)))
     if json is not None:
         save_result(result, json)
         print(f"\nsaved to {json}")
@@ -268,6 +282,15 @@ def _version(wanted: bool) -> None:
     if wanted:
         print(f"stickslip-fit {__version__}")
         raise typer.Exit
+
+
+def _estimate(log: Log, method: Method, heavy_tails: bool) -> Result:
+    from stickslip_fit.fit import closed_form, least_squares
+    from stickslip_fit.fit.likelihood import Gaussian, StudentT
+
+    if method is Method.closed_form:
+        return closed_form(log, command=command())
+    return least_squares(log, likelihood=StudentT() if heavy_tails else Gaussian(), command=command())
 
 
 def _write_report(log: Log, output: Path) -> Path:

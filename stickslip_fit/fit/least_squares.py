@@ -6,13 +6,15 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.fit.curvature import moments_of
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
 from stickslip_fit.fit.intervals import quadratic_interval
 from stickslip_fit.fit.levenberg_marquardt import Minimum, minimise
+from stickslip_fit.fit.likelihood import Likelihood
 from stickslip_fit.fit.provenance import Provenance, versions
 from stickslip_fit.fit.remark import Remark
-from stickslip_fit.fit.repeatability import Repeatability, pooled, variance_of, without_error_bars
+from stickslip_fit.fit.repeatability import GAUSSIAN, Repeatability, pooled, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.laws import StepLaw, published_law, travel
 from stickslip_fit.logs import Log
@@ -21,17 +23,20 @@ from stickslip_fit.machine import Machine
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-# The first pass weighs all traverses alike; the rounding's share of the variance then changes the weights
-# a little, and two more settle them.
-PASSES = 3
+# The first pass weighs all traverses alike; then the rounding's share of the variance, and under heavy tails
+# the residuals themselves, change the weights until they settle.
+MOST_PASSES = 100
+SETTLED = 1e-6
 
 
-def least_squares(log: Log, *, command: str = "") -> Result:
+def least_squares(log: Log, *, likelihood: Likelihood = GAUSSIAN, command: str = "") -> Result:
     """Fit the published law of every joint to all usable traverses of a log.
 
     Parameters
     ----------
     log : Log
+    likelihood : Likelihood, optional
+        `StudentT` where an end stop may have been misheard now and then.
     command : str, optional
         Kept in the result's provenance.
 
@@ -54,15 +59,14 @@ def least_squares(log: Log, *, command: str = "") -> Result:
     for joint in log.joints:
         mine = rows[rows["joint"] == joint]
         if len(mine):
-            joints[joint], residual, said = fit_joint(
-                published_law(joint, mine, log.machine), mine, log.machine
-            )
+            law = published_law(joint, mine, log.machine)
+            joints[joint], residual, said = fit_joint(law, mine, log.machine, likelihood)
             residuals.append(
                 pd.DataFrame({"joint": joint, "residual": residual, "used": True}, index=mine.index)
             )
             remarks += said
     return Result(
-        method="least-squares",
+        method=likelihood.method,
         machine=log.machine,
         joints=joints,
         residuals=pd.concat(residuals).sort_index(),
@@ -71,18 +75,27 @@ def least_squares(log: Log, *, command: str = "") -> Result:
     )
 
 
-def fit_joint(law: StepLaw, rows: pd.DataFrame, machine: Machine) -> tuple[JointFit, Array, list[Remark]]:
+def fit_joint(
+    law: StepLaw, rows: pd.DataFrame, machine: Machine, likelihood: Likelihood = GAUSSIAN
+) -> tuple[JointFit, Array, list[Remark]]:
     """Fit one joint's law to its rows; also the residuals, shape (n,), and what is to be said."""
     groups = group_rows(rows)
     y, rounding = law.response(rows)
     mean_step = np.exp(groups.sums(np.log(travel(rows)) - y) / groups.sums(np.ones(len(y))))
     values, scales = law.start_values(mean_step), law.scales(mean_step)
-    weight = np.ones(len(y))
-    for _ in range(PASSES):
-        found = minimise(law.model(rows), y, weight, groups, values, scales, damping=0.0)
-        known, rank, covariance = known_parameters(found.curvature, scales)
-        repeatability = _from_residuals(rows, found, rounding, rank, groups)
-        values, weight = found.values, 1.0 / variance_of(rows, rounding, repeatability)
+    model, weight = law.model(rows), np.ones(len(y))
+    for _ in range(MOST_PASSES):
+        found = minimise(model, y, weight, groups, values, scales, damping=0.0)
+        _, rank, _ = known_parameters(found.curvature, scales)
+        repeatability = _from_residuals(rows, found, rounding, rank, groups, likelihood)
+        scale2 = variance_of(rows, rounding, repeatability, likelihood)
+        before, weight = weight, likelihood.share(found.residual**2 / scale2) / scale2
+        values = found.values
+        if np.max(np.abs(weight / before - 1.0)) < SETTLED:
+            break
+    information = likelihood.information / scale2
+    curvature = moments_of(model, y, information, groups, values, scales).curvature(scales)
+    known, _, covariance = known_parameters(curvature, scales)
     covariance = _with_error_bars(covariance, groups, repeatability)
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
     fit = JointFit(law, groups.table, values, known, covariance, interval, repeatability)
@@ -104,7 +117,7 @@ def provenance(log: Log, command: str) -> Provenance:
 
 
 def _from_residuals(
-    rows: pd.DataFrame, found: Minimum, rounding: Array, rank: Indices, groups: Groups
+    rows: pd.DataFrame, found: Minimum, rounding: Array, rank: Indices, groups: Groups, likelihood: Likelihood
 ) -> dict[str, Repeatability]:
     """Repeatability of each direction from what the fit leaves over."""
     ways = groups.table["direction"].to_numpy()
@@ -112,7 +125,7 @@ def _from_residuals(
     for way in ("+", "-"):
         mine = (rows["direction"] == way).to_numpy()
         freedom = int(mine.sum() - rank[ways == way].sum())
-        repeatability[way] = pooled(found.residual[mine], rounding[mine], freedom, "residuals")
+        repeatability[way] = pooled(found.residual[mine], rounding[mine], freedom, "residuals", likelihood)
     return repeatability
 
 

@@ -96,7 +96,7 @@ def _end(
     for _ in range(PASSES):
         fixed = fit.values[:, index] + distance
         start = fit.values[:, others] + along * distance[:, None]
-        held = _hold(model, index, fixed[groups.of_row])
+        held = _hold(model, index, fixed[groups.of_row], fit.known[groups.of_row])
         found = minimise(held, y, weight, groups, start, scales[:, others], damping=0.0)
         excess = np.sqrt(np.maximum(groups.sums(weight * found.residual**2) - least, 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,11 +107,11 @@ def _end(
     return fit.values[:, index] + distance
 
 
-def _hold(model: Model, index: int, fixed: Array) -> Model:
-    """The model with one parameter held, as a function of the others."""
+def _hold(model: Model, index: int, fixed: Array, known: npt.NDArray[np.bool_]) -> Model:
+    """The model with one parameter held, as a function of the others; those not known stay where they are."""
 
     def held(values: Array) -> tuple[Array, Array]:
         response, jacobian = model(np.insert(values, index, fixed, axis=1))
-        return response, np.delete(jacobian, index, axis=1)
+        return response, np.delete(jacobian * known, index, axis=1)
 
     return held

@@ -8,11 +8,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.fit.likelihood import Gaussian, Likelihood
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import StepLaw
 
 Array = npt.NDArray[np.float64]
 
+GAUSSIAN = Gaussian()
 CONFIGURATION = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
 
 
@@ -52,24 +54,31 @@ def from_replicates(law: StepLaw, rows: pd.DataFrame) -> dict[str, Repeatability
     return found
 
 
-def pooled(residual: Array, rounding: Array, freedom: int, source: str) -> Repeatability:
-    """Repeatability that makes sum(residual^2 / (value^2 + rounding)) equal its degrees of freedom."""
+def pooled(
+    residual: Array, rounding: Array, freedom: int, source: str, likelihood: Likelihood = GAUSSIAN
+) -> Repeatability:
+    """Repeatability under which the weighted squares of the residuals add up to their degrees of freedom."""
     if freedom < 1:
         return Repeatability(np.nan, 0, source)
     squares = residual**2
-    # Rounding is a small part, so this fixed point gains two digits a pass; it stops at 0 from above.
-    variance = float(squares.sum()) / freedom
-    for _ in range(20):
-        weight = 1.0 / (variance + rounding)
-        excess = float((squares * weight).sum()) / freedom - 1.0
-        variance = max(variance * (1.0 + excess), 0.0) if variance > 0 else 0.0
+    # Rounding is a small part, so this fixed point gains a digit or two a pass; it nears 0 from above.
+    scale2 = float(squares.sum()) / freedom / likelihood.spread**2
+    for _ in range(200):
+        standard = squares / (scale2 + rounding)
+        excess = float(np.sum(likelihood.share(standard) * standard)) / freedom - 1.0
+        scale2 *= 1.0 + excess
         if abs(excess) < 1e-10:
             break
-    return Repeatability(float(np.sqrt(variance)), freedom, source)
+    return Repeatability(float(np.sqrt(scale2)) * likelihood.spread, freedom, source)
 
 
-def variance_of(rows: pd.DataFrame, rounding: Array, repeatability: dict[str, Repeatability]) -> Array:
-    """Variance of each row's log steps, rounding included; shape (n,).
+def variance_of(
+    rows: pd.DataFrame,
+    rounding: Array,
+    repeatability: dict[str, Repeatability],
+    likelihood: Likelihood = GAUSSIAN,
+) -> Array:
+    """Squared scale of each row's log steps, rounding included; shape (n,). A Gaussian's is its variance.
 
     A direction whose repeatability is not known borrows the other's, so that weights stay sensible.
     """
@@ -77,7 +86,7 @@ def variance_of(rows: pd.DataFrame, rounding: Array, repeatability: dict[str, Re
     fallback = float(np.mean(known)) if known else 0.0
     value = {way: found.value if found.freedom > 0 else fallback for way, found in repeatability.items()}
     forwards = (rows["direction"] == "+").to_numpy()
-    return np.where(forwards, value["+"], value["-"]) ** 2 + rounding
+    return (np.where(forwards, value["+"], value["-"]) / likelihood.spread) ** 2 + rounding
 
 
 def without_error_bars(

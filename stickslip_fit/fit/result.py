@@ -63,7 +63,7 @@ class Result:
     Attributes
     ----------
     method : str
-        ``closed-form`` or ``least-squares``.
+        ``closed-form``, ``least-squares`` or ``heavy-tailed-least-squares``.
     machine : Machine
     joints : dict of int to JointFit
     residuals : DataFrame

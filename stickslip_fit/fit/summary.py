@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from stickslip_fit.fit.result import JointFit, Result
-from stickslip_fit.units import format_uncertain, format_value, text_table
+from stickslip_fit.units import format_uncertain, format_value, from_si, text_table
 
 # A season of sessions does not fit a screen; the JSON and the report hold them all.
 MOST_SESSIONS = 12
@@ -45,3 +45,31 @@ def _joint(fit: JointFit, table: pd.DataFrame) -> str:
     if omitted > 0:
         title += f"\n(the last {MOST_SESSIONS} sessions; {omitted} earlier ones are left out here)"
     return title + "\n" + text_table(["session", "", *names], rows, left=2)
+
+
+def profile_summary(table: pd.DataFrame) -> str:
+    """Both intervals of each parameter, as `profile_intervals` gives them; `*` where they differ."""
+    known = table[table["estimate"].notna() & table["profile_low"].notna()]
+    rows = [
+        [
+            f"{row.joint} {row.direction}",
+            str(row.session),
+            row.name,
+            f"{from_si(row.estimate, row.unit):.{_decimals(row.unit)}f} {row.unit}",
+            _interval(row.low, row.high, row.unit),
+            _interval(row.profile_low, row.profile_high, row.unit) + (" *" if row.differs else "  "),
+        ]
+        for row in known.itertuples(index=False)
+    ]
+    header = ["joint", "session", "", "estimate", "95 % quadratic", "95 % profile  "]
+    note = "* the likelihood is lopsided here: trust the profile" if known["differs"].any() else "they agree"
+    return text_table(header, rows, left=3) + "\n" + note
+
+
+def _interval(low: float, high: float, unit: str) -> str:
+    decimals = _decimals(unit)
+    return f"{from_si(low, unit):.{decimals}f} to {from_si(high, unit):.{decimals}f}"
+
+
+def _decimals(unit: str) -> int:
+    return {"1": 5, "nm": 2, "µrad": 3}.get(unit, 4)

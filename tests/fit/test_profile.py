@@ -46,7 +46,12 @@ def test_ends_are_where_the_best_of_the_others_costs_t_squared(log):
     reach = student_t.ppf(0.975, found.freedom)
 
     def excess(value):
-        best = minimize(lambda p: cost(p[0], value, p[1]), [a, c], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-9})
+        best = minimize(
+            lambda p: cost(p[0], value, p[1]),
+            [a, c],
+            method="Nelder-Mead",
+            options={"xatol": 1e-9, "fatol": 1e-9},
+        )
         return best.fun - cost(a, b, c) - reach**2
 
     width = whole.loc["b", "high"] - b
