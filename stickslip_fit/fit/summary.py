@@ -55,7 +55,7 @@ def profile_summary(table: pd.DataFrame) -> str:
             f"{row.joint} {row.direction}",
             str(row.session),
             row.name,
-            f"{from_si(row.estimate, row.unit):.{_decimals(row.unit)}f} {row.unit}",
+            format_value(row.estimate, row.unit, _decimals(row.unit)),
             _interval(row.low, row.high, row.unit),
             _interval(row.profile_low, row.profile_high, row.unit) + (" *" if row.differs else "  "),
         ]

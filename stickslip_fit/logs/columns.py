@@ -1,0 +1,225 @@
+"""The columns of a campaign log: which quantity a column's name stands for, and in which unit."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+
+from stickslip_fit.logs.faults import Faults
+from stickslip_fit.units import SUFFIXES
+
+ANGLE = ("deg", "rad")
+LENGTH = ("mm", "m", "um", "nm")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity of the format.
+
+    Attributes
+    ----------
+    name : str
+        Inside the program.
+    stem : str
+        In a file, without its unit.
+    suffixes : tuple of str
+        Units it may be written in, the usual one first; none for text and counts.
+    required : bool
+    """
+
+    name: str
+    stem: str
+    suffixes: tuple[str, ...] = ()
+    required: bool = False
+
+    @property
+    def spellings(self) -> tuple[str, ...]:
+        """Column names that stand for it, the usual one first."""
+        return tuple(f"{self.stem}_{suffix}" for suffix in self.suffixes) or (self.stem,)
+
+
+FIELDS = (
+    Field("session", "session", required=True),
+    Field("time", "time", required=True),
+    Field("joint", "joint", required=True),
+    Field("direction", "direction", required=True),
+    Field("steps", "steps", required=True),
+    Field("q1", "q1", ANGLE, required=True),
+    Field("q2", "q2", ANGLE, required=True),
+    Field("q3", "q3", LENGTH, required=True),
+    Field("theta", "theta", ANGLE, required=True),
+    Field("psi", "psi", ANGLE, required=True),
+    Field("from_angle", "from", ANGLE),
+    Field("to_angle", "to", ANGLE),
+    Field("from_length", "from", LENGTH),
+    Field("to_length", "to", LENGTH),
+    Field("check_every", "check_every"),
+    Field("status", "status"),
+    Field("temperature", "temperature", ("C", "K")),
+    Field("humidity", "humidity", ("pct",)),
+    Field("supply", "supply", ("V",)),
+    Field("step_period", "step_period", ("ms", "s")),
+    Field("payload", "payload", ("g", "kg")),
+    Field("note", "note"),
+)
+# What an empty cell means.
+CHECK_EVERY = 5
+CONDITIONS = ("temperature", "humidity", "supply", "step_period", "payload")
+
+_BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.spellings}
+_COUNTS = ("joint", "steps", "check_every")
+_WITH_UNIT = {field.stem for field in FIELDS if field.suffixes}
+_UNNAMED = "has no name; give it one, or delete the column"
+# What pandas adds to a Parquet file to remember its row labels: bookkeeping, not a measurement.
+_ROW_LABELS = re.compile(r"__index_level_\d+__")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a file and the unit its numbers are in (a symbol of `units.UNITS`)."""
+
+    name: str
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns of one file stand for.
+
+    Attributes
+    ----------
+    known : dict of str to Column
+        Field name to column.
+    others : tuple of str
+        The lab's own columns.
+    notes : tuple of str
+        What a person should know about the columns.
+    """
+
+    known: dict[str, Column]
+    others: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def lay_out(names: tuple[str, ...], file: str, line: int | None, faults: Faults) -> Layout:
+    """Say what each column of a file stands for.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The header, as it stands in the file.
+    file : str
+    line : int, optional
+        Line of the header.
+    faults : Faults
+        Told of missing, doubled, unnamed and unit-less columns.
+
+    Examples
+    --------
+    >>> layout = lay_out(("theta_rad", "pressure_hPa"), "day.csv", 1, Faults())
+    >>> layout.known["theta"], layout.others
+    (Column(name='theta_rad', unit='rad'), ('pressure_hPa',))
+    """
+    known: dict[str, Column] = {}
+    others: list[str] = []
+    notes: list[str] = []
+    meant: set[str] = set()
+    for name, times in Counter(name for name in names if name.strip()).items():
+        field = _BY_SPELLING.get(name)
+        fault = _fault_of_name(name, times)
+        if fault:
+            faults.place(file, fault, line=line, column=name)
+            meant |= _stem_fields(name)
+        elif _ROW_LABELS.fullmatch(name):
+            notes.append(f"{file}: column {name} holds pandas' row labels and is left out")
+        elif field is None:
+            others.append(name)
+        elif field.name in known:
+            fault = f"is a second column for {field.stem}, beside {known[field.name].name}; keep one of them"
+            faults.place(file, fault, line=line, column=name)
+        else:
+            known[field.name] = Column(name, _unit(name, field))
+    unnamed = [position for position, name in enumerate(names, start=1) if not name.strip()]
+    faults.lines(file, [(line, f"number {position}", None, _UNNAMED) for position in unnamed])
+    for field in FIELDS:
+        if field.required and field.name not in known and field.name not in meant:
+            message = f"is missing; every log needs it{_hint(field, others)}"
+            faults.place(file, message, line=line, column=field.spellings[0])
+    notes += _lookalikes(file, known, others)
+    return Layout(known, tuple(others), tuple(notes))
+
+
+def holds_numbers(name: str) -> bool:
+    """Say whether a name is a column of the format that holds numbers."""
+    field = _BY_SPELLING.get(name)
+    return field is not None and (bool(field.suffixes) or field.name in _COUNTS)
+
+
+def is_known(name: str) -> bool:
+    """Say whether a name is a column of the format."""
+    return name in _BY_SPELLING
+
+
+def _unit(name: str, field: Field) -> str:
+    return SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
+
+
+def _fault_of_name(name: str, times: int) -> str | None:
+    if times > 1:
+        return f"stands {times} times in the header; rename or delete all but one"
+    if name in _BY_SPELLING:
+        return None
+    stem, _, suffix = name.rpartition("_")
+    if name in _WITH_UNIT:
+        return f"has no unit; write {_choices(name)}"
+    if stem in _WITH_UNIT:
+        return f"{suffix!r} is no unit of {stem}; write {_choices(stem)}"
+    return None
+
+
+def _choices(stem: str) -> str:
+    spellings = [spelling for spelling, field in _BY_SPELLING.items() if field.stem == stem]
+    return " or ".join([", ".join(spellings[:-1])] * (len(spellings) > 1) + spellings[-1:])
+
+
+def _stem_fields(name: str) -> set[str]:
+    """Fields that a column with a faulty name was meant to be, so that they aren't called missing too."""
+    return {field.name for field in FIELDS if field.stem in (name, name.rpartition("_")[0])}
+
+
+def _hint(field: Field, others: list[str]) -> str:
+    for other in others:
+        if _meant(other) is field:
+            return f" (found {other!r}: write {_spelling(other, field)})"
+    return ""
+
+
+def _lookalikes(file: str, known: dict[str, Column], others: list[str]) -> list[str]:
+    """Optional columns that are written almost as the format has them: kept literally, but not silently."""
+    notes = []
+    for other in others:
+        field = _meant(other)
+        if field and not field.required and field.name not in known:
+            spelling = _spelling(other, field)
+            notes.append(
+                f"{file}: column {other!r} is kept as the lab's own; if it is {spelling}, write it so"
+            )
+    return notes
+
+
+def _meant(name: str) -> Field | None:
+    plain = _plain(name)
+    for spelling, field in _BY_SPELLING.items():
+        if plain in (_plain(spelling), field.stem):
+            return field
+    return None
+
+
+def _spelling(name: str, field: Field) -> str:
+    alike = [spelling for spelling in field.spellings if _plain(spelling) == _plain(name)]
+    return (alike or list(field.spellings))[0]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

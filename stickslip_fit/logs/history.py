@@ -1,0 +1,115 @@
+"""What came before each traverse: direction and load, steps driven, time since the session began."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.logs.parse import labelled
+from stickslip_fit.logs.together import together
+from stickslip_fit.machine import JOINTS
+from stickslip_fit.machine.load import mean_load
+
+
+def add_history(rows: pd.DataFrame) -> pd.DataFrame:
+    """Add the history columns to the rows of a whole log.
+
+    Rows of every status count: whatever was driven wore the joint, and left its load behind.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Sorted by time; session, time, joint, direction, steps, q1, q2, theta, psi, start, stop.
+
+    Returns
+    -------
+    DataFrame
+        With ``steps_before`` (the joint's own in the whole log) and what `add_session_history` adds.
+    """
+    driven = steps_before(rows["joint"].to_numpy(), rows["steps"].to_numpy())
+    session, _ = pd.factorize(rows["session"])
+    return add_session_history(rows, session).assign(steps_before=driven)
+
+
+def add_session_history(rows: pd.DataFrame, session: npt.NDArray[np.int64]) -> pd.DataFrame:
+    """Add the history that no other session has a part in.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        As for `add_history`, but of whole sessions only.
+    session : array of int, shape (n,)
+        A number for each session.
+
+    Returns
+    -------
+    DataFrame
+        With ``before_direction`` ('+', '-', or '' for a joint's first in its session), ``before_load``
+        (the published load of that traverse, averaged over its positions; 0 for the first) and
+        ``session_seconds`` (since the session's first traverse of any joint).
+    """
+    found = together(
+        {
+            "before": lambda: previous(session * (len(JOINTS) + 1) + rows["joint"].to_numpy()),
+            "seconds": lambda: _seconds(
+                session, rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
+            ),
+            "load": lambda: _loads(rows),
+        }
+    )
+    before = found["before"]
+    first = before < 0
+    backwards = (rows["direction"] == "-").to_numpy()
+    return rows.assign(
+        before_direction=labelled(np.where(first, -1, backwards[before]), ("+", "-")).set_axis(rows.index),
+        before_load=np.where(first, 0.0, found["load"][before]),
+        session_seconds=found["seconds"],
+    )
+
+
+def previous(group: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Row before each row in its own group, -1 for a group's first.
+
+    Examples
+    --------
+    >>> previous(np.array([7, 7, 2, 7, 2]))
+    array([-1,  0, -1,  1,  2])
+    """
+    order = np.argsort(group, kind="stable")
+    same = group[order[1:]] == group[order[:-1]]
+    before = np.full(len(group), -1)
+    before[order[1:][same]] = order[:-1][same]
+    return before
+
+
+def steps_before(joint: npt.NDArray[np.int64], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Sum the steps of the same joint in the rows before.
+
+    Examples
+    --------
+    >>> steps_before(np.array([3, 2, 3, 3]), np.array([10, 500, 20, 30]))
+    array([ 0,  0, 10, 30])
+    """
+    driven = np.zeros(len(joint), np.int64)
+    for each in JOINTS:
+        mine = np.flatnonzero(joint == each)
+        driven[mine] = np.cumsum(steps[mine]) - steps[mine]
+    return driven
+
+
+def _loads(rows: pd.DataFrame) -> npt.NDArray[np.float64]:
+    names = ("start", "stop", "q1", "q2", "theta", "psi")
+    columns = [rows[name].to_numpy() for name in names]
+    joints = rows["joint"].to_numpy()
+    loads = np.zeros(len(rows))
+    for joint in JOINTS:
+        mine = np.flatnonzero(joints == joint)
+        loads[mine] = mean_load(joint, *(column[mine] for column in columns))
+    return loads
+
+
+def _seconds(session: npt.NDArray[np.int64], time: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    began = np.full(session.max(initial=0) + 1, np.iinfo(np.int64).max)
+    np.minimum.at(began, session, time)
+    return (time - began[session]) * 1e-9

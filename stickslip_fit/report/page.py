@@ -1,0 +1,110 @@
+"""The accuracy report: one self-contained page made of a log and what was fitted to it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from stickslip_fit.fit import Result
+from stickslip_fit.fit import errors as errors_of
+from stickslip_fit.logs import Log
+from stickslip_fit.report import accuracy, calibrated, measured
+from stickslip_fit.report.answer import answer, answer_table
+from stickslip_fit.report.claims import claims_table
+from stickslip_fit.report.d_table import d_table
+from stickslip_fit.report.gallery import gallery
+from stickslip_fit.report.load_coefficient import load_coefficients
+from stickslip_fit.report.remarks import remarks
+from stickslip_fit.report.table import Table
+from stickslip_fit.report.wording import joint_name
+
+
+def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *, command: str = "") -> str:
+    """The accuracy report of a log.
+
+    Parameters
+    ----------
+    log : Log
+    calibration : Result
+        Closed form.
+    constant : Result
+        The constant step of each session and direction.
+    fit : Result
+        Least squares.
+    command : str, optional
+        As typed; where empty, the fit's own.
+
+    Returns
+    -------
+    str
+        An HTML page that needs nothing but itself: no script, no request. The same input gives the same page.
+    """
+    errors = errors_of(log, calibration, constant)
+    coefficients = load_coefficients(log, calibration, fit)
+    compared = calibrated.compared(calibration, fit)
+    return _template().render(
+        title=_title(log),
+        answer=answer(log, calibration, errors),
+        answer_table=answer_table(log, calibration, fit, errors) if len(errors) else None,
+        facts=measured.facts(log),
+        reading_notes=log.notes,
+        measured=[table for table in _measured(log) if table],
+        agreement=calibrated.agreement(compared),
+        parameters=calibrated.parameter_tables(compared, fit),
+        repeatability=calibrated.repeatability_table(calibration, fit),
+        d_table=d_table(coefficients) if len(coefficients) else None,
+        figures=gallery(log, calibration, fit, errors, coefficients),
+        accuracy_explained=accuracy.explain(errors),
+        accuracy=_accuracy(errors, log),
+        claims=claims_table(errors) if len(errors) else None,
+        remarks=remarks(calibration, fit),
+        provenance=_provenance(log, fit, command),
+    )
+
+
+def _title(log: Log) -> str:
+    names = [Path(name).name for name, _ in log.sources]
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1:,} more"
+
+
+def _measured(log: Log) -> list[Table | None]:
+    return [measured.sessions_table(log), measured.coverage_table(log), measured.remarked_table(log)]
+
+
+def _accuracy(errors: pd.DataFrame, log: Log) -> list[tuple[str, list[Table]]]:
+    """A heading and three tables for each joint that has errors."""
+    sections = []
+    for joint in sorted(errors["joint"].unique()):
+        worst = accuracy.configurations_of(errors, joint)
+        tables = [accuracy.by_direction(errors, joint)]
+        if len(log.sessions) > 1:
+            tables.append(accuracy.by_session(errors, joint))
+        tables.append(accuracy.by_configuration(worst, log.machine))
+        sections.append((joint_name(joint).capitalize(), tables))
+    return sections
+
+
+def _provenance(log: Log, fit: Result, command: str) -> list[tuple[str, str]]:
+    source = fit.provenance
+    return [
+        *((name, f"sha256 {sha}") for name, sha in log.sources),
+        *([("all files together", f"sha256 {log.sha256}")] if len(log.sources) > 1 else []),
+        (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),
+        ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
+        ("command", command or source.command or "none: made from Python"),
+    ]
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("stickslip_fit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2")

@@ -1,0 +1,125 @@
+"""History against a slow loop that was written from the format's words alone."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import quad
+
+from stickslip_fit.logs import add_history, read_log
+from stickslip_fit.logs.history import previous
+
+SHARED = Path(__file__).parents[3] / "shared"
+HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
+
+
+def load(row: dict[str, float], position: float) -> float:
+    """The published load of causes.md with the moving joint at a position."""
+    theta, psi = row["theta"], row["psi"]
+    if row["joint"] == 3:
+        return math.cos(psi - row["q2"]) * math.cos(theta)
+    if row["joint"] == 2:
+        return math.sin(psi - position) * math.cos(theta)
+    return math.cos(theta) * math.sin(psi) * math.sin(position) + math.sin(theta) * math.cos(position)
+
+
+def slow_history(rows: list[dict]) -> list[tuple[str, float, int, float]]:
+    """What a person with a pencil would write beside each row; the rows may stand in any order."""
+    found = []
+    for row in rows:
+        earlier = [other for other in rows if other["time"] < row["time"] and other["joint"] == row["joint"]]
+        same = [other for other in earlier if other["session"] == row["session"]]
+        direction, before_load = "", 0.0
+        if same:
+            last = max(same, key=lambda other: other["time"])
+            direction = last["direction"]
+            total, _ = quad(lambda q, last=last: load(last, q), last["start"], last["stop"])
+            before_load = total / (last["stop"] - last["start"])
+        began = min(other["time"] for other in rows if other["session"] == row["session"])
+        steps = sum(other["steps"] for other in earlier)
+        found.append((direction, before_load, steps, (row["time"] - began).total_seconds()))
+    return found
+
+
+def campaign(seed: int, count: int = 120) -> pd.DataFrame:
+    """A campaign in file columns: three sessions that overlap in time, all joints, all statuses."""
+    rng = np.random.default_rng(seed)
+    seconds = rng.choice(200_000, size=count, replace=False)
+    joint = rng.integers(1, 4, count)
+    direction = rng.choice(["+", "-"], count)
+    ends = {1: (-120, 120), 2: (-210, 30), 3: (0, 12)}
+    low_high = np.array(
+        [np.sort(rng.choice(np.arange(ends[j][0], ends[j][1] + 1), 2, replace=False)) for j in joint]
+    )
+    start, stop = np.where((direction == "+")[:, None], low_high, low_high[:, ::-1]).T
+    given = rng.random(count) < 0.5
+    return pd.DataFrame(
+        {
+            "session": rng.choice(["001", "1", "NA"], count),
+            "time": [(datetime(2012, 3, 5) + timedelta(seconds=int(s))).isoformat() for s in seconds],
+            "joint": joint,
+            "direction": direction,
+            "steps": 5 * rng.integers(100, 4000, count),
+            "q1_deg": rng.integers(-120, 121, count),
+            "q2_deg": rng.integers(-210, 31, count),
+            "q3_mm": rng.integers(0, 13, count),
+            "theta_deg": rng.integers(-90, 91, count),
+            "psi_deg": rng.integers(-90, 91, count),
+            "from_deg": np.where(given & (joint < 3), start, np.nan),
+            "to_deg": np.where(given & (joint < 3), stop, np.nan),
+            "from_mm": np.where(given & (joint == 3), start, np.nan),
+            "to_mm": np.where(given & (joint == 3), stop, np.nan),
+            "status": rng.choice(["ok", "interrupted", "excluded", ""], count),
+        }
+    )
+
+
+def assert_history(rows: pd.DataFrame) -> None:
+    slow = pd.DataFrame(slow_history(rows.to_dict("records")), columns=HISTORY)
+    assert list(rows["before_direction"]) == list(slow["before_direction"])
+    assert list(rows["steps_before"]) == list(slow["steps_before"])
+    np.testing.assert_allclose(rows["before_load"], slow["before_load"], atol=1e-9)
+    np.testing.assert_allclose(rows["session_seconds"], slow["session_seconds"], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_history_is_what_a_slow_loop_finds(read, seed):
+    assert_history(read(campaign(seed).to_csv(index=False)).rows)
+
+
+def test_history_of_a_real_campaign(tmp_path):
+    path = SHARED / "data" / "campaigns" / "campaign-d.csv"
+    if not path.exists():
+        pytest.skip("the campaigns that come beside this checkout are not there")
+    assert_history(read_log(path).rows.head(300))
+
+
+def test_the_order_of_rows_in_the_file_means_nothing(read):
+    log = campaign(4)
+    expected = read(log.to_csv(index=False)).rows
+    pd.testing.assert_frame_equal(read(log.sample(frac=1, random_state=0).to_csv(index=False)).rows, expected)
+    assert expected["time"].is_monotonic_increasing
+
+
+def test_selecting_rows_keeps_the_history_of_the_whole_log(read):
+    log = read(campaign(5).to_csv(index=False))
+    mask = (log.rows["joint"] == 3) & (log.rows["status"] == "ok")
+    part = log.select(mask)
+    pd.testing.assert_frame_equal(part.rows, log.rows[mask].reset_index(drop=True))
+    assert part.rows["steps_before"].iloc[-1] > part.rows["steps"].iloc[:-1].sum()
+    assert (part.machine, part.sha256) == (log.machine, log.sha256)
+
+
+def test_history_can_be_added_to_rows_made_elsewhere(read):
+    rows = read(campaign(6).to_csv(index=False)).rows
+    again = add_history(rows.drop(columns=HISTORY))
+    pd.testing.assert_frame_equal(again[rows.columns], rows)
+
+
+def test_one_time_for_two_joints_is_ordered_by_joint_and_counts_for_neither_s_past():
+    assert previous(np.array([3, 1, 1, 3, 3])).tolist() == [-1, -1, 1, 0, 3]

@@ -1,0 +1,101 @@
+"""A Log describes itself: sessions, joints, configurations, replicates, and all of it in words."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import pytest
+
+
+@pytest.fixture
+def replicated(sheet):
+    """Joint 3 at one configuration: three times +, twice -, one of them interrupted; and one more session."""
+    base = sheet.rows[0]
+    direction, status = sheet.header.index("direction"), sheet.header.index("status")
+    sheet.rows = []
+    for minute, (way, state) in enumerate(
+        [("+", ""), ("-", ""), ("+", "ok"), ("-", "interrupted"), ("+", ""), ("-", "")]
+    ):
+        row = list(base)
+        row[1] = f"2012-03-05T09:{minute:02d}:00"
+        row[direction], row[status] = way, state
+        sheet.rows.append(row)
+    other = list(base)
+    other[0], other[1] = "tuesday", "2012-03-06T09:00:00"
+    part = list(other)
+    part[1] = "2012-03-06T09:10:00"
+    part[sheet.header.index("from_mm")], part[sheet.header.index("to_mm")] = "6", "12"
+    sheet.rows += [other, part]
+    return sheet
+
+
+def test_configurations_count_usable_traverses_of_each_direction(replicated, read):
+    found = read(replicated).configurations()
+    assert list(found["session"]) == ["monday", "tuesday", "tuesday"]
+    assert list(found["+"]) == [3, 1, 1]
+    assert list(found["-"]) == [2, 0, 0]
+    # Two repeat the first +, one repeats the first -.
+    assert list(found["replicates"]) == [3, 0, 0]
+    assert list(found["low"]) == [0.0, 0.0, 0.006]
+    assert list(found["high"]) == [0.012, 0.012, 0.012]
+    assert found["q3"].isna().all()
+    assert found["q2"].tolist() == pytest.approx([-math.pi / 2] * 3)
+
+
+def test_one_configuration_in_two_units_is_one(replicated, read):
+    replicated.rename("q2_deg", "q2_rad")
+    for row, value in enumerate(
+        ["-1.5707963267948966", "-1.57079632679489", "-1.5707963267949"] * 2 + ["0", "0"]
+    ):
+        replicated.set(row, "q2_rad", value)
+    assert len(read(replicated).configurations()) == 3
+
+
+def test_a_log_knows_its_sessions_joints_and_usable_rows(sheet, read):
+    log = read(sheet)
+    assert len(log) == 6
+    assert log.sessions == ("monday", "tuesday")
+    assert log.joints == (1, 2, 3)
+    assert list(log.usable["joint"]) == [3, 3, 2, 3]
+    assert list(log.usable.index) == [0, 1, 2, 3]
+    assert list(log.usable["steps_before"]) == [0, 12540, 0, 25745]
+
+
+def test_the_summary_says_what_a_person_wants_to_know(replicated, read):
+    replicated.set(7, "note", "x")
+    replicated.rename("pressure_hPa", "Humidity_pct")
+    log = read(replicated)
+    text = log.summary()
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    assert lines[0] == "8 traverses in 2 sessions"
+    assert log.sha256[:12] in lines[1]
+    assert "monday 2012-03-05 09:00 2012-03-05 09:05 6" in lines
+    # Traverses, ok, interrupted, excluded, configurations, replicates.
+    assert "3 + 5 5 0 0 2 2" in lines
+    assert "3 - 3 2 1 0 1 1" in lines
+    assert "joint 3 0 -90 0 0 6 12" in lines
+    assert "temperature (°C) 8 of 8 21.5" in lines
+    assert "covariate:Humidity_pct 8 of 8 990.25" in lines
+    assert any("Humidity_pct" in note for note in log.notes)
+    assert all(note in text for note in log.notes)
+    assert str(log) == text
+
+
+def test_a_log_of_thousands_of_sessions_is_summed_up_in_a_screenful(sheet, read):
+    row = sheet.rows[0]
+    sheet.rows = [
+        [f"s{k:04d}", f"{1900 + k % 100}-01-{1 + k // 100:02d}T00:00", *row[2:]] for k in range(2000)
+    ]
+    text = read(sheet).summary()
+    assert "(1,980 more)" in text
+    assert text.count("\n") < 40
+
+
+def test_rows_cannot_lose_their_order_or_history_by_selection_of_nothing(sheet, read):
+    log = read(sheet)
+    empty = log.select([False] * 6)
+    assert len(empty) == 0
+    assert list(empty.rows.columns) == list(log.rows.columns)
+    assert empty.configurations().empty
+    pd.testing.assert_frame_equal(log.select([True] * 6).rows, log.rows)

@@ -1,0 +1,78 @@
+"""A log too poor for a law still gets its report, which says what is missing."""
+
+from __future__ import annotations
+
+import pytest
+
+CALIBRATION = (
+    {"joint": 3, "q2_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0},
+)
+PSI = tuple({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, 30.0))
+PARTS = tuple(
+    {"joint": 1, "theta_deg": -90.0, "from_deg": start, "to_deg": start - 30.0}
+    for start in (60.0, 30.0, 0.0, -30.0)
+)
+ONE_DAY = ("2012-03-05",)
+POOR = {
+    "one direction": (
+        {"settings": CALIBRATION + PSI, "directions": ("+",)},
+        "Joint 3 was not driven in direction −: nothing is known of that.",
+    ),
+    "calibration only, once": (
+        {"settings": CALIBRATION, "replicates": 1, "sessions": ONE_DAY},
+        "cannot be judged: there is no traverse beside those that the calibration used",
+    ),
+    "no calibration": (
+        {"settings": PSI},
+        "Not every parameter of joint 3 can be calibrated",
+    ),
+    "no calibration, the remark": (
+        {"settings": PSI},
+        "b cannot be known from 4 usable traverses; missing: a full traverse at q2 = 0°, theta = -90°",
+    ),
+    "one traverse": (
+        {"settings": PSI[:1], "directions": ("+",), "replicates": 1, "sessions": ONE_DAY},
+        "What the law leaves over, joint 3 (prismatic). It would need a second traverse.",
+    ),
+    "never without load": (
+        {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0})},
+        "It would need full traverses of joint 2 at psi = 0 with theta = −90° and with theta = 0",
+    ),
+    "partial traverses only": (
+        {"settings": PARTS},
+        "missing: a full traverse at q2 = -90°, q3 = 0 mm, theta = 0°",
+    ),
+    "no replicates": (
+        {"settings": CALIBRATION + PSI, "replicates": 1},
+        "Whether that is as good as repeatability allows cannot be said for joint 3: too few replicates",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", POOR)
+def test_a_poor_log_is_reported_with_what_it_lacks(campaign, reported, name):
+    how, said = POOR[name]
+    assert said in reported(campaign(**how)).page.text
+
+
+def test_what_cannot_be_known_is_called_so(campaign, reported):
+    page = reported(campaign(settings=PSI)).page
+    caption = "Parameters of joint 3 (prismatic)"
+    assert set(page.column(caption, "b")) == {"not known"}
+    estimators = page.column(caption, "estimator")
+    a = page.column(caption, "anm")
+    assert [cell == "not known" for cell in a] == [name == "closed form" for name in estimators]
+    assert "nan" not in page.text.lower().split()
+
+
+def test_interrupted_and_excluded_traverses_are_counted(campaign, reported):
+    table = campaign(settings=CALIBRATION + PSI)
+    table["status"] = ["interrupted", "excluded", "excluded"] + ["ok"] * (len(table) - 3)
+    page = reported(table).page
+    assert (
+        "Not fitted, but part of the history: 1 interrupted traverse and 2 excluded traverses." in page.text
+    )
+    row = page.tables["Sessions and traverses"][0]
+    assert row[-2:] == ["1", "2"]

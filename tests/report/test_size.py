@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import pandas as pd
+
+from stickslip_fit.fit import closed_form, constant_step, least_squares
+from stickslip_fit.logs import read_log
+from stickslip_fit.report import report_html
+
+MOST = 4_500_000
+
+
+def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path):
+    """Years of sessions: shown are the latest, and of too many points a sample; the page says so."""
+    once = campaign(("2012-03-05",))
+    years = pd.concat(
+        [
+            once.assign(
+                session=f"day {day:03d}",
+                time=(pd.to_datetime(once["time"]) + pd.Timedelta(days=2 * day)).dt.strftime(
+                    "%Y-%m-%dT%H:%M:%S"
+                ),
+            )
+            for day in range(100)
+        ]
+    )
+    path = tmp_path / "years.csv"
+    years.to_csv(path, index=False)
+    log = read_log(path)
+    calibration = closed_form(log)
+    html = report_html(log, calibration, constant_step(log, calibration), least_squares(log))
+    sessions = read_page(html).tables["Sessions and traverses"]
+    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(76, 100)]
+    assert len(html.encode()) < MOST
+    assert "The latest 24 of 100 sessions." in html
+    assert "chosen at random" in html
+    assert "day 099" in html
+    assert "day 050" not in html
