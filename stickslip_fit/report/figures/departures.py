@@ -61,7 +61,7 @@ def draw_departures(rows: pd.DataFrame, limit: float) -> Figure:
                 axis.plot(x[mine], y, ls="", marker="o", ms=2.0, mew=0, alpha=0.6, color=colour)
             axis.set_xlabel(label)
             if "°" in label:
-                angle_ticks(axis, np.nanmin(x), np.nanmax(x), 4)
+                angle_ticks(axis, np.nanmin(x), np.nanmax(x), 3 if len(quantities) > 5 else 4)
         legend(figure, entries)
     return figure
 
