@@ -25,6 +25,7 @@ from stickslip_fit.arguments import (
     tip_position,
 )
 from stickslip_fit.errors import InputError
+from stickslip_fit.files import check_folder
 
 if TYPE_CHECKING:
     from stickslip_fit.fit import Result
@@ -105,6 +106,8 @@ def fit(
 
     if (method is Method.closed_form and (heavy_tails or profile)) or (heavy_tails and profile):
         raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
+    if json is not None:
+        check_folder(json)
     campaign = log_of(log, machine, since, until)
     result = _estimate(campaign, method, heavy_tails)
     print(summary(result))
@@ -124,7 +127,9 @@ def report(
     until: Until = None,
 ) -> None:
     """Write the accuracy report of a log: one HTML page."""
-    written = _write_report(log_of(log, machine, since, until), output or default_output(log))
+    wanted = output or default_output(log)
+    check_folder(wanted)
+    written = _write_report(log_of(log, machine, since, until), wanted)
     print(f"report written to {written}")
 
 

@@ -35,6 +35,19 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         ) from None
 
 
+def check_folder(path: str | Path) -> None:
+    """Refuse a path whose folder is not there, before the work that would fill the file.
+
+    Raises
+    ------
+    InputError
+        As `write_atomically` would.
+    """
+    folder = Path(path).parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(Problem("cannot be written; give a path in an existing folder of yours", str(path)))
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
