@@ -11,7 +11,7 @@ from stickslip_fit.fit.identifiability import configuration_rows, describe
 from stickslip_fit.fit.intervals import quadratic_interval
 from stickslip_fit.fit.least_squares import provenance
 from stickslip_fit.fit.remark import Remark
-from stickslip_fit.fit.repeatability import from_replicates, variance_of, without_error_bars
+from stickslip_fit.fit.repeatability import Repeatability, from_replicates, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.solve_d import solve_d
 from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, travel
@@ -23,6 +23,7 @@ Indices = npt.NDArray[np.intp]
 
 SAME_FEATURES = 1e-6
 SAME_PLACE = 1e-9  # of the range
+ENOUGH = 4  # degrees of freedom; with fewer an interval is several times too wide to be of use
 
 
 def closed_form(log: Log, *, command: str = "") -> Result:
@@ -106,13 +107,24 @@ def _calibrate_joint(
     y, rounding = law.response(rows)
     steps = np.where(picked >= 0, np.exp(y)[picked], np.nan)
     values = _solve(law, rows, machine, picked, steps)
-    repeatability = from_replicates(law, rows)
+    repeatability = _independent_repeatability(law, rows, picked)
     variance = variance_of(rows, rounding, repeatability)
     covariance = _carried(law, rows, picked, values, variance)
     freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
     covariance[freedom < 1] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
     return JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
+
+
+def _independent_repeatability(law: StepLaw, rows: pd.DataFrame, picked: Indices) -> dict[str, Repeatability]:
+    """From replicates that calibrated nothing, so that an estimate and its error bar are independent.
+
+    A direction with too few of those takes all replicates: its intervals then err on the wide side at 95 %.
+    """
+    aside = np.ones(len(rows), dtype=bool)
+    aside[picked[picked >= 0]] = False
+    apart, together = from_replicates(law, rows[aside]), from_replicates(law, rows)
+    return {way: apart[way] if apart[way].freedom >= ENOUGH else together[way] for way in together}
 
 
 def _solve(law: StepLaw, rows: pd.DataFrame, machine: Machine, picked: Indices, steps: Array) -> Array:
