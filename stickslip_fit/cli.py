@@ -67,6 +67,7 @@ class Method(StrEnum):
 
     closed_form = "closed-form"
     least_squares = "least-squares"
+    bayes = "bayes"
 
 
 @app.command()
@@ -80,7 +81,7 @@ def calibrate(
     log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None, json: Json = None
 ) -> None:
     """Calibrate each session from its first few traverses."""
-    fit(log, Method.closed_form, machine, since, until, json, heavy_tails=False, profile=False)
+    fit(log, Method.closed_form, machine, since, until, json, False, False, 0, None)
 
 
 @app.command()
@@ -93,26 +94,28 @@ def fit(
     json: Json = None,
     heavy_tails: Annotated[
         bool,
-        typer.Option("--heavy-tails", help="Least squares with Student's t: misheard stops pull little."),
+        typer.Option("--heavy-tails", help="Least squares: Student's t, so that misheard stops pull little."),
     ] = False,
     profile: Annotated[
-        bool, typer.Option("--profile", help="Also show profile-likelihood intervals.")
+        bool, typer.Option("--profile", help="Least squares: show profile-likelihood intervals too.")
     ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
+    walks: Annotated[
+        Path | None,
+        typer.Option(help="Bayes: HDF5 file that keeps the walks; the same call carries on there."),
+    ] = None,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
-    from stickslip_fit.fit import save_result, summary
-    from stickslip_fit.fit.profile import profile_intervals
-    from stickslip_fit.fit.summary import profile_summary
+    from stickslip_fit.fit import save_result
 
-    if (method is Method.closed_form and (heavy_tails or profile)) or (heavy_tails and profile):
-        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
+    _refuse_foreign_options(method, heavy_tails, profile, walks)
     if json is not None:
         check_folder(json)
     campaign = log_of(log, machine, since, until)
-    result = _estimate(campaign, method, heavy_tails)
-    print(summary(result))
+    result, text = _estimate(campaign, method, heavy_tails, seed, walks)
+    print(text)
     if profile:
-        print("\n" + profile_summary(profile_intervals(campaign, result)))
+        print("\n" + _profile(campaign, result))
     if json is not None:
         save_result(result, json)
         print(f"\nsaved to {json}")
@@ -289,13 +292,37 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _estimate(log: Log, method: Method, heavy_tails: bool) -> Result:
-    from stickslip_fit.fit import closed_form, least_squares
+def _refuse_foreign_options(method: Method, heavy_tails: bool, profile: bool, walks: Path | None) -> None:
+    if (method is not Method.least_squares and (heavy_tails or profile)) or (heavy_tails and profile):
+        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
+    if method is not Method.bayes and walks is not None:
+        raise InputError("--walks belongs to --method bayes")
+
+
+def _estimate(
+    log: Log, method: Method, heavy_tails: bool, seed: int, walks: Path | None
+) -> tuple[Result, str]:
+    from stickslip_fit.fit import closed_form, least_squares, summary
     from stickslip_fit.fit.likelihood import Gaussian, StudentT
 
+    if method is Method.bayes:
+        from stickslip_fit.fit.bayes import bayes
+
+        watched = sys.stderr.isatty()
+        posterior = bayes(log, seed=seed, backend=walks, progress=watched, command=command())
+        return posterior.result, str(posterior)
     if method is Method.closed_form:
-        return closed_form(log, command=command())
-    return least_squares(log, likelihood=StudentT() if heavy_tails else Gaussian(), command=command())
+        result = closed_form(log, command=command())
+    else:
+        result = least_squares(log, likelihood=StudentT() if heavy_tails else Gaussian(), command=command())
+    return result, summary(result)
+
+
+def _profile(log: Log, result: Result) -> str:
+    from stickslip_fit.fit.profile import profile_intervals
+    from stickslip_fit.fit.summary import profile_summary
+
+    return profile_summary(profile_intervals(log, result))
 
 
 def _write_report(log: Log, output: Path) -> Path:

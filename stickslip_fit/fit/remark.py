@@ -12,7 +12,7 @@ class Remark:
     Attributes
     ----------
     flag : str
-        ``not_identified``, ``not_converged``, ``at_bound`` or ``few_replicates``.
+        ``not_identified``, ``not_converged``, ``few_replicates`` or ``wild_count``.
     joint : int
     direction, session : str
         An empty session stands for all of them.

@@ -28,7 +28,7 @@ class Repeatability:
         Standard deviation of log steps, i.e. relative; NaN where it cannot be known.
     freedom : int
         Degrees of freedom behind it.
-    source : {"replicates", "residuals"}
+    source : {"replicates", "residuals", "posterior"}
     """
 
     value: float

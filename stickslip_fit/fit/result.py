@@ -63,7 +63,7 @@ class Result:
     Attributes
     ----------
     method : str
-        ``closed-form``, ``least-squares`` or ``heavy-tailed-least-squares``.
+        ``closed-form``, ``least-squares``, ``heavy-tailed-least-squares`` or ``bayes``.
     machine : Machine
     joints : dict of int to JointFit
     residuals : DataFrame

@@ -1,0 +1,123 @@
+"""The posterior of one joint and direction, from its traverses to draws that may be believed or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.fit.bayes.agreement import effective_sizes, r_hat
+from stickslip_fit.fit.bayes.ensembles import AGREED, Chains, walk
+from stickslip_fit.fit.bayes.exact import Draws, draw_back, resample, smooth
+from stickslip_fit.fit.bayes.expansion import expand
+from stickslip_fit.fit.bayes.laplace import fit_guess
+from stickslip_fit.fit.bayes.priors import Prior
+from stickslip_fit.fit.bayes.traverses import Traverses
+
+if TYPE_CHECKING:
+    from emcee.backends import Backend
+
+Array = npt.NDArray[np.float64]
+
+TRUSTED = 0.7  # largest k-hat at which importance weights can be smoothed
+# The levels are walked for a little longer than asked, and more draws are kept, since every quantity is to be
+# known well, and R-hat itself scatters where draws are few.
+RESERVE, KEPT, FEWEST = 1.5, 2.5, 2500
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Draws of equal weight and what is known of their quality.
+
+    Attributes
+    ----------
+    traverses : Traverses
+    prior : Prior
+    draws : Draws
+        Ensemble after ensemble, each in order of time.
+    log_density, log_weight : array, shape (d,)
+        Of each draw's levels, and exact over linearised likelihood.
+    ensembles : int
+    steps : int
+        Taken by each ensemble.
+    quality : DataFrame
+        Columns parameter, session (empty for the campaign), r_hat, ess_bulk, ess_tail and k_hat.
+    target_ess : int
+    """
+
+    traverses: Traverses
+    prior: Prior
+    draws: Draws
+    log_density: Array
+    log_weight: Array
+    ensembles: int
+    steps: int
+    quality: pd.DataFrame
+    target_ess: int
+
+    @property
+    def converged(self) -> bool:
+        """Whether every quantity may be reported."""
+        quality = self.quality
+        agreed = (quality["r_hat"] < AGREED) & (quality["ess_bulk"] >= self.target_ess)
+        return bool((agreed & (quality["k_hat"] < TRUSTED)).all())
+
+
+def sample(
+    traverses: Traverses,
+    prior: Prior,
+    backends: list[Backend],
+    *,
+    seed: tuple[int, ...],
+    target_ess: int,
+    max_steps: int,
+    on_step: Callable[[int], Any],
+) -> Sample:
+    """Sample the posterior of one joint and direction; see `walk` for the arguments."""
+    rng = np.random.default_rng(seed)
+    marginal, mode, covariance = expand(traverses, prior)
+    guess = fit_guess(marginal.log_density, mode, covariance, rng)
+    wanted = int(RESERVE * target_ess)
+    chains = _thinned(
+        walk(marginal.log_density, guess, seed, backends, wanted, max_steps, on_step), target_ess
+    )
+    ensembles, *_, dimensions = chains.x.shape
+    draws, log_weight = draw_back(traverses, marginal, chains.x.reshape(-1, dimensions), rng)
+    weight, k_hat = smooth(log_weight)
+    quality = _quality(draws, traverses, prior, chains.x.shape[:3], weight, k_hat)
+    by_ensemble = weight.reshape(ensembles, -1)
+    size = by_ensemble.shape[1]
+    taken = np.concatenate([i * size + resample(own, rng) for i, own in enumerate(by_ensemble)])
+    return Sample(
+        traverses, prior, draws.take(taken), chains.log_density.ravel()[taken], log_weight[taken],
+        ensembles, chains.steps, quality, target_ess,
+    )  # fmt: skip
+
+
+def _thinned(chains: Chains, target_ess: int) -> Chains:
+    ensembles, steps, walkers, _ = chains.x.shape
+    every = max(ensembles * steps * walkers // max(int(KEPT * target_ess), FEWEST), 1)
+    return Chains(chains.x[:, ::every], chains.log_density[:, ::every], chains.steps)
+
+
+def _quality(
+    draws: Draws, traverses: Traverses, prior: Prior, shape: tuple[int, ...], weight: Array, k_hat: float
+) -> pd.DataFrame:
+    """Diagnostics of every quantity; uneven weights then cost their share of the effective draws."""
+    names, sessions = list(prior.names), list(traverses.groups.table["session"])
+    labels = [(name, "") for name in names] + [(f"spread of {name}", "") for name in names]
+    labels += [("repeatability", "")] + [(name, session) for session in sessions for name in names]
+    flat = [draws.mean, draws.spread, draws.repeatability[:, None], draws.parameters.reshape(len(draws), -1)]
+    columns = np.concatenate(flat, axis=1).T.reshape(-1, *shape)
+    kept = 1.0 / (len(weight) * np.sum(weight**2))
+    table = pd.DataFrame(labels, columns=["parameter", "session"])
+    return table.assign(
+        r_hat=r_hat(columns),
+        ess_bulk=kept * effective_sizes(columns),
+        ess_tail=kept * effective_sizes(columns, "tail"),
+        k_hat=k_hat,
+    )

@@ -1,0 +1,108 @@
+"""The same hierarchical model, written out again and sampled by nested sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import least_squares
+from scipy.special import ndtri
+
+from stickslip_fit.fit.bayes.priors import Prior
+from stickslip_fit.fit.bayes.traverses import lay_out
+from stickslip_fit.laws import Configuration, ConstantStep
+
+TRUTHS = np.array(
+    [[970e-9, 0.30, 440e-9], [990e-9, 0.31, 430e-9], [950e-9, 0.29, 425e-9], [965e-9, 0.31, 450e-9]]
+)
+BOX = 9.0  # standard errors
+
+
+def nested(log_steps, traverses, prior, seed, **settings):
+    """Posterior of (mean, log spread, log repeatability, each session's parameters) by dynesty.
+
+    Returns mean and standard deviation of each, and the Monte Carlo errors of the means, which are those of
+    as many independent draws as the weights are worth.
+    """
+    dynesty = pytest.importorskip("dynesty")
+    p, sessions = len(prior.centre), len(traverses.groups)
+    counts = traverses.rows["steps"].to_numpy() - 2.5
+    y, rounding = np.log(counts), (5 / np.sqrt(12) / counts) ** 2
+    session = pd.factorize(traverses.rows["session"])[0]
+
+    def misfit(parameters):
+        return y - log_steps(parameters[session].T)
+
+    # Sessions begin even within boxes that hold all their posterior, and the campaign's density goes to the
+    # likelihood: the same posterior, without the funnel in which nested sampling gets stuck.
+    best = least_squares(
+        lambda z: misfit(prior.centre + prior.width * z.reshape(sessions, p)), np.zeros(sessions * p)
+    )
+    error = BOX * prior.repeatability * np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
+
+    def transform(u):
+        z = ndtri(np.clip(u[: 2 * p + 1], 1e-12, 1 - 1e-12))
+        mean = prior.centre + prior.width * z[:p]
+        log_spread = np.log(prior.spread) + np.log(prior.spread_factor) * z[p : 2 * p]
+        log_noise = np.log(prior.repeatability) + np.log(prior.repeatability_factor) * z[2 * p]
+        within = (best.x + error * (2 * u[2 * p + 1 :] - 1)).reshape(sessions, p)
+        return np.concatenate([mean, log_spread, [log_noise], (prior.centre + prior.width * within).ravel()])
+
+    def log_likelihood(x):
+        parameters = x[2 * p + 1 :].reshape(sessions, p)
+        variance = np.exp(2 * x[2 * p]) + rounding
+        departure = (parameters - x[:p]) / np.exp(x[p : 2 * p])
+        return -0.5 * np.sum(misfit(parameters) ** 2 / variance + np.log(2 * np.pi * variance)) - np.sum(
+            0.5 * departure**2 + x[p : 2 * p]
+        )
+
+    dimensions = 2 * p + 1 + sessions * p
+    sampler = dynesty.NestedSampler(
+        log_likelihood, transform, dimensions, rstate=np.random.default_rng(seed), **settings
+    )
+    sampler.run_nested(print_progress=False, dlogz=0.1)
+    weight = np.exp(sampler.results.logwt - sampler.results.logwt.max())
+    weight /= weight.sum()
+    mean = weight @ sampler.results.samples
+    sd = np.sqrt(weight @ (sampler.results.samples - mean) ** 2)
+    return mean, sd, sd * np.sqrt(np.sum(weight**2))
+
+
+def ours(found):
+    draws = found.draws
+    columns = [draws.mean, np.log(draws.spread), np.log(draws.repeatability)[:, None]]
+    x = np.concatenate([*columns, draws.parameters.reshape(len(draws), -1)], axis=1)
+    return x.mean(axis=0), x.std(axis=0), x.std(axis=0) / np.sqrt(found.quality["ess_bulk"].to_numpy())
+
+
+def check_agreement(found, theirs):
+    """Means within Monte Carlo error; nested sampling's own is half as large again as its weights say."""
+    (mean, sd, error), (their_mean, their_sd, their_error) = ours(found), theirs
+    assert np.all(np.abs(mean - their_mean) < 4.0 * np.hypot(error, 1.5 * their_error))
+    assert sd == pytest.approx(their_sd, rel=0.12)
+
+
+def test_constant_step_agrees_with_nested_sampling(traverses_of, fitted):
+    law = ConstantStep(3, Configuration("anywhere"))
+    rows = traverses_of(TRUTHS, 0.003, np.random.default_rng(1), replicates=4).rows
+    traverses = lay_out(law, rows[np.isclose(rows["q2"], -np.pi / 2)].reset_index(drop=True))
+    prior = Prior(
+        ("gamma",), ("nm",), np.array([970e-9]), np.array([30e-9]), np.array([15e-9]), 0.003, 2.0, 1.5
+    )
+    theirs = nested(lambda x: np.log(0.012 / x[0]), traverses, prior, 1, nlive=200, sample="rwalk")
+    check_agreement(fitted(traverses, prior, target_ess=2000, max_steps=400), theirs)
+
+
+@pytest.mark.nightly
+def test_prismatic_joint_agrees_with_nested_sampling(traverses_of, tight_prior, fitted):
+    """Nineteen dimensions."""
+    traverses = traverses_of(TRUTHS, 0.003, np.random.default_rng(1))
+    recoil = np.abs(np.cos(traverses.rows["q2"].to_numpy()))
+    load = np.cos(traverses.rows["q2"].to_numpy()) * np.cos(traverses.rows["theta"].to_numpy())
+
+    def log_steps(x):
+        a, b, c = x
+        return np.log(0.012 / ((1 - b * recoil) * (a - c * load)))
+
+    theirs = nested(log_steps, traverses, tight_prior, 2, nlive=600, sample="rwalk", walks=80)
+    check_agreement(fitted(traverses, tight_prior, target_ess=2000, max_steps=400), theirs)
