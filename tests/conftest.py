@@ -88,7 +88,7 @@ SWEEPS = (
         for start in (0.0, -60.0, -120.0)
     ),
     *({"joint": 2, "q3_mm": 3.0, "psi_deg": psi} for psi in (-45.0, 30.0)),
-    *({"joint": 1, "q2_deg": -45.0, "q3_mm": 6.0, "theta_deg": theta} for theta in (0.0, -30.0, -60.0, -90.0)),
+    *({"joint": 1, "q2_deg": -45.0, "q3_mm": 6.0, "theta_deg": -theta} for theta in (0.0, 30.0, 60.0, 90.0)),
 )
 
 

@@ -68,7 +68,8 @@ class Cells:
         missed = ~(usable | ignored)
         self.complain(field, missed & ~written.empty, _no_number)
         self.complain(field, missed & written.empty & needed, "is empty; write the number")
-        return values if usable.all() else np.where(usable, values, np.nan)
+        np.copyto(values, np.nan, where=~usable)
+        return values
 
     def counts(self, field: str, message: str, *, most: int = MOST_STEPS, needed: bool = False) -> Ints:
         """Read integers from 1 to `most`, 0 where empty or bad."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -49,21 +51,24 @@ def add_session_history(rows: pd.DataFrame, session: npt.NDArray[np.int64]) -> p
         (the published load of that traverse, averaged over its positions; 0 for the first) and
         ``session_seconds`` (since the session's first traverse of any joint).
     """
+    joint = rows["joint"].to_numpy()
+    time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
     found = together(
         {
-            "before": lambda: previous(session * (len(JOINTS) + 1) + rows["joint"].to_numpy()),
-            "seconds": lambda: _seconds(
-                session, rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
-            ),
-            "load": lambda: _loads(rows),
+            "before": lambda: previous(session * (len(JOINTS) + 1) + joint),
+            "seconds": lambda: _seconds(session, time),
+            **{f"load {each}": partial(_loads, rows, np.flatnonzero(joint == each), each) for each in JOINTS},
         }
     )
+    load = np.empty(len(rows))
+    for each in JOINTS:
+        load[joint == each] = found[f"load {each}"]
     before = found["before"]
     first = before < 0
     backwards = (rows["direction"] == "-").to_numpy()
     return rows.assign(
         before_direction=labelled(np.where(first, -1, backwards[before]), ("+", "-")).set_axis(rows.index),
-        before_load=np.where(first, 0.0, found["load"][before]),
+        before_load=np.where(first, 0.0, load[before]),
         session_seconds=found["seconds"],
     )
 
@@ -98,15 +103,9 @@ def steps_before(joint: npt.NDArray[np.int64], steps: npt.NDArray[np.int64]) -> 
     return driven
 
 
-def _loads(rows: pd.DataFrame) -> npt.NDArray[np.float64]:
+def _loads(rows: pd.DataFrame, mine: npt.NDArray[np.intp], joint: int) -> npt.NDArray[np.float64]:
     names = ("start", "stop", "q1", "q2", "theta", "psi")
-    columns = [rows[name].to_numpy() for name in names]
-    joints = rows["joint"].to_numpy()
-    loads = np.zeros(len(rows))
-    for joint in JOINTS:
-        mine = np.flatnonzero(joints == joint)
-        loads[mine] = mean_load(joint, *(column[mine] for column in columns))
-    return loads
+    return mean_load(joint, *(rows[name].to_numpy()[mine] for name in names))
 
 
 def _seconds(session: npt.NDArray[np.int64], time: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:

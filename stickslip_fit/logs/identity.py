@@ -56,11 +56,8 @@ class Identity:
 
     @property
     def steps_before(self) -> Ints:
-        """Steps of each row's joint in all rows before it."""
-        order = self.order
-        driven = np.empty(len(order), np.int64)
-        driven[order] = steps_before(self.joint[order], self.steps[order])
-        return driven
+        """Steps of each row's joint in all rows before it; rows in the order of time."""
+        return steps_before(self.joint[self.order], self.steps[self.order])
 
     def take(self, chosen: Bools) -> Identity:
         """Only these rows."""
@@ -74,14 +71,15 @@ class Identity:
             self.valid[chosen],
         )
 
-    def sessions(self) -> pd.Series:
-        """Each row's session as text."""
-        return labelled(self.session, self.labels)
-
-    def times(self) -> pd.DatetimeIndex:
-        """Times for people and pandas, in UTC where the log has zones."""
-        naive = pd.DatetimeIndex(self.time.view("datetime64[ns]"))
-        return naive.tz_localize("UTC") if self.zoned.any() else naive
+    def columns(self) -> dict[str, pd.Series]:
+        """The Log's columns; times are in UTC where the log has zones."""
+        time = pd.Series(self.time.view("datetime64[ns]"), copy=False)
+        return {
+            "session": labelled(self.session, self.labels),
+            "time": time.dt.tz_localize("UTC") if self.zoned.any() else time,
+            "joint": pd.Series(self.joint, copy=False),
+            "steps": pd.Series(self.steps, copy=False),
+        }
 
 
 def identify(files: list[Cells]) -> Identity:

@@ -105,6 +105,15 @@ def test_an_empty_end_is_the_range_s_when_the_direction_is_judged(sheet, problem
     assert (told.line, told.column) == (2, "direction")
 
 
+def test_a_cell_that_cannot_be_read_is_not_taken_for_an_empty_one(sheet, problems):
+    every = sheet.set(2, "check_every", "one")
+    begins = sheet.set(5, "from_mm", "zero")
+    # The range's end in the place of `zero` would make this a traverse of no length.
+    sheet.set(5, "to_mm", "0")
+    told = [(problem.line, problem.column, problem.value) for problem in problems(sheet)]
+    assert told == [(every, "check_every", "one"), (begins, "from_mm", "zero")]
+
+
 def test_from_equal_to_to_is_told_whichever_unit_they_are_in(sheet, problems):
     sheet.rename("to_deg", "to_rad")
     for row in range(6):

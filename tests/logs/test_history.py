@@ -121,5 +121,16 @@ def test_history_can_be_added_to_rows_made_elsewhere(read):
     pd.testing.assert_frame_equal(again[rows.columns], rows)
 
 
-def test_one_time_for_two_joints_is_ordered_by_joint_and_counts_for_neither_s_past():
+def test_traverses_of_one_moment_are_ordered_by_joint_and_session_however_the_file_has_them(sheet, read):
+    for row in range(6):
+        sheet.set(row, "time", "2012-03-05T09:00")
+        sheet.set(row, "session", f"s{row}")
+    expected = read(sheet).rows
+    assert list(expected["joint"]) == [1, 2, 2, 3, 3, 3]
+    assert list(expected["session"]) == ["s3", "s2", "s4", "s0", "s1", "s5"]
+    sheet.rows.reverse()
+    pd.testing.assert_frame_equal(read(sheet).rows, expected)
+
+
+def test_the_row_before_is_that_of_the_same_group():
     assert previous(np.array([3, 1, 1, 3, 3])).tolist() == [-1, -1, 1, 0, 3]

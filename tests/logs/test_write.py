@@ -85,6 +85,14 @@ def test_values_without_an_exact_equal_in_the_usual_unit_are_written_in_si(sheet
     assert ",q2_deg," in text
 
 
+def test_degrees_of_many_digits_stay_degrees(sheet, read, tmp_path):
+    degrees = np.random.default_rng(0).uniform(-180, 180, 500)
+    missed = degrees[to_si(from_si(to_si(degrees, "deg"), "deg"), "deg") != to_si(degrees, "deg")]
+    for row, value in enumerate(missed[:6]):
+        sheet.set(row, "psi_deg", repr(float(value)))
+    assert ",psi_deg," in assert_round_trip(read(sheet), tmp_path / "again.csv")
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_random_values_in_si_survive(sheet, read, tmp_path, seed):
     rng = np.random.default_rng(seed)
@@ -101,6 +109,7 @@ def test_random_values_in_si_survive(sheet, read, tmp_path, seed):
         sheet.rename(column, name)
         for row in range(6):
             sheet.set(row, name, repr(float(rng.uniform(low, high))))
+    sheet.add("humidity_pct", [repr(float(value)) for value in rng.uniform(10, 90, 6)])
     assert_round_trip(read(sheet), tmp_path / "again.csv")
 
 
