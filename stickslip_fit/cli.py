@@ -107,13 +107,14 @@ def fit(
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     from stickslip_fit.fit import save_result
+    from stickslip_fit.fit.expectation import expectation, expectation_text
 
     _refuse_foreign_options(method, heavy_tails, profile, walks)
     if json is not None:
         check_folder(json)
     campaign = log_of(log, machine, since, until)
     result, text = _estimate(campaign, method, heavy_tails, seed, walks)
-    print(text)
+    print(f"{text}\n\n{expectation_text(expectation(result))}")
     if profile:
         print("\n" + _profile(campaign, result))
     if json is not None:

@@ -9,7 +9,7 @@ import pandas as pd
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.fit.identifiability import configuration_rows, describe
 from stickslip_fit.fit.intervals import quadratic_interval
-from stickslip_fit.fit.least_squares import provenance
+from stickslip_fit.fit.least_squares import fit_joint, provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability, from_replicates, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
@@ -38,8 +38,8 @@ def closed_form(log: Log, *, command: str = "") -> Result:
     Returns
     -------
     Result
-        Error bars come from the repeatability that the log's replicates show, carried through the
-        calibration equations to first order.
+        Error bars come from the repeatability that the log's replicates show, or failing those what a
+        least-squares fit leaves over, carried through the calibration equations to first order.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _calibrate_joint(
     y, rounding = law.response(rows)
     steps = np.where(picked >= 0, np.exp(y)[picked], np.nan)
     values = _solve(law, rows, machine, picked, steps)
-    repeatability = _independent_repeatability(law, rows, picked)
+    repeatability = _repeatability(law, rows, picked, machine)
     variance = variance_of(rows, rounding, repeatability)
     covariance = _carried(law, rows, picked, values, variance)
     freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
@@ -116,15 +116,25 @@ def _calibrate_joint(
     return JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
 
 
-def _independent_repeatability(law: StepLaw, rows: pd.DataFrame, picked: Indices) -> dict[str, Repeatability]:
+def _repeatability(
+    law: StepLaw, rows: pd.DataFrame, picked: Indices, machine: Machine
+) -> dict[str, Repeatability]:
     """From replicates that calibrated nothing, so that an estimate and its error bar are independent.
 
-    A direction with too few of those takes all replicates: its intervals then err on the wide side at 95 %.
+    A direction with too few of those takes what a least-squares fit leaves over, and failing that all
+    replicates, the calibrating ones among them.
     """
     aside = np.ones(len(rows), dtype=bool)
     aside[picked[picked >= 0]] = False
     apart, together = from_replicates(law, rows[aside]), from_replicates(law, rows)
-    return {way: apart[way] if apart[way].freedom >= ENOUGH else together[way] for way in together}
+    if all(found.freedom >= ENOUGH for found in apart.values()):
+        return apart
+    residual = fit_joint(law, rows, machine)[0].repeatability
+    sources = (apart, residual)
+    return {
+        way: next((source[way] for source in sources if source[way].freedom >= ENOUGH), together[way])
+        for way in together
+    }
 
 
 def _solve(law: StepLaw, rows: pd.DataFrame, machine: Machine, picked: Indices, steps: Array) -> Array:

@@ -82,9 +82,10 @@ class Result:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Every parameter, SI: name, joint, direction, session, unit, estimate and what is known of it.
+        """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
 
-        That is standard_error, low, high and flags. low and high bound 95 %; estimate and what follows
+        That is standard_error, low, high and flags. Numbers are SI; unit is the one people read them in.
+        low and high bound 95 %; estimate and what follows
         are NaN where the log does not know them.
         """
         return pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)

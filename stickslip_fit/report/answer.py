@@ -10,7 +10,7 @@ import pandas as pd
 from stickslip_fit.fit import Result, summarise
 from stickslip_fit.laws import expected_steps
 from stickslip_fit.logs import Log
-from stickslip_fit.report.figures.traverses import ENOUGH_REPLICATES, repeatability_of
+from stickslip_fit.report.figures.traverses import enough_replicates, repeatability_of
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     count,
@@ -52,7 +52,7 @@ def promises_kept(log: Log, calibration: Result, errors: pd.DataFrame) -> pd.Ser
     seen = pd.Series(expected_steps(rows["steps"], rows["check_every"]), index=rows.index)
     inside = seen.between(interval["low"], interval["high"]).astype(float)
     enough = [
-        calibration.joints[joint].repeatability[sign].freedom >= ENOUGH_REPLICATES
+        enough_replicates(calibration.joints[joint].repeatability[sign])
         for joint, sign in zip(rows["joint"], rows["direction"], strict=True)
     ]
     return inside.where(np.array(enough, dtype=bool))

@@ -99,8 +99,11 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
     for joint, joint_fit in fit.joints.items():
         for sign in ("+", "-"):
             if (joint_fit.groups["direction"] == sign).any():
-                pair = (calibration.joints[joint].repeatability[sign], joint_fit.repeatability[sign])
-                cells = [cell for found in pair for cell in _repeatability_cells(found)]
+                replicates = calibration.joints[joint].repeatability[sign]
+                of_replicates = (
+                    _repeatability_cells(replicates) if replicates.source == "replicates" else ("–", "–")
+                )
+                cells = (*of_replicates, *_repeatability_cells(joint_fit.repeatability[sign]))
                 body.append((joint_name(joint), way(sign), *cells))
     note = (
         "Standard deviation of a traverse's count, relative, rounding left out. Replicates made hours apart "

@@ -17,9 +17,12 @@ POSITION = ["q1", "q2", "q3", "theta", "psi"]
 def repeatability_of(joint: int, direction: str, calibration: Result, fit: Result) -> Repeatability:
     """The replicates' repeatability; the fit's residuals' where there are hardly any replicates."""
     replicates = calibration.joints[joint].repeatability[direction]
-    return (
-        replicates if replicates.freedom >= ENOUGH_REPLICATES else fit.joints[joint].repeatability[direction]
-    )
+    return replicates if enough_replicates(replicates) else fit.joints[joint].repeatability[direction]
+
+
+def enough_replicates(found: Repeatability) -> bool:
+    """Whether replicates, not what a law leaves over, say how well a traverse repeats."""
+    return found.source == "replicates" and found.freedom >= ENOUGH_REPLICATES
 
 
 def traverses_of(joint: int, log: Log, calibration: Result, fit: Result) -> pd.DataFrame:
