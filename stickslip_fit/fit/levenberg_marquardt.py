@@ -91,8 +91,9 @@ def minimise(
     """
     values, seen = start.copy(), np.zeros(scales.shape)
     damped = np.full(len(groups), damping)
-    converged, lost = np.zeros((2, len(groups)), dtype=bool)
+    before = np.full(len(groups), np.inf)
     here = moments_of(model, y, weight, groups, values, scales)
+    converged, lost = np.zeros(len(groups), dtype=bool), ~np.isfinite(here.cost)
     iteration = 0
     while iteration < most and not np.all(converged | lost):
         iteration += 1
@@ -100,7 +101,10 @@ def minimise(
         local = factorise(here, groups, scales, seen, smallest)
         full = local.step(np.zeros(len(groups)))
         near = local.offset(here.cost, groups.sizes) < NEARLY_THERE
-        close = np.max(np.abs(full), axis=1) < tolerance
+        size = np.max(np.abs(full), axis=1)
+        # Steps that no longer shrink, so near the minimum, are rounding noise.
+        close = (size < tolerance) | (near & (size >= before))
+        before = np.where(near, size, np.inf)
         step = np.where((near | close)[:, None], full, local.step(damped))
         trial = np.where((converged | lost)[:, None], values, values + step * scales)
         there = moments_of(model, y, weight, groups, trial, scales)
@@ -111,8 +115,9 @@ def minimise(
         better &= ~(converged | lost)
         values[better] = trial[better]
         here = here.replaced(there, better, groups)
-        converged |= close | (near & ~better)
-        damped = np.where(better, damped / FALL, np.maximum(damped * RISE, FIRST * (damped == 0)))
-        lost |= damped > MOST
+        converged |= (close | (near & ~better)) & ~lost
+        raised = np.minimum(np.maximum(damped * RISE, FIRST * (damped == 0)), MOST)
+        damped = np.where(better, damped / FALL, raised)
+        lost |= (damped >= MOST) & ~converged
     rank = factorise(here, groups, scales, np.maximum(seen, here.norms), smallest).rank
     return Minimum(values, here.curvature(scales), here.residual, converged, rank, iteration)
