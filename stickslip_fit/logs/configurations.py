@@ -32,7 +32,8 @@ def configurations(rows: pd.DataFrame) -> pd.DataFrame:
         backward=(rows["direction"] == "-").astype(np.int64),
     )
     # Adding zero makes -0.0 and 0.0 one configuration to look at, as they are to the joint.
-    table[_POSITION] = table[_POSITION].round(_DECIMALS) + 0.0
+    with np.errstate(over="ignore"):
+        table[_POSITION] = table[_POSITION].round(_DECIMALS) + 0.0
     counts = table.groupby(["session", "joint", *_POSITION], dropna=False, sort=True)[["forward", "backward"]]
     found = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
     return found.assign(replicates=(found["+"] - 1).clip(lower=0) + (found["-"] - 1).clip(lower=0))

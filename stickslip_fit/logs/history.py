@@ -53,22 +53,26 @@ def add_session_history(rows: pd.DataFrame, session: npt.NDArray[np.int64]) -> p
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
+    backwards = (rows["direction"] == "-").to_numpy()
+    direction, load = np.full(len(rows), -1), np.zeros(len(rows))
+
+    def look_back(each: int) -> None:
+        mine = np.flatnonzero(joint == each)
+        before = previous(session[mine])
+        known = before >= 0
+        direction[mine] = np.where(known, backwards[mine][before], -1)
+        load[mine] = np.where(known, _loads(rows, mine, each)[before], 0.0)
+
+    # No two joints share a row, so that they can be looked at side by side.
     found = together(
         {
-            "before": lambda: previous(session * (len(JOINTS) + 1) + joint),
-            "seconds": lambda: _seconds(session, time),
-            **{f"load {each}": partial(_loads, rows, np.flatnonzero(joint == each), each) for each in JOINTS},
+            "seconds": partial(_seconds, session, time),
+            **{f"q{each}": partial(look_back, each) for each in JOINTS},
         }
     )
-    load = np.empty(len(rows))
-    for each in JOINTS:
-        load[joint == each] = found[f"load {each}"]
-    before = found["before"]
-    first = before < 0
-    backwards = (rows["direction"] == "-").to_numpy()
     return rows.assign(
-        before_direction=labelled(np.where(first, -1, backwards[before]), ("+", "-")).set_axis(rows.index),
-        before_load=np.where(first, 0.0, load[before]),
+        before_direction=labelled(direction, ("+", "-")).set_axis(rows.index),
+        before_load=load,
         session_seconds=found["seconds"],
     )
 

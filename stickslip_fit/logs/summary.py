@@ -106,7 +106,8 @@ def _columns(rows: pd.DataFrame) -> list[list[str]]:
 
 def _values(values: pd.Series, unit: str) -> str:
     """A few values as they are, many as lowest and highest."""
-    distinct = np.unique(np.round(from_si(values.dropna().to_numpy(), unit), 6)) + 0.0
+    with np.errstate(over="ignore"):
+        distinct = np.unique(np.round(from_si(values.dropna().to_numpy(), unit), 6)) + 0.0
     if len(distinct) <= 4:
         return " ".join(f"{value:g}" for value in distinct)
     return f"{distinct[0]:g} to {distinct[-1]:g} ({len(distinct):,} values)"

@@ -61,7 +61,8 @@ def _quoted(text: str) -> str:
 
 
 def _texts(values: pd.Series) -> list[str]:
-    return list(map(_quoted, values))
+    quoted = {text: _quoted(text) for text in values.unique()}
+    return [quoted[text] for text in values]
 
 
 def _columns(rows: pd.DataFrame) -> dict[str, list[str]]:
@@ -114,13 +115,15 @@ def _quantity(name: str, values: Floats) -> dict[str, list[str]]:
 
 def _in_unit(values: Floats, unit: str) -> tuple[Floats, bool]:
     """Short decimals that read back as `values`, and whether all of them do to the last bit."""
-    exact = from_si(values, unit)
-    neighbours = (np.nextafter(exact, -np.inf), np.nextafter(exact, np.inf))
-    written, missed = exact, ~np.isnan(values)
-    for candidate in (np.round(exact, 9), np.round(exact, 12), exact, *neighbours):
-        hit = missed & (to_si(candidate, unit) == values)
-        written = np.where(hit, candidate, written)
-        missed &= ~hit
+    # What overflows on the way is no equal of anything, and another unit is tried.
+    with np.errstate(over="ignore", invalid="ignore"):
+        exact = from_si(values, unit)
+        neighbours = (np.nextafter(exact, -np.inf), np.nextafter(exact, np.inf))
+        written, missed = exact, ~np.isnan(values)
+        for candidate in (np.round(exact, 9), np.round(exact, 12), exact, *neighbours):
+            hit = missed & (to_si(candidate, unit) == values)
+            written = np.where(hit, candidate, written)
+            missed &= ~hit
     return written, not missed.any()
 
 

@@ -1,12 +1,16 @@
-"""A small log as its columns of text, to be changed cell by cell."""
+"""Good logs as text, to be changed cell by cell: one written down, and any number made up."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
+from hypothesis import strategies as st
 
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.logs import Log, read_log
@@ -86,3 +90,95 @@ def problems(read: Callable[[Sheet | str | bytes], Log]) -> Callable[[Sheet | st
         return found
 
     return finder
+
+
+@dataclass
+class Draft:
+    """A log in people's units, as rows of column to text, and how it is put into a file."""
+
+    rows: list[dict[str, str]]
+    end: str = "\n"
+    mark: bytes = b""
+    blank: int = 0
+    lines: list[int] = field(default_factory=list)
+
+    def bytes(self) -> bytes:
+        """The file; remembers the line where each row begins."""
+        header = list(self.rows[0])
+        text = self.end * self.blank + ",".join(header) + self.end
+        self.lines = []
+        for row in self.rows:
+            self.lines.append(1 + count_ends(text))
+            text += ",".join(map(quoted, row.values())) + self.end * (1 + self.blank)
+        return self.mark + text.encode("utf-8")
+
+
+def count_ends(text: str) -> int:
+    return len(re.findall(r"\r\n|\r|\n", text))
+
+
+def quoted(cell: str) -> str:
+    return '"' + cell.replace('"', '""') + '"' if re.search('[",\r\n]', cell) else cell
+
+
+RANGES = {1: (-120, 120), 2: (-210, 30), 3: (0, 12)}
+
+
+def grid(low: int, high: int):
+    """Decimals with up to three places."""
+    return st.integers(low * 1000, high * 1000).map(lambda thousandths: str(Decimal(thousandths) / 1000))
+
+
+text = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=8)
+
+
+@st.composite
+def good_drafts(draw) -> Draft:
+    """Good logs of one to eight traverses."""
+    rows = []
+    times = draw(st.lists(st.integers(0, 10**6), min_size=1, max_size=8, unique=True))
+    for seconds in times:
+        joint = draw(st.sampled_from([1, 2, 3]))
+        every = draw(st.sampled_from(["", "1", "5", "8"]))
+        direction = draw(st.sampled_from("+-"))
+        row = {
+            "session": draw(st.sampled_from(["a", "NA", "001"])),
+            "time": (datetime(2012, 3, 5) + timedelta(seconds=seconds)).isoformat(),
+            "joint": str(joint),
+            "direction": direction,
+            "steps": str(draw(st.integers(1, 5000)) * int(every or 5)),
+        }
+        for other in (1, 2, 3):
+            cell = draw(grid(*RANGES[other])) if other != joint else ""
+            row["q3_mm" if other == 3 else f"q{other}_deg"] = cell
+        row |= {"theta_deg": draw(grid(-90, 90)), "psi_deg": draw(grid(-90, 90))}
+        low, high = RANGES[joint]
+        first = draw(st.sampled_from(["", str(low + 1)]))
+        last = draw(st.sampled_from(["", str(high - 1)]))
+        if direction == "-":
+            first, last = last, first
+        mine = "mm" if joint == 3 else "deg"
+        row |= {f"{end}_{unit}": "" for unit in ("deg", "mm") for end in ("from", "to")}
+        row |= {f"from_{mine}": first, f"to_{mine}": last, "check_every": every}
+        row |= {
+            "status": draw(st.sampled_from(["", "ok", "interrupted", "excluded"])),
+            "temperature_C": draw(st.just("") | grid(-40, 60)),
+            "step_period_ms": draw(st.just("") | grid(1, 50)),
+            "payload_g": draw(st.just("") | grid(0, 5)),
+            "pressure_hPa": draw(st.just("") | grid(900, 1100)),
+            "note": draw(text),
+        }
+        rows.append(row)
+    order = draw(st.permutations(list(rows[0])))
+    return Draft(
+        [{name: row[name] for name in order} for row in rows],
+        end=draw(st.sampled_from(["\n", "\r\n", "\r"])),
+        mark=draw(st.sampled_from([b"", b"\xef\xbb\xbf"])),
+        blank=draw(st.integers(0, 1)),
+    )
+
+
+@pytest.fixture(scope="module")
+def drafts() -> st.SearchStrategy[Draft]:
+    """Good logs of one to eight traverses, to draw from."""
+    return good_drafts()
