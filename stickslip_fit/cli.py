@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,6 +25,19 @@ from stickslip_fit.arguments import (
 )
 from stickslip_fit.errors import InputError
 from stickslip_fit.files import check_folder
+from stickslip_fit.options import (
+    At,
+    Calibration,
+    Json,
+    LogPath,
+    MachinePath,
+    Method,
+    Psi,
+    Session,
+    Since,
+    Theta,
+    Until,
+)
 
 if TYPE_CHECKING:
     from stickslip_fit.fit import Result
@@ -39,35 +51,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-LogPath = Annotated[
-    list[Path],
-    typer.Argument(metavar="LOG...", help="Campaign log: CSV or Parquet files, or a folder of them."),
-]
-MachinePath = Annotated[
-    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
-]
-Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
-Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
-Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
-Calibration = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG|RESULT...", help="A campaign log to fit, or a result saved with `fit --json`."
-    ),
-]
-Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
-Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
-Psi = Annotated[float, typer.Option(help="Base turned about y, degrees.")]
-At = Annotated[str, typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm.")]
-
-
-class Method(StrEnum):
-    """How to fit."""
-
-    closed_form = "closed-form"
-    least_squares = "least-squares"
-    bayes = "bayes"
 
 
 @app.command()

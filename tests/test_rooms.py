@@ -8,7 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "stickslip_fit"
 ROOMS = (
     "errors", "files", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "anova", "diagnose",
-    "moves", "strategies", "capture", "report", "arguments", "cli",
+    "moves", "strategies", "capture", "report", "arguments", "options", "cli",
 )  # fmt: skip
 
 

@@ -1,0 +1,38 @@
+"""What several verbs of the command line ask for, in the same words."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+LogPath = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG...", help="Campaign log: CSV or Parquet files, or a folder of them."),
+]
+MachinePath = Annotated[
+    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
+]
+Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
+Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
+Calibration = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG|RESULT...", help="A campaign log to fit, or a result saved with `fit --json`."
+    ),
+]
+Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
+Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
+Psi = Annotated[float, typer.Option(help="Base turned about y, degrees.")]
+At = Annotated[str, typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm.")]
+
+
+class Method(StrEnum):
+    """How to fit."""
+
+    closed_form = "closed-form"
+    least_squares = "least-squares"
+    bayes = "bayes"
