@@ -113,6 +113,7 @@ def _loads(rows: pd.DataFrame, mine: npt.NDArray[np.intp], joint: int) -> npt.ND
 
 
 def _seconds(session: npt.NDArray[np.int64], time: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    began = np.full(session.max(initial=0) + 1, np.iinfo(np.int64).max)
-    np.minimum.at(began, session, time)
-    return (time - began[session]) * 1e-9
+    began = np.zeros(session.max(initial=0) + 1, np.int64)
+    # Rows stand in the order of time: written from the last to the first, the first is what stays.
+    began[session[::-1]] = time[::-1]
+    return np.asarray(time - began[session], np.float64) / 1e9

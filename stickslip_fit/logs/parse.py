@@ -131,13 +131,7 @@ def filled(cells: pa.Array) -> Bools:
 
 def labelled(codes: npt.NDArray[np.integer], labels: tuple[str, ...]) -> pd.Series:
     """Text from its place among `labels`; empty for -1."""
-    known = pa.array(codes, pa.int32(), mask=codes < 0)
-    return (
-        pa.DictionaryArray.from_arrays(known, pa.array(labels, pa.string()))
-        .dictionary_decode()
-        .fill_null("")
-        .to_pandas()
-    )
+    return pa.array(["", *labels], pa.large_string()).take(pa.array(codes + 1)).to_pandas()
 
 
 def text_of(cells: pa.Array) -> pa.Array:

@@ -47,11 +47,11 @@ def alike(identity: Identity) -> tuple[str, ...]:
     """Notes on sessions whose labels differ only in spaces or capitals, which may be one session."""
     groups = defaultdict(list)
     for label in identity.labels:
-        groups["".join(label.split()).casefold()].append(repr(label))
+        groups["".join(label.split()).casefold()].append(label)
     return tuple(
-        f"sessions {', '.join(sorted(labels))} differ only in spaces or capitals, and count as {len(labels)}"
-        for labels in groups.values()
-        if len(labels) > 1
+        f"sessions {', '.join(map(repr, same))} differ only in spaces or capitals, and count as {len(same)}"
+        for same in groups.values()
+        if len(same) > 1
     )
 
 

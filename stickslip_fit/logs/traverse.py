@@ -6,7 +6,7 @@ import numpy as np
 
 from stickslip_fit.logs.cells import Cells
 from stickslip_fit.logs.faults import Message
-from stickslip_fit.logs.parse import Floats, Ints
+from stickslip_fit.logs.parse import Bools, Floats, Ints
 from stickslip_fit.machine import JOINTS, PRISMATIC, Machine
 from stickslip_fit.units import from_si
 
@@ -62,7 +62,7 @@ def _end(cells: Cells, machine: Machine, joint: Ints, stem: str, default: Floats
         field = f"{stem}_{kind}"
         if not cells.has(field):
             continue
-        mine, filled = np.isin(joint, joints), cells.filled(field)
+        mine, filled = _moves(joint, kind), cells.filled(field)
         foreign = ~mine & (joint > 0)
         cells.complain(field, foreign & filled, _wrong_kind(joint, stem))
         given = cells.numbers(field, ignored=foreign)
@@ -84,18 +84,24 @@ def _wrong_kind(joint: Ints, stem: str) -> Message:
 def _complain_about_length(
     cells: Cells, machine: Machine, joint: Ints, forward: Ints, start: Floats, stop: Floats
 ) -> None:
-    span = np.array([np.nan, *(machine.span(each) for each in JOINTS)])[joint]
-    length = stop - start
-    # What is NaN is neither still nor astray: it has been told of already.
-    still = np.abs(length) <= ROUNDING * span
-    astray = ~still & (forward * length < 0)
-    for kind, joints in _JOINTS_OF.items():
+    span = np.array([np.nan, *(machine.span(each) for each in JOINTS)])
+    for kind in _JOINTS_OF:
         ends = _written_ends(cells, kind)
+        if not ends:
+            continue
+        mine, ended = _moves(joint, kind), cells.filled(f"to_{kind}")
+        length = stop - start
+        # What is NaN is neither still nor astray: it has been told of already.
+        still = mine & (np.abs(length) <= ROUNDING * span[joint])
         nowhere = f"makes a traverse of no length ({ends}); leave both empty for the full range"
-        mine, ended = np.isin(joint, joints), cells.filled(f"to_{kind}")
-        cells.complain(f"to_{kind}", still & mine & ended, nowhere)
-        cells.complain(f"from_{kind}", still & mine & ~ended, nowhere)
-        cells.complain("direction", astray & mine, _astray(kind, ends, start, stop))
+        cells.complain(f"to_{kind}", still & ended, nowhere)
+        cells.complain(f"from_{kind}", still & ~ended, nowhere)
+        cells.complain("direction", mine & ~still & (forward * length < 0), _astray(kind, ends, start, stop))
+
+
+def _moves(joint: Ints, kind: str) -> Bools:
+    """Where the joint that moves is of this kind."""
+    return joint == PRISMATIC if kind == "length" else (joint > 0) & (joint != PRISMATIC)
 
 
 def _astray(kind: str, ends: str, start: Floats, stop: Floats) -> Message:
