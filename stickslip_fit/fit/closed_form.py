@@ -1,4 +1,4 @@
-"""The lab's daily calibration: as many traverses as parameters, solved exactly (thesis 6.2 to 6.4)."""
+"""The lab's daily calibration: as many traverses as parameters, solved exactly (thesis Eqs. 6.2 to 6.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""The load coefficient d of a rotary joint from one count, three ways (thesis 6.3).
+r"""The load coefficient d of a rotary joint from one count, three ways (thesis Eq. 6.6 is one).
 
 With gravity acting, the steps over a traverse are N = integral of dq / (gamma0 + d u(q)), and the mean
 step changes by delta = traverse / N - gamma0. The thesis gets d from delta by an iteration and, for

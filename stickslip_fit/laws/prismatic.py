@@ -53,7 +53,7 @@ class Prismatic(StepLaw):
         return np.stack([np.abs(np.cos(q2)), published_load(PRISMATIC, 0.0, q2, theta, psi)], axis=-1)
 
     def calibration(self) -> tuple[Configuration, ...]:
-        """The three configurations of thesis 6.2: a, then b, then c."""
+        """The three configurations of thesis Eqs. 6.2 to 6.4: a, then b, then c."""
         level = radians(-90.0)
         return (
             Configuration("arm level: no load along it, no recoil", q2=level),

@@ -114,7 +114,7 @@ class Elbow(Rotary):
         return np.repeat(mean_step[:, None], 4, axis=1)
 
     def calibration(self) -> tuple[Configuration, ...]:
-        """The four configurations of thesis 6.3: without load and with it, arm in and arm out."""
+        """The four configurations: without load and with it, arm in and arm out."""
         arm_in, arm_out = self.machine.ranges[3]
         side = radians(-90.0)
         return (
