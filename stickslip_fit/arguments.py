@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-_DRIVE = re.compile(r"([123])([+-])(\d+)")
+_DRIVE = re.compile(r"([123])([+-])([1-9]\d{0,11})")
 
 
 def command() -> str:
@@ -130,7 +130,9 @@ def drive_of(text: str, option: str) -> Drive:
     match = _DRIVE.fullmatch(text.strip())
     if match is None:
         raise InputError(
-            Problem("give joint, direction and steps, e.g. 3+5000 or 2-1200", column=option, value=text)
+            Problem(
+                "give joint, direction and 1 or more steps, e.g. 3+5000 or 2-1200", column=option, value=text
+            )
         )
     return Drive(int(match[1]), match[2], int(match[3]))
 

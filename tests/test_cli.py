@@ -131,6 +131,7 @@ def test_the_demo_runs_on_measured_campaigns(run, monkeypatch, tmp_path, name):
             ["where", "{log}", "--at", "0,-90,0", "--drive", "3*50"],
             "--drive, value '3*50': give joint, direction",
         ),
+        (["where", "{log}", "--at", "0,-90,0", "--drive", "3+0"], "--drive, value '3+0': give joint"),
         (["where", "{log}", "--at", "0,-90,0", "--drive", "3+50", "--session", "never"], "'never'"),
         (["fit", "{log}", "--machine", "absent.toml"], "absent.toml"),
         (["report", "{log}", "-o", "absent/report.html"], "absent/report.html"),

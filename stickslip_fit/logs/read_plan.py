@@ -7,9 +7,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
+from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.plan import Noise, NoiseKind, Order, Plan, PlannedSession, Timing
 from stickslip_fit.logs.settings import Settings, is_number, read_settings
-from stickslip_fit.logs.sweep import DIRECTIONS, read_sweeps
+from stickslip_fit.logs.sweep import read_sweeps
 from stickslip_fit.machine import JOINTS, Machine
 from stickslip_fit.units import to_si
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pandas as pd
 
+from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.settings import ANGLES, LENGTHS, Settings
 from stickslip_fit.machine import JOINTS, Machine
 
-DIRECTIONS = ("+", "-")
 AXES = {"q1": ANGLES, "q2": ANGLES, "q3": LENGTHS, "theta": ANGLES, "psi": ANGLES}
 DEFAULTS = {"q1": [0.0], "theta": [0.0], "psi": [0.0]}  # q2 and q3 act on every law: they have to be said
 ONE_TURN = (-2 * pi, 2 * pi)

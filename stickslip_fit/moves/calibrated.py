@@ -14,6 +14,33 @@ from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import Machine
 
 Array = npt.NDArray[np.float64]
+CERTAIN = 1.96  # standard deviations on either side of 95 %
+
+
+@dataclass(frozen=True)
+class Traverse:
+    """What the law says of one joint's way to another position.
+
+    Attributes
+    ----------
+    row : DataFrame
+        The traverse, one row of a log.
+    law : StepLaw
+    values : array, shape (p,)
+    counts : float
+        Steps it takes.
+    slopes : array, shape (p,)
+        Relative change of the counts with each parameter.
+    spread : float
+        Relative standard deviation of the counts, from the parameters and the repeatability.
+    """
+
+    row: pd.DataFrame
+    law: StepLaw
+    values: Array
+    counts: float
+    slopes: Array
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +75,25 @@ class Calibrated:
                 "start": [q[joint - 1]], "stop": [stop],
             }
         )  # fmt: skip
+
+    def traverse(self, q: Array, joint: int, stop: float) -> Traverse:
+        """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.
+
+        Raises
+        ------
+        InputError
+            If the law is not known, or stalls on the way.
+        """
+        row = self.drive(q, joint, stop)
+        law, values, covariance, repeatability = self.law(joint, str(row["direction"].iloc[0]))
+        counts, slopes = law.counts(row, values)
+        if not np.isfinite(counts[0]):
+            raise InputError(
+                f"joint {joint} would stall on its way: the law gives a step size of zero or less there"
+            )
+        relative = slopes[0] / counts[0]
+        spread = float(np.hypot(np.sqrt(relative @ covariance @ relative), repeatability))
+        return Traverse(row, law, values, float(counts[0]), relative, spread)
 
     def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
         """The law of a joint, its parameters, their covariance, and the repeatability.

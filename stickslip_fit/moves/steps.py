@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.calibrated import Calibrated
+from stickslip_fit.moves.calibrated import CERTAIN, Calibrated
+from stickslip_fit.units import format_value
 
 Array = npt.NDArray[np.float64]
 
@@ -114,31 +115,20 @@ def check_positions(arm: Calibrated, q: Array, name: str) -> None:
 
 
 def _leg(arm: Calibrated, q: Array, joint: int, stop: float) -> Leg:
-    row = arm.drive(q, joint, stop)
-    direction = str(row["direction"].iloc[0])
-    law, values, covariance, repeatability = arm.law(joint, direction)
-    counts, slopes = law.counts(row, values)
-    if not np.isfinite(counts[0]):
-        raise InputError(
-            f"joint {joint} would stall on its way: the law gives a step size of zero or less there"
-        )
-    relative = slopes[0] / counts[0]
-    spread = float(np.hypot(np.sqrt(relative @ covariance @ relative), repeatability))
-    ahead = float(law.step_size(row, np.array([[stop]]), values)[0, 0])
+    way = arm.traverse(q, joint, stop)
+    ahead = float(way.law.step_size(way.row, np.array([[stop]]), way.values)[0, 0])
     travel = abs(stop - q[joint - 1])
     return Leg(
         joint=joint,
-        direction=direction,
+        direction=str(way.row["direction"].iloc[0]),
         start=float(q[joint - 1]),
         stop=stop,
-        steps=round(float(counts[0])),
-        low=float(counts[0] * np.exp(-1.96 * spread)),
-        high=float(counts[0] * np.exp(1.96 * spread)),
-        error=float(np.hypot(spread * travel, ahead / np.sqrt(12.0))),
+        steps=round(way.counts),
+        low=way.counts * float(np.exp(-CERTAIN * way.spread)),
+        high=way.counts * float(np.exp(CERTAIN * way.spread)),
+        error=float(np.hypot(way.spread * travel, ahead / np.sqrt(12.0))),
     )
 
 
 def _shown(joint: int, value: float) -> str:
-    from stickslip_fit.units import format_value
-
     return format_value(value, "mm" if joint == 3 else "deg", 2)

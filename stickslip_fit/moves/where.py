@@ -10,13 +10,11 @@ import numpy.typing as npt
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.calibrated import Calibrated
+from stickslip_fit.moves.calibrated import CERTAIN, Calibrated
 from stickslip_fit.moves.position import position_after
 from stickslip_fit.moves.steps import check_positions
 
 Array = npt.NDArray[np.float64]
-
-CERTAIN = 1.96  # standard deviations on either side of 95 %
 
 
 @dataclass(frozen=True)
@@ -128,13 +126,9 @@ def steps_until(arm: Calibrated, at: Whereabouts, joint: int, direction: str, to
         return None
     if at.tip_error * CERTAIN > tolerance:
         return 0
-    row = arm.drive(at.q, joint, end)
-    law, values, covariance, repeatability = arm.law(joint, direction)
-    counts, slopes = law.counts(row, values)
-    relative = slopes[0] / counts[0]
-    spread = np.hypot(np.sqrt(relative @ covariance @ relative), repeatability)
+    way = arm.traverse(at.q, joint, end)
     lever = jacobian(arm.machine, at.q)[:, joint - 1]
-    per_travel = (spread * lever)[:, None] * (spread * lever)[None, :]
+    per_travel = way.spread**2 * np.outer(lever, lever)
 
     def excess(travel: float) -> float:
         covered = at.tip_covariance + per_travel * travel**2
@@ -146,9 +140,8 @@ def steps_until(arm: Calibrated, at: Whereabouts, joint: int, direction: str, to
     from scipy.optimize import brentq
 
     travel = brentq(excess, 0.0, whole)
-    way = 1.0 if direction == "+" else -1.0
-    part = arm.drive(at.q, joint, float(at.q[joint - 1] + way * travel))
-    return int(law.counts(part, values)[0][0])
+    sign = 1.0 if direction == "+" else -1.0
+    return int(arm.traverse(at.q, joint, float(at.q[joint - 1] + sign * travel)).counts)
 
 
 def _follow(arm: Calibrated, q: Array, drive: Drive, before: float) -> tuple[float, _Travelled | None]:
@@ -158,28 +151,18 @@ def _follow(arm: Calibrated, q: Array, drive: Drive, before: float) -> tuple[flo
     here = float(q[drive.joint - 1])
     if here == end:
         return end, None
-    row = arm.drive(q, drive.joint, end)
-    law, values, covariance, repeatability = arm.law(drive.joint, drive.direction)
-    counts, slopes = law.counts(row, values)
-    if not np.isfinite(counts[0]):
-        raise InputError(
-            f"joint {drive.joint} would stall on its way: the law gives a step size of zero or less"
-        )
-    relative = slopes[0] / counts[0]
-    spread = np.hypot(np.sqrt(relative @ covariance @ relative), repeatability)
-    margin = CERTAIN * np.hypot(spread, np.sqrt(before) / abs(end - here)) * counts[0]
-    if drive.steps >= counts[0] + margin:
+    way = arm.traverse(q, drive.joint, end)
+    margin = CERTAIN * float(np.hypot(way.spread, np.sqrt(before) / abs(end - here))) * way.counts
+    if drive.steps >= way.counts + margin:
         return end, None
-    if drive.steps > counts[0] - margin:
+    if drive.steps > way.counts - margin:
         raise InputError(
             f"{drive.steps} steps of joint {drive.joint} in {drive.direction} may or may not reach its stop "
-            f"({counts[0]:.0f} ± {margin:.0f} steps away): drive {counts[0] + margin:.0f} or more to be at "
-            f"the stop for sure, or {counts[0] - margin:.0f} or fewer to stay short of it"
+            f"({way.counts:.0f} ± {margin:.0f} steps away): drive {way.counts + margin:.0f} or more to be at "
+            f"the stop for sure, or {way.counts - margin:.0f} or fewer to stay short of it"
         )
-    reached = position_after(law, row, values, float(drive.steps))
-    done = arm.drive(q, drive.joint, reached)
-    part_counts, part_slopes = law.counts(done, values)
-    return reached, _Travelled(reached - here, part_slopes[0] / part_counts[0])
+    reached = position_after(way.law, way.row, way.values, float(drive.steps))
+    return reached, _Travelled(reached - here, arm.traverse(q, drive.joint, reached).slopes)
 
 
 def _variance(arm: Calibrated, joint: int, travelled: dict[tuple[int, str], list[_Travelled]]) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.moves import Calibrated, Move, Whereabouts, steps_until
-from stickslip_fit.moves.where import CERTAIN
+from stickslip_fit.moves.calibrated import CERTAIN
 from stickslip_fit.units import format_value, from_si, text_table
 
 

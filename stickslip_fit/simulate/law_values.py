@@ -12,8 +12,8 @@ import pandas as pd
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
+from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.settings import Settings, read_settings, spelling
-from stickslip_fit.logs.sweep import DIRECTIONS
 from stickslip_fit.machine import JOINTS, Machine
 
 Array = npt.NDArray[np.float64]

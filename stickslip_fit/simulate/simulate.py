@@ -11,10 +11,10 @@ import pandas as pd
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import seen_count
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.columns import CONDITIONS
 from stickslip_fit.logs.history import add_history
 from stickslip_fit.logs.plan import Noise, Plan
-from stickslip_fit.logs.sweep import DIRECTIONS
 from stickslip_fit.machine import JOINTS, Machine
 from stickslip_fit.simulate.chance import draw_chance
 from stickslip_fit.simulate.clock import begin_times

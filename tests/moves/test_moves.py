@@ -8,7 +8,7 @@ from stickslip_fit.fit import least_squares
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import forward, load_machine
 from stickslip_fit.moves import Drive, calibrated, steps_for_move, steps_until, where_after
-from stickslip_fit.moves.where import CERTAIN
+from stickslip_fit.moves.calibrated import CERTAIN
 
 
 @pytest.fixture(scope="module")
