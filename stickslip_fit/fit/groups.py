@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.errors import InputError
+from stickslip_fit.laws import travel
 from stickslip_fit.logs import Log
 
 Array = npt.NDArray[np.float64]
@@ -62,6 +63,11 @@ def group_rows(rows: pd.DataFrame) -> Groups:
         }
     )
     return Groups(table, of_row)
+
+
+def mean_steps(groups: Groups, rows: pd.DataFrame, response: Array) -> Array:
+    """Geometric mean of each group's step sizes, shape (g,); `response` is log(steps), shape (n,)."""
+    return np.exp(groups.sums(np.log(travel(rows)) - response) / groups.sizes)
 
 
 def usable_rows(log: Log) -> pd.DataFrame:

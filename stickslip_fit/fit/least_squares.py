@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.fit.curvature import moments_of
-from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
+from stickslip_fit.fit.groups import Groups, group_rows, mean_steps, usable_rows
 from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
 from stickslip_fit.fit.intervals import quadratic_interval
 from stickslip_fit.fit.levenberg_marquardt import Minimum, minimise
@@ -16,7 +16,7 @@ from stickslip_fit.fit.provenance import Provenance, versions
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import GAUSSIAN, Repeatability, pooled, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
-from stickslip_fit.laws import StepLaw, published_law, travel
+from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 
@@ -81,7 +81,7 @@ def fit_joint(
     """Fit one joint's law to its rows; also the residuals, shape (n,), and what is to be said."""
     groups = group_rows(rows)
     y, rounding = law.response(rows)
-    mean_step = np.exp(groups.sums(np.log(travel(rows)) - y) / groups.sums(np.ones(len(y))))
+    mean_step = mean_steps(groups, rows, y)
     values, scales = law.start_values(mean_step), law.scales(mean_step)
     model, weight = law.model(rows), np.ones(len(y))
     for _ in range(MOST_PASSES):

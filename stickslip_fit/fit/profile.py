@@ -10,12 +10,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
+from stickslip_fit.fit.groups import Groups, group_rows, mean_steps, usable_rows
 from stickslip_fit.fit.intervals import quantile
 from stickslip_fit.fit.levenberg_marquardt import minimise
 from stickslip_fit.fit.repeatability import variance_of
 from stickslip_fit.fit.result import JointFit, Result
-from stickslip_fit.laws import travel
 from stickslip_fit.laws.law import Model
 from stickslip_fit.logs import Log
 
@@ -64,7 +63,7 @@ def _profile_joint(fit: JointFit, rows: pd.DataFrame) -> Array:
     groups, law = group_rows(rows), fit.law
     y, rounding = law.response(rows)
     weight = 1.0 / variance_of(rows, rounding, fit.repeatability)
-    scales = law.scales(np.exp(groups.sums(np.log(travel(rows)) - y) / groups.sizes))
+    scales = law.scales(mean_steps(groups, rows, y))
     model = law.model(rows)
     least = groups.sums(weight * (y - model(fit.values[groups.of_row])[0]) ** 2)
     reach = np.array([quantile(fit.repeatability[way].freedom) for way in groups.table["direction"]])
