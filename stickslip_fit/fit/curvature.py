@@ -48,6 +48,14 @@ class Moments:
         """J' W J in the parameters' own units, shape (g, p, p)."""
         return self.products[:, :-1, :-1] / (scales[:, :, None] * scales[:, None, :])
 
+    def without(self, held: npt.NDArray[np.bool_], groups: Groups) -> Moments:
+        """These moments with some parameters, shape (g, p), held where they are."""
+        if not np.any(held):
+            return self
+        free = np.concatenate([~held, np.ones((len(held), 1), dtype=bool)], axis=1)
+        products = self.products * free[:, :, None] * free[:, None, :]
+        return Moments(self.residual, self.columns * free[groups.of_row].T, products)
+
     def replaced(self, other: Moments, where: npt.NDArray[np.bool_], groups: Groups) -> Moments:
         """These moments, but `other`'s in the groups `where`."""
         if np.all(where):
@@ -134,7 +142,7 @@ def factorise(here: Moments, groups: Groups, scales: Array, lengths: Array, smal
     smallest : float
         Columns and directions with a smaller share of the greatest are not identified.
     """
-    floor = smallest * np.max(lengths, axis=1, keepdims=True)
+    floor = smallest * np.max(lengths, axis=1, keepdims=True, initial=0.0)
     lengths = np.maximum(np.maximum(lengths, floor), np.finfo(float).tiny ** 0.25)
     form = here.products[:, :-1, :-1] / (lengths[:, :, None] * lengths[:, None, :])
     eigenvalue, vectors = np.linalg.eigh(form)
@@ -142,11 +150,12 @@ def factorise(here: Moments, groups: Groups, scales: Array, lengths: Array, smal
     gradient = np.einsum("gji,gj->gi", vectors, here.products[:, :-1, -1] / lengths)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.where(singular > 0, gradient / singular, 0.0)
-    share = eigenvalue[:, 0] / np.maximum(eigenvalue[:, -1], np.finfo(float).tiny)
+    greatest = np.max(eigenvalue, axis=1, initial=np.finfo(float).tiny)
+    share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
     for group in np.flatnonzero((share < WELL_CONDITIONED) & (smallest**2 < WELL_CONDITIONED / 10)):
         rows = groups.of_row == group
         slopes = here.columns[:-1, rows].T * (scales[group] / lengths[group])
         left, singular[group], right = np.linalg.svd(slopes, full_matrices=False)
         vectors[group], along[group] = right.T, left.T @ here.columns[-1, rows]
-    known = singular > smallest * np.max(singular, axis=1, keepdims=True)
+    known = singular > smallest * np.max(singular, axis=1, keepdims=True, initial=0.0)
     return Factors(lengths, np.where(known, singular, 0.0), vectors, along)

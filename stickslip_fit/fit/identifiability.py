@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from itertools import combinations
 from math import degrees, isnan
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.fit.groups import Groups
 from stickslip_fit.fit.levenberg_marquardt import SMALLEST
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import Configuration, StepLaw
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
+
+if TYPE_CHECKING:
+    from stickslip_fit.fit.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +44,7 @@ def known_parameters(
     """
     scaled = curvature * scales[:, :, None] * scales[:, None, :]
     eigenvalue, vector = np.linalg.eigh(scaled)
-    top = np.maximum(eigenvalue[:, -1:], np.finfo(float).tiny)
+    top = np.max(eigenvalue, axis=1, keepdims=True, initial=np.finfo(float).tiny)
     seen = eigenvalue > SMALLEST**2 * top
     unseen_share = np.sum(np.where(seen[:, None, :], 0.0, vector**2), axis=2)
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
@@ -50,34 +53,55 @@ def known_parameters(
 
 
 def explain_unknown(
-    law: StepLaw,
+    problem: Problem,
     machine: Machine,
-    groups: Groups,
     known: npt.NDArray[np.bool_],
-    rows: pd.DataFrame,
+    curvature: Array,
+    information: Array,
     values: Array,
-    scales: Array,
 ) -> list[Remark]:
-    """For each group with unknown parameters, a remark naming them and the traverses to make."""
-    remarks = []
-    names = [parameter.name for parameter in law.parameters]
+    """For each group with unknown parameters, a remark naming them and the traverses to make.
+
+    Parameters
+    ----------
+    problem : Problem
+    machine : Machine
+    known : array of bool, shape (g, p)
+    curvature : array, shape (g, p, p)
+        What the log says of each group's parameters.
+    information : array, shape (n,)
+        What one row like these says of its response.
+    values : array, shape (g, p)
+    """
+    law, groups, remarks = problem.law, problem.groups, []
+    names = np.array([parameter.name for parameter in law.parameters])
     for group in np.flatnonzero(~known.all(axis=1)):
         session, direction = groups.table.loc[group, ["session", "direction"]]
-        mine = rows[groups.of_row == group]
-        slopes = law.jacobian(mine, values[group]) * scales[group]
-        unknown = tuple(name for name, fine in zip(names, known[group], strict=True) if not fine)
-        wanted = _fewest_traverses(law, machine, direction, slopes, values[group], scales[group])
+        seen = _root(curvature[group], problem.scales[group]) / np.sqrt(np.mean(information))
+        wanted = _fewest_traverses(law, machine, direction, seen, values[group], problem.scales[group])
         told = "; ".join(describe(configuration) for configuration in wanted)
-        subject = f"{_listed(unknown)} cannot be known"
-        together = " one by one" if len(unknown) > 1 else ""
-        remarks.append(
-            Remark(
-                "not_identified", law.joint, direction, session, unknown,
-                f"joint {law.joint}, direction {direction}, session {session}: {subject}{together} from "
-                f"{len(mine)} usable traverse{'s' if len(mine) != 1 else ''}; missing: {told}",
-            )
-        )  # fmt: skip
+        count = int(groups.sizes[group])
+        for where, when, mine in (
+            (f", session {session}", str(session), ~problem.sharing.parameters),
+            ("", "", problem.sharing.parameters),
+        ):
+            unknown = tuple(names[~known[group] & mine])
+            together = " one by one" if len(unknown) > 1 else ""
+            counted = f"{count} usable traverse{'s' if count != 1 else ''}"
+            remark = Remark(
+                "not_identified", law.joint, direction, when, unknown,
+                f"joint {law.joint}, direction {direction}{where}: {_listed(unknown)} cannot be known"
+                f"{together} from {counted if when else 'the whole campaign'}; missing: {told}",
+            )  # fmt: skip
+            if unknown and remark not in remarks:
+                remarks.append(remark)
     return remarks
+
+
+def _root(curvature: Array, scales: Array) -> Array:
+    """Slopes that have this curvature, in units of the scales; (p, p) -> (p, p)."""
+    eigenvalue, vector = np.linalg.eigh(curvature * scales[:, None] * scales)
+    return np.sqrt(np.maximum(eigenvalue, 0.0))[:, None] * vector.T
 
 
 def configuration_rows(
@@ -137,4 +161,4 @@ def _fewest_traverses(
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return " and ".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -31,9 +31,13 @@ def quadratic_interval(
     array, shape (g, p, 2)
         NaN where there is no error bar.
     """
-    reach = np.array([quantile(repeatability[way].freedom) for way in groups["direction"]])
-    half = reach[:, None] * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    half = reaches(groups, repeatability)[:, None] * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     return np.stack([values - half, values + half], axis=-1)
+
+
+def reaches(groups: pd.DataFrame, repeatability: dict[str, Repeatability]) -> Array:
+    """Half-width of each group's intervals in standard errors, shape (g,)."""
+    return np.array([quantile(repeatability[way].freedom) for way in groups["direction"]])
 
 
 def quantile(freedom: int) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.fit.curvature import factorise, moments_of
+from stickslip_fit.fit.curvature import Moments, factorise, moments_of
 from stickslip_fit.fit.groups import Groups
 from stickslip_fit.laws.law import Model
 
@@ -42,6 +42,8 @@ class Minimum:
         The values do not move any more; they are all determined only where rank is p.
     rank : array of int, shape (g,)
         Directions of parameter space that the data determine.
+    at_bound : array of bool, shape (g, p)
+        Parameters held back by a bound: the sum of squares would fall beyond it.
     iterations : int
     """
 
@@ -50,6 +52,7 @@ class Minimum:
     residual: Array
     converged: Mask
     rank: npt.NDArray[np.intp]
+    at_bound: Mask
     iterations: int
 
 
@@ -61,6 +64,8 @@ def minimise(
     start: Array,
     scales: Array,
     *,
+    lower: Array | float = -np.inf,
+    upper: Array | float = np.inf,
     damping: float = FIRST,
     smallest: float = SMALLEST,
     tolerance: float = 1e-8,
@@ -76,6 +81,9 @@ def minimise(
     groups : Groups
     start, scales : array, shape (g, p)
         Where to begin, and a change of each parameter that matters.
+    lower, upper : array, broadcast to shape (g, p), optional
+        Bounds of the parameters. A step is cut off at a bound; a parameter that lies on one, and would
+        leave it, stays while the others move (active set).
     damping : float, optional
         To begin with; 0 where the model is nearly linear and undamped steps can be trusted from the start.
     smallest : float, optional
@@ -89,7 +97,7 @@ def minimise(
     -------
     Minimum
     """
-    values, seen = start.copy(), np.zeros(scales.shape)
+    values, seen = np.clip(start, lower, upper), np.zeros(scales.shape)
     damped = np.full(len(groups), damping)
     before = np.full(len(groups), np.inf)
     here = moments_of(model, y, weight, groups, values, scales)
@@ -98,15 +106,17 @@ def minimise(
     while iteration < most and not np.all(converged | lost):
         iteration += 1
         seen = np.maximum(seen, here.norms)
-        local = factorise(here, groups, scales, seen, smallest)
+        held = _held(here, values, lower, upper)
+        local = factorise(here.without(held, groups), groups, scales, seen, smallest)
         full = local.step(np.zeros(len(groups)))
         near = local.offset(here.cost, groups.sizes) < NEARLY_THERE
-        size = np.max(np.abs(full), axis=1)
+        size = np.max(np.abs(full), axis=1, initial=0.0)
         # Steps that no longer shrink, so near the minimum, are rounding noise.
         close = (size < tolerance) | (near & (size >= before))
         before = np.where(near, size, np.inf)
         step = np.where((near | close)[:, None], full, local.step(damped))
-        trial = np.where((converged | lost)[:, None], values, values + step * scales)
+        trial = np.clip(values + step * scales, lower, upper)
+        trial = np.where((converged | lost)[:, None], values, trial)
         there = moments_of(model, y, weight, groups, trial, scales)
         # Near the minimum the cost only trembles in its last digits, and a tiny step is right all the same.
         better = (there.cost <= here.cost * np.where(near, 1.0 + 1e-10, 1.0)) | (
@@ -120,4 +130,11 @@ def minimise(
         damped = np.where(better, damped / FALL, raised)
         lost |= (damped >= MOST) & ~converged
     rank = factorise(here, groups, scales, np.maximum(seen, here.norms), smallest).rank
-    return Minimum(values, here.curvature(scales), here.residual, converged, rank, iteration)
+    at_bound = _held(here, values, lower, upper)
+    return Minimum(values, here.curvature(scales), here.residual, converged, rank, at_bound, iteration)
+
+
+def _held(here: Moments, values: Array, lower: Array | float, upper: Array | float) -> Mask:
+    """Parameters on a bound that the data would push beyond it, shape (g, p)."""
+    uphill = here.products[:, :-1, -1]
+    return ((values <= lower) & (uphill < 0)) | ((values >= upper) & (uphill > 0))

@@ -11,7 +11,7 @@ import pandas as pd
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.groups import Groups, group_rows, mean_steps, usable_rows
-from stickslip_fit.fit.intervals import quantile
+from stickslip_fit.fit.intervals import reaches
 from stickslip_fit.fit.levenberg_marquardt import minimise
 from stickslip_fit.fit.repeatability import variance_of
 from stickslip_fit.fit.result import JointFit, Result
@@ -48,6 +48,8 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
     """
     if result.method != "least-squares" or result.provenance.log_sha256 != log.sha256:
         raise InputError("profile intervals need the least-squares fit of this very log; fit it again")
+    if any(fit.shared for fit in result.joints.values()):
+        raise InputError("profile intervals are for fits in which each session has all its own parameters")
     rows = usable_rows(log)
     ends = [_profile_joint(fit, rows[rows["joint"] == joint]) for joint, fit in result.joints.items()]
     table = result.parameters
@@ -66,12 +68,13 @@ def _profile_joint(fit: JointFit, rows: pd.DataFrame) -> Array:
     scales = law.scales(mean_steps(groups, rows, y))
     model = law.model(rows)
     least = groups.sums(weight * (y - model(fit.values[groups.of_row])[0]) ** 2)
-    reach = np.array([quantile(fit.repeatability[way].freedom) for way in groups.table["direction"]])
+    reach = reaches(groups.table, fit.repeatability)
     ends = np.full((*fit.values.shape, 2), np.nan)
     for index in range(fit.values.shape[1]):
         for side, sign in enumerate((-1.0, 1.0)):
             ends[:, index, side] = _end(fit, model, y, weight, groups, scales, least, index, sign * reach)
-    return np.where(fit.known[:, :, None], ends, np.nan)
+    free = np.diagonal(fit.covariance, axis1=1, axis2=2) > 0
+    return np.where((fit.known & free)[:, :, None], ends, np.nan)
 
 
 def _end(

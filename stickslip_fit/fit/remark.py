@@ -12,7 +12,8 @@ class Remark:
     Attributes
     ----------
     flag : str
-        ``not_identified``, ``not_converged``, ``few_replicates`` or ``wild_count``.
+        ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted`` or
+        ``wild_count``.
     joint : int
     direction, session : str
         An empty session stands for all of them.

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy.stats import chi2
 
 from stickslip_fit.fit.likelihood import Gaussian, Likelihood
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import StepLaw
+from stickslip_fit.units import format_value
 
 Array = npt.NDArray[np.float64]
 
 GAUSSIAN = Gaussian()
+GIVEN = 10**9  # degrees of freedom of a repeatability that somebody knows
+DOUBTED = 1e-3
 CONFIGURATION = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
 
 
@@ -28,7 +32,7 @@ class Repeatability:
         Standard deviation of log steps, i.e. relative; NaN where it cannot be known.
     freedom : int
         Degrees of freedom behind it.
-    source : {"replicates", "residuals", "posterior"}
+    source : {"replicates", "residuals", "posterior", "given"}
     """
 
     value: float
@@ -103,3 +107,27 @@ def without_error_bars(
         for way, found in repeatability.items()
         if found.freedom < 1 and (groups["direction"] == way).any()
     ]  # fmt: skip
+
+
+def doubts(
+    law: StepLaw, given: dict[str, Repeatability], estimated: dict[str, Repeatability]
+) -> list[Remark]:
+    """A remark for each direction whose residuals do not scatter as the given repeatability says.
+
+    The ratio of variances is judged by chi-square over the estimate's degrees of freedom.
+    """
+    names = tuple(parameter.name for parameter in law.parameters)
+    remarks = []
+    for way, told in given.items():
+        seen = estimated[way]
+        squares = seen.freedom * (seen.value / told.value) ** 2 if seen.freedom else np.nan
+        if min(chi2.sf(squares, seen.freedom), chi2.cdf(squares, seen.freedom)) < DOUBTED / 2:
+            remarks.append(
+                Remark(
+                    "repeatability_doubted", law.joint, way, "", names,
+                    f"joint {law.joint}, direction {way}: residuals scatter by "
+                    f"{format_value(seen.value, '%', 2)}, the repeatability was given as "
+                    f"{format_value(told.value, '%', 2)}; the error bars take it for true",
+                )
+            )  # fmt: skip
+    return remarks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.laws import StepLaw, travel
 from stickslip_fit.machine import Machine
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +42,8 @@ class JointFit:
         95 % of each parameter, low and high.
     repeatability : dict of str to Repeatability
         By direction.
+    shared : tuple of str
+        Parameters with one value in each direction for all sessions; it stands in each of their groups.
     """
 
     law: StepLaw
@@ -48,6 +53,7 @@ class JointFit:
     covariance: Array
     interval: Array
     repeatability: dict[str, Repeatability]
+    shared: tuple[str, ...] = ()
 
     def group_of(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
         """Index of each row's group; -1 where the fit has none for its session and direction."""
@@ -80,13 +86,48 @@ class Result:
     remarks: tuple[Remark, ...]
     provenance: Provenance
 
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import result_html
+
+        return result_html(self)
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> Figure:
+        """Normal approximation of a session's parameters, the latest session's unless named, two by two.
+
+        Raises
+        ------
+        InputError
+            If there is no such session, joint or direction, or its parameters have no error bars.
+        """
+        from stickslip_fit.report.figures.corner import plot_covariance
+
+        return plot_covariance(self, joint, direction, session)
+
+    def plot_forest(self, joint: int) -> Figure:
+        """Every session's parameters of a joint with their 95 % intervals.
+
+        Raises
+        ------
+        InputError
+            If the joint was not fitted.
+        """
+        from stickslip_fit.report.figures.forest import plot_forest
+
+        return plot_forest(self, joint)
+
+    def plot_control(self) -> Figure:
+        """Every parameter by session, within the limits that the sessions before it set."""
+        from stickslip_fit.report.figures.control import plot_control
+
+        return plot_control(self)
+
     @property
     def parameters(self) -> pd.DataFrame:
         """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
 
-        That is standard_error, low, high and flags. Numbers are SI; unit is the one people read them in.
-        low and high bound 95 %; estimate and what follows
-        are NaN where the log does not know them.
+        That is standard_error, low, high and flags; session is None for one that all sessions share. Numbers
+        are SI; unit is the one people read them in. low and high bound 95 %; estimate and what follows are
+        NaN where the log does not know them, and standard_error is where a bound holds the parameter.
         """
         return pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
 
@@ -100,22 +141,27 @@ class Result:
         table.insert(0, "name", names * len(fit.groups))
         table.insert(1, "joint", fit.law.joint)
         table["unit"] = [parameter.unit for parameter in parameters] * len(fit.groups)
-        error = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
+        error = np.sqrt(np.where(variance > 0, variance, np.nan))
         columns = (fit.values, error, fit.interval[..., 0], fit.interval[..., 1])
         for name, column in zip(("estimate", "standard_error", "low", "high"), columns, strict=True):
             table[name] = np.where(fit.known, column, np.nan).ravel()
         table["flags"] = self._flags(fit, names)
-        return table
+        common = table["name"].isin(fit.shared)
+        table["session"] = table["session"].astype(object).mask(common, None)
+        return table[~(common & table.duplicated(["name", "direction"]))]
 
     def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
+        """What is wrong with each parameter; a shared one has the flags of all its sessions."""
         raised: dict[tuple[str, str, str], list[str]] = {}
         for remark in self.remarks:
             if remark.joint == fit.law.joint:
-                sessions = [remark.session] if remark.session else fit.groups["session"].unique()
-                for session, name in product(sessions, remark.parameters):
-                    raised.setdefault((session, remark.direction, name), []).append(remark.flag)
+                for name in remark.parameters:
+                    everywhere = not remark.session or name in fit.shared
+                    for session in fit.groups["session"].unique() if everywhere else [remark.session]:
+                        raised.setdefault((session, remark.direction, name), []).append(remark.flag)
         return [
-            tuple(raised.get((session, direction, name), ()))
+            tuple(dict.fromkeys(raised.get((session, direction, name), ())))
             for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
             for name in names
         ]

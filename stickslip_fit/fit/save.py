@@ -81,7 +81,7 @@ def _parameters(table: pd.DataFrame) -> list[dict[str, Any]]:
             "name": row.name,
             "joint": int(row.joint),
             "direction": str(row.direction),
-            "session": str(row.session),
+            "session": None if row.session is None else str(row.session),
             "unit": row.unit,
             **{number: _number(from_si(getattr(row, number), row.unit)) for number in numbers},
             "flags": list(row.flags),
@@ -95,6 +95,7 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
         "law": describe_law(fit.law),
         "sessions": [str(session) for session in fit.groups["session"]],
         "directions": [str(direction) for direction in fit.groups["direction"]],
+        "shared": list(fit.shared),
         "values": _numbers(fit.values),
         "known": fit.known.tolist(),
         "covariance": _numbers(fit.covariance),
@@ -146,6 +147,7 @@ def _joint_from_json(item: dict[str, Any], machine: Machine) -> JointFit:
             way: Repeatability(**{**found, "value": np.nan if found["value"] is None else found["value"]})
             for way, found in item["repeatability"].items()
         },
+        shared=tuple(item.get("shared", ())),
     )
 
 

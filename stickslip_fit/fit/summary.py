@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.units import format_uncertain, format_value, from_si, text_table
 
@@ -30,13 +31,13 @@ def unique_messages(result: Result) -> list[str]:
 def _joint(fit: JointFit, table: pd.DataFrame) -> str:
     sessions = list(dict.fromkeys(fit.groups["session"]))
     shown = table[table["session"].isin(sessions[-MOST_SESSIONS:])]
-    names = [parameter.name for parameter in fit.law.parameters]
+    names = [parameter.name for parameter in fit.law.parameters if parameter.name not in fit.shared]
     rows = []
     for (session, direction), group in shown.groupby(["session", "direction"], sort=False):
         cells = [format_uncertain(row.estimate, row.standard_error, row.unit) for row in group.itertuples()]
         rows.append([str(session), str(direction), *cells])
     noise = ", ".join(
-        f"{way} {format_value(found.value, '%', 2)} ({found.source}, {found.freedom} degrees of freedom)"
+        f"{way} {format_value(found.value, '%', 2)} ({_source(found)})"
         for way, found in fit.repeatability.items()
         if found.freedom > 0
     )
@@ -44,7 +45,21 @@ def _joint(fit: JointFit, table: pd.DataFrame) -> str:
     omitted = len(sessions) - MOST_SESSIONS
     if omitted > 0:
         title += f"\n(the last {MOST_SESSIONS} sessions; {omitted} earlier ones are left out here)"
-    return title + "\n" + text_table(["session", "", *names], rows, left=2)
+    parts = [title]
+    if names:
+        parts.append(text_table(["session", "", *names], rows, left=2))
+    if fit.shared:
+        common = table[table["session"].isna()]
+        cells = [
+            f"{row.name} {row.direction} {format_uncertain(row.estimate, row.standard_error, row.unit)}"
+            for row in common.itertuples()
+        ]
+        parts.append(f"the same in all sessions: {', '.join(cells)}")
+    return "\n".join(parts)
+
+
+def _source(found: Repeatability) -> str:
+    return "given" if found.source == "given" else f"{found.source}, {found.freedom} degrees of freedom"
 
 
 def profile_summary(table: pd.DataFrame) -> str:

@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.fit.bayes.ensembles import AGREED
 from stickslip_fit.fit.bayes.sample import TRUSTED, Sample
+from stickslip_fit.fit.bayes.wild_counts import wild_counts
 from stickslip_fit.fit.identifiability import configuration_rows, describe, known_parameters
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.machine import Machine
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-# In robust standard deviations; heavy tails that are nothing wrong do not reach so far.
-WILD = 10.0
-NORMAL_OVER_MEDIAN = 1.4826
 
 
 def remarks(
@@ -50,10 +46,11 @@ def _not_converged(sample: Sample, direction: str) -> list[Remark]:
         return []
     worst = sample.quality
     k_hat, agreement, size = worst["k_hat"].max(), worst["r_hat"].max(), worst["ess_bulk"].min()
-    if agreement >= AGREED or size < sample.target_ess:
+    if sample.trusted:
         what = (
-            f"the ensembles do not agree yet after {sample.steps} steps each (R-hat {agreement:.3f}, "
-            f"{size:.0f} effective draws of {sample.target_ess}); allow more steps"
+            f"the ensembles are not worth enough independent draws after {sample.steps} steps each (R-hat "
+            f"{agreement:.3f}, {size:.0f} effective draws of {sample.target_ess}); allow more steps, and "
+            "where that does not help use tighter priors or log more traverses"
         )
     else:
         what = (
@@ -87,11 +84,10 @@ def _few_replicates(sample: Sample, direction: str) -> Remark:
 
 
 def _wild_counts(sample: Sample, direction: str, residual: Array) -> list[Remark]:
-    size = NORMAL_OVER_MEDIAN * np.median(np.abs(residual))
     found = []
-    for index in np.flatnonzero(np.abs(residual) > WILD * max(size, sample.prior.repeatability / WILD)):
+    for index, off in wild_counts(sample.traverses, sample.prior, residual).items():
         row = sample.traverses.rows.iloc[index]
-        expected = row["steps"] * np.exp(-residual[index])
+        expected = row["steps"] * np.exp(-off)
         what = (
             f"the count {row['steps']} of {row['time']} is wildly off, {expected:.0f} were to be expected; "
             "correct it, or exclude the traverse"

@@ -15,6 +15,7 @@ from stickslip_fit.fit.bayes.ensembles import AGREED, Chains, walk
 from stickslip_fit.fit.bayes.exact import Draws, draw_back, resample, smooth
 from stickslip_fit.fit.bayes.expansion import expand
 from stickslip_fit.fit.bayes.laplace import fit_guess
+from stickslip_fit.fit.bayes.marginal import Marginal
 from stickslip_fit.fit.bayes.priors import Prior
 from stickslip_fit.fit.bayes.traverses import Traverses
 
@@ -27,6 +28,8 @@ TRUSTED = 0.7  # largest k-hat at which importance weights can be smoothed
 # The levels are walked for a little longer than asked, and more draws are kept, since every quantity is to be
 # known well, and R-hat itself scatters where draws are few.
 RESERVE, KEPT, FEWEST = 1.5, 2.5, 2500
+# Where uneven weights cost so many draws that too few are left, the walk goes on for so many times as many.
+LONGER = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +63,15 @@ class Sample:
     target_ess: int
 
     @property
+    def trusted(self) -> bool:
+        """Whether the importance weights can be smoothed."""
+        return bool((self.quality["k_hat"] < TRUSTED).all())
+
+    @property
     def converged(self) -> bool:
         """Whether every quantity may be reported."""
-        quality = self.quality
-        agreed = (quality["r_hat"] < AGREED) & (quality["ess_bulk"] >= self.target_ess)
-        return bool((agreed & (quality["k_hat"] < TRUSTED)).all())
+        agreed = (self.quality["r_hat"] < AGREED) & (self.quality["ess_bulk"] >= self.target_ess)
+        return self.trusted and bool(agreed.all())
 
 
 def sample(
@@ -81,19 +88,28 @@ def sample(
     rng = np.random.default_rng(seed)
     marginal, mode, covariance = expand(traverses, prior)
     guess = fit_guess(marginal.log_density, mode, covariance, rng)
-    wanted = int(RESERVE * target_ess)
-    chains = _thinned(
-        walk(marginal.log_density, guess, seed, backends, wanted, max_steps, on_step), target_ess
-    )
+    for longer in LONGER:
+        wanted = longer * target_ess
+        chains = walk(marginal.log_density, guess, seed, backends, int(RESERVE * wanted), max_steps, on_step)
+        found = _weighted(traverses, marginal, _thinned(chains, wanted), target_ess, rng)
+        if found.converged or not found.trusted or chains.steps == max_steps:
+            break
+    return found
+
+
+def _weighted(
+    traverses: Traverses, marginal: Marginal, chains: Chains, target_ess: int, rng: np.random.Generator
+) -> Sample:
+    """Sessions drawn back at the levels walked through, weighted to the exact posterior."""
     ensembles, *_, dimensions = chains.x.shape
     draws, log_weight = draw_back(traverses, marginal, chains.x.reshape(-1, dimensions), rng)
     weight, k_hat = smooth(log_weight)
-    quality = _quality(draws, traverses, prior, chains.x.shape[:3], weight, k_hat)
+    quality = _quality(draws, traverses, marginal.prior, chains.x.shape[:3], weight, k_hat)
     by_ensemble = weight.reshape(ensembles, -1)
     size = by_ensemble.shape[1]
     taken = np.concatenate([i * size + resample(own, rng) for i, own in enumerate(by_ensemble)])
     return Sample(
-        traverses, prior, draws.take(taken), chains.log_density.ravel()[taken], log_weight[taken],
+        traverses, marginal.prior, draws.take(taken), chains.log_density.ravel()[taken], log_weight[taken],
         ensembles, chains.steps, quality, target_ess,
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -201,13 +202,19 @@ def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campa
     assert result.parameters["standard_error"].notna().all()
 
 
-def test_a_count_wildly_off_is_named(campaign, read):
-    table = campaign(sessions=SESSIONS, settings=JOINT_3, directions=("+",))
-    table.loc[7, "steps"] = 5 * round(1.4 * table.loc[7, "steps"] / 5)
+@pytest.mark.parametrize("factor", [10.0, 1.3, 0.1])
+@pytest.mark.parametrize("sessions", [1, 12])
+def test_a_count_wildly_off_is_named_and_no_other(campaign, read, sessions, factor):
+    """Though it pulls its whole session: one alone has no neighbours to show it up, many make it stand out."""
+    days = tuple(f"2012-03-{day:02d}" for day in range(5, 5 + sessions))
+    table = campaign(sessions=days, settings=JOINT_3, directions=("+",))
+    table.loc[7, "steps"] = 5 * round(factor * table.loc[7, "steps"] / 5)
     result = bayes(read(table), progress=False).result
-    remark = next(remark for remark in result.remarks if remark.flag == "wild_count")
-    assert remark.session == SESSIONS[0]
+    [remark] = [remark for remark in result.remarks if remark.flag == "wild_count"]
+    assert remark.session == days[0]
     assert f"count {table.loc[7, 'steps']} of" in remark.message
+    expected = float(re.search(r"off, (\d+) were", remark.message).group(1))
+    assert expected == pytest.approx(table.loc[7, "steps"] / factor, rel=0.02)
 
 
 def test_what_has_not_converged_is_no_number(log):
