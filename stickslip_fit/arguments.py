@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from stickslip_fit.fit import Result
+    from stickslip_fit.fit.bayes import Posterior
     from stickslip_fit.logs import Log
     from stickslip_fit.machine import Machine
     from stickslip_fit.moves import Calibrated, Drive
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     Array = npt.NDArray[np.float64]
 
 _DRIVE = re.compile(r"([123])([+-])([1-9]\d{0,11})")
+_BOUND = re.compile(r"(\w+)=([^:]*):([^:]*)")
+_REPEATABILITY = re.compile(r"(?:([123])([+-])=)?(\d{1,6}(?:\.\d{1,12})?|\.\d{1,12})")
 
 
 def command() -> str:
@@ -51,6 +54,19 @@ def result_of(paths: list[Path], machine: Path | None) -> Result:
             raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
         return load_result(paths[0])
     return least_squares(log_of(paths, machine), command=command())
+
+
+def fitted_of(paths: list[Path], machine: Path | None) -> tuple[Result | Posterior, Result]:
+    """What to predict with: draws saved with `fit --tree`, or a result; and the result in any case."""
+    if len(paths) == 1 and paths[0].suffix == ".nc":
+        from stickslip_fit.fit.bayes import load_posterior
+
+        if machine is not None:
+            raise InputError("saved draws carry their own machine: leave --machine out, or give the log")
+        posterior = load_posterior(paths[0])
+        return posterior, posterior.result
+    result = result_of(paths, machine)
+    return result, result
 
 
 def law_values_of(path: Path, machine: Machine) -> LawValues:
@@ -135,6 +151,40 @@ def drive_of(text: str, option: str) -> Drive:
             )
         )
     return Drive(int(match[1]), match[2], int(match[3]))
+
+
+def bound_of(text: str, option: str) -> tuple[str, tuple[float, float]]:
+    """Bounds such as "c=0:" or "b=0.2:0.4": a parameter's name, lowest and highest value in its unit."""
+    from stickslip_fit.laws import Base, Elbow, Prismatic
+    from stickslip_fit.units import to_si
+
+    laws = (Base, Elbow, Prismatic)
+    units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
+    match = _BOUND.fullmatch(text.strip())
+    if match is None or match[1] not in units or not (match[2] or match[3]):
+        names = ", ".join(units)
+        raise InputError(
+            Problem(f"give NAME=LOW:HIGH, e.g. b=0.2:0.4 or c=0:; names: {names}", column=option, value=text)
+        )
+    try:
+        low, high = float(match[2] or "-inf"), float(match[3] or "inf")
+    except ValueError:
+        raise InputError(Problem("give numbers, e.g. b=0.2:0.4", column=option, value=text)) from None
+    return match[1], (to_si(low, units[match[1]]), to_si(high, units[match[1]]))
+
+
+def repeatabilities_of(texts: tuple[str, ...], option: str) -> dict[tuple[int, str], float]:
+    """Repeatabilities such as "0.3" (of every joint and direction) or "3+=0.25", in per cent."""
+    found: dict[tuple[int, str], float] = {}
+    for text in texts:
+        match = _REPEATABILITY.fullmatch(text.strip())
+        if match is None:
+            raise InputError(
+                Problem("give per cent, e.g. 0.3, or for one drive 3+=0.3", column=option, value=text)
+            )
+        drives = [(int(match[1]), match[2])] if match[1] else [(j, way) for j in (1, 2, 3) for way in "+-"]
+        found |= dict.fromkeys(drives, float(match[3]) / 100)
+    return found
 
 
 def default_output(paths: list[Path]) -> Path:

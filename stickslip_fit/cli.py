@@ -16,6 +16,7 @@ from stickslip_fit.arguments import (
     command,
     default_output,
     drive_of,
+    fitted_of,
     joint_order,
     law_values_of,
     log_of,
@@ -24,14 +25,17 @@ from stickslip_fit.arguments import (
     tip_position,
 )
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimating import Estimator, Outputs, estimate, refuse, save
 from stickslip_fit.files import check_folder
 from stickslip_fit.options import (
     At,
     Calibration,
+    Chart,
     Json,
     LogPath,
     MachinePath,
     Method,
+    PlanPath,
     Psi,
     Session,
     Since,
@@ -40,7 +44,6 @@ from stickslip_fit.options import (
 )
 
 if TYPE_CHECKING:
-    from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
 
 app = typer.Typer(
@@ -61,10 +64,15 @@ def check(log: LogPath, machine: MachinePath = None, since: Since = None, until:
 
 @app.command()
 def calibrate(
-    log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None, json: Json = None
+    log: LogPath,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    json: Json = None,
+    chart: Chart = None,
 ) -> None:
     """Calibrate each session from its first few traverses."""
-    fit(log, Method.closed_form, machine, since, until, json, False, False, 0, None)
+    _fit(log, machine, since, until, Estimator(Method.closed_form), Outputs(json, chart))
 
 
 @app.command()
@@ -75,6 +83,7 @@ def fit(
     since: Since = None,
     until: Until = None,
     json: Json = None,
+    chart: Chart = None,
     heavy_tails: Annotated[
         bool,
         typer.Option("--heavy-tails", help="Least squares: Student's t, so that misheard stops pull little."),
@@ -82,26 +91,95 @@ def fit(
     profile: Annotated[
         bool, typer.Option("--profile", help="Least squares: show profile-likelihood intervals too.")
     ] = False,
+    campaign_wide: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Least squares: a parameter that all sessions share; repeatable."),
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW:HIGH", help="Least squares: bounds of a parameter; repeatable."),
+    ] = None,
+    repeatability: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[JOINT±=]PERCENT", help="Least squares: known repeatability, e.g. 0.3 or 3+=0.25."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
     walks: Annotated[
         Path | None,
         typer.Option(help="Bayes: HDF5 file that keeps the walks; the same call carries on there."),
     ] = None,
+    tree: Annotated[
+        Path | None, typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads.")
+    ] = None,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
-    from stickslip_fit.fit import save_result
-    from stickslip_fit.fit.expectation import expectation, expectation_text
+    terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
+    how = Estimator(method, heavy_tails, profile, *terms, seed, walks)
+    _fit(log, machine, since, until, how, Outputs(json, chart, tree))
 
-    _refuse_foreign_options(method, heavy_tails, profile, walks)
+
+@app.command()
+def predict(
+    calibration: Calibration,
+    plan: PlanPath,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse.")
+    ] = None,
+    session: Session = None,
+    machine: MachinePath = None,
+) -> None:
+    """Say what counts the traverses of a plan will give, with 95 % intervals."""
+    from stickslip_fit.files import write_atomically
+    from stickslip_fit.fit.predict import predict_plan
+    from stickslip_fit.logs.read_plan import read_plan
+    from stickslip_fit.report.predictions import predictions_csv, predictions_text
+
+    if output is not None:
+        check_folder(output)
+    fitted, result = fitted_of(calibration, machine)
+    planned = read_plan(plan, result.machine)
+    predicted = predict_plan(fitted, planned, session)
+    print(predictions_text(result, planned, predicted))
+    if output is not None:
+        write_atomically(output, predictions_csv(planned, predicted))
+        print(f"\nall {len(predicted):,} written to {output}")
+
+
+@app.command()
+def anova(
+    log: LogPath,
+    joint: Annotated[int | None, typer.Option(min=1, max=3, help="Of this joint only.")] = None,
+    session: Annotated[str | None, typer.Option(help="Within this session only.")] = None,
+    formula: Annotated[
+        str | None, typer.Option(help="A model of one's own, e.g. 'step_size ~ C(session) * direction'.")
+    ] = None,
+    kind: Annotated[
+        int, typer.Option("--type", min=1, max=3, help="Formula: type of the sums of squares.")
+    ] = 2,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    json: Json = None,
+) -> None:
+    """Say which factors matter: day, direction, normal force; or those of a formula."""
+    from stickslip_fit.anova import analyse, save_records
+    from stickslip_fit.anova import formula as by_formula
+
     if json is not None:
         check_folder(json)
     campaign = log_of(log, machine, since, until)
-    result, text = _estimate(campaign, method, heavy_tails, seed, walks)
-    print(f"{text}\n\n{expectation_text(expectation(result))}")
-    if profile:
-        print("\n" + _profile(campaign, result))
+    if formula is None:
+        found = analyse(campaign, joint=joint, session=session)
+        text, records = str(found), found.to_json()
+    else:
+        tables = by_formula(campaign, formula, joint=joint, session=session, kind=kind)
+        text = "\n\n".join(map(str, tables))
+        records = [record for table in tables for record in table.to_json()]
+    print(text)
     if json is not None:
-        save_result(result, json)
+        save_records(records, json)
         print(f"\nsaved to {json}")
 
 
@@ -122,7 +200,7 @@ def report(
 
 @app.command()
 def simulate(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")],
+    plan: PlanPath,
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
     law: Annotated[Path, typer.Option(help="Law file (TOML), or a result saved with `fit --json`.")],
     machine: MachinePath = None,
@@ -142,7 +220,7 @@ def simulate(
 
 @app.command()
 def sheet(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")],
+    plan: PlanPath,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="CSV to fill in; a page to print goes beside it.")
     ],
@@ -276,37 +354,19 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _refuse_foreign_options(method: Method, heavy_tails: bool, profile: bool, walks: Path | None) -> None:
-    if (method is not Method.least_squares and (heavy_tails or profile)) or (heavy_tails and profile):
-        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
-    if method is not Method.bayes and walks is not None:
-        raise InputError("--walks belongs to --method bayes")
-
-
-def _estimate(
-    log: Log, method: Method, heavy_tails: bool, seed: int, walks: Path | None
-) -> tuple[Result, str]:
-    from stickslip_fit.fit import closed_form, least_squares, summary
-    from stickslip_fit.fit.likelihood import Gaussian, StudentT
-
-    if method is Method.bayes:
-        from stickslip_fit.fit.bayes import bayes
-
-        watched = sys.stderr.isatty()
-        posterior = bayes(log, seed=seed, backend=walks, progress=watched, command=command())
-        return posterior.result, str(posterior)
-    if method is Method.closed_form:
-        result = closed_form(log, command=command())
-    else:
-        result = least_squares(log, likelihood=StudentT() if heavy_tails else Gaussian(), command=command())
-    return result, summary(result)
-
-
-def _profile(log: Log, result: Result) -> str:
-    from stickslip_fit.fit.profile import profile_intervals
-    from stickslip_fit.fit.summary import profile_summary
-
-    return profile_summary(profile_intervals(log, result))
+def _fit(
+    paths: list[Path],
+    machine: Path | None,
+    since: str | None,
+    until: str | None,
+    how: Estimator,
+    outputs: Outputs,
+) -> None:
+    refuse(how, outputs)
+    found = estimate(log_of(paths, machine, since, until), how)
+    print(found.text)
+    if saved := save(found, outputs):
+        print("\n" + "\n".join(saved))
 
 
 def _write_report(log: Log, output: Path) -> Path:

@@ -18,6 +18,10 @@ MachinePath = Annotated[
 Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
 Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
 Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
+Chart = Annotated[
+    Path | None, typer.Option("--chart", help="Also draw the control chart here: .png, .svg or .pdf.")
+]
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")]
 Calibration = Annotated[
     list[Path],
     typer.Argument(

@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from stickslip_fit import cli
@@ -14,6 +15,24 @@ from stickslip_fit import cli
 ROOT = Path(__file__).parents[1]
 CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
 REFERENCE = ROOT / "data" / "reference"
+
+
+PLAN = """
+replicates = 15
+[sessions]
+dates = [2012-03-20]
+[[sweep]]
+joint = 3
+q2_deg = [-30]
+[[sweep]]
+joint = 2
+q3_mm = [6]
+"""
+SWEEP = (
+    {"joint": 3, "q2_deg": -90.0},
+    {"joint": 3, "q2_deg": -45.0},
+    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
+)
 
 
 @pytest.fixture
@@ -100,6 +119,73 @@ def test_a_saved_fit_can_be_simulated_from(run, log, tmp_path):
     assert (status, err) == (0, "")
 
 
+@pytest.mark.parametrize(
+    ("verb", "name", "begins"),
+    [("calibrate", "c.png", b"\x89PNG"), ("fit", "c.svg", b"<?xml"), ("fit", "c.PDF", b"%PDF")],
+)
+def test_the_control_chart_is_drawn_and_the_same_each_time(
+    run, campaign, tmp_path, monkeypatch, verb, name, begins
+):
+    """Whatever the date, which this variable tells Matplotlib."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP)).to_csv(tmp_path / "log.csv", index=False)
+    status, out, _ = run(verb, tmp_path / "log.csv", "--chart", tmp_path / name)
+    assert status == 0
+    assert out.endswith(f"control chart written to {tmp_path / name}\n")
+    first = (tmp_path / name).read_bytes()
+    assert first.startswith(begins)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+    run(verb, tmp_path / "log.csv", "--chart", tmp_path / name)
+    assert (tmp_path / name).read_bytes() == first
+
+
+def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    run("fit", log, "--json", tmp_path / "fit.json")
+    status, out, err = run("predict", tmp_path / "fit.json", plan, "-o", tmp_path / "counts.csv")
+    assert (status, err) == (0, "")
+    assert "by the calibration of session 2012-03-06" in out
+    assert "(the first 40 of 60 traverses; -o writes them all)" in out
+    shown = [line for line in out.splitlines() if line.startswith("2012-03-20")]
+    assert len(shown) == 40
+    assert len({line.rindex(" to ") for line in shown}) == 1, "columns line up"
+    foretold = pd.read_csv(tmp_path / "counts.csv")
+    assert len(foretold) == 60
+    assert re.sub(",", "", shown[0]).split()[-6] == str(foretold.loc[0, "steps"])
+    truth = campaign(
+        ("2012-03-06",), ({"joint": 3, "q2_deg": -30.0}, {"joint": 2, "q3_mm": 6.0}), repeatability=0.0
+    )
+    for row in truth.itertuples():
+        mine = foretold[(foretold["joint"] == row.joint) & (foretold["direction"] == row.direction)]
+        assert mine["low"].iloc[0] <= row.steps <= mine["high"].iloc[0]
+        assert mine["high"].iloc[0] - mine["low"].iloc[0] < 0.03 * row.steps
+    assert foretold["step_size_nm"].notna().equals(foretold["joint"] == 3)
+    assert foretold["step_size_urad"].notna().equals(foretold["joint"] == 2)
+
+
+def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    run("fit", log, "--json", tmp_path / "fit.json")
+    by_log = run("predict", log, plan, "--session", "2012-03-05")
+    assert by_log == run("predict", tmp_path / "fit.json", plan, "--session", "2012-03-05")
+    assert by_log != run("predict", log, plan)
+
+
+def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
+    table = campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP))
+    table.to_csv(tmp_path / "log.csv", index=False)
+    status, out, _ = run("fit", tmp_path / "log.csv", "--method", "bayes", "--tree", tmp_path / "fit.nc")
+    assert status == 0
+    assert re.search(r"^3 \+ +0\.\d\d +0\.\d\d +0\.\d\d +-?\d+\.\d ± ", out, re.M)
+    assert "The counts look like the model's own." in out
+    (tmp_path / "plan.toml").write_text(PLAN.split("[[sweep]]\njoint = 2")[0])
+    status, out, _ = run("predict", tmp_path / "fit.nc", tmp_path / "plan.toml")
+    assert status == 0
+    assert "by the calibration of a session to come" in out
+
+
 def test_the_demo_ends_with_a_report(run, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     status, out, _ = run("demo")
@@ -136,11 +222,20 @@ def test_the_demo_runs_on_measured_campaigns(run, monkeypatch, tmp_path, name):
         (["fit", "{log}", "--machine", "absent.toml"], "absent.toml"),
         (["report", "{log}", "-o", "absent/report.html"], "absent/report.html"),
         (["fit", "{log}", "--json", "absent/fit.json"], "absent/fit.json"),
+        (["fit", "{log}", "--chart", "chart.gif"], "chart.gif: is no kind of picture"),
+        (["fit", "{log}", "--chart", "absent/chart.png"], "absent/chart.png"),
+        (["fit", "{log}", "--tree", "fit.nc"], "--tree belongs to --method bayes"),
+        (["fit", "{log}", "--method", "bayes", "--tree", "fit.h5"], "--tree, value 'fit.h5': is netCDF"),
+        (["predict", "{log}", "absent.toml"], "absent.toml"),
+        (["predict", "absent.nc", "absent.toml"], "absent.nc"),
+        (["predict", "{log}", "plan.toml", "--session", "never"], "session 'never' was not fitted"),
+        (["predict", "{log}", "plan.toml", "-o", "absent/counts.csv"], "absent/counts.csv"),
         (["simulate", "absent.toml", "--law", "absent.toml", "-o", "x.csv"], "absent.toml"),
     ],
 )
 def test_bad_input_ends_with_one_message_and_status_2(run, log, monkeypatch, arguments, told):
     monkeypatch.chdir(log.parent)
+    Path("plan.toml").write_text(PLAN)
     status, _, err = run(*[str(argument).format(log=log) for argument in arguments])
     assert status == 2
     assert told in err

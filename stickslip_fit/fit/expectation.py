@@ -1,8 +1,9 @@
-"""Whether the latest session lies where the sessions before it lead one to expect."""
+"""Whether a session lies where the sessions before it lead one to expect."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from scipy.stats import t as student_t
 
@@ -10,11 +11,11 @@ from stickslip_fit.fit.result import Result
 from stickslip_fit.units import from_si
 
 FEWEST = 3  # sessions before; with two, anything would be as expected
-SURPRISE = 0.01  # over all parameters together
+SURPRISE = 0.01  # over all parameters of a session together
 
 
-def expectation(result: Result) -> pd.DataFrame:
-    """The latest session's parameters beside what the earlier sessions predict for them.
+def control_chart(result: Result) -> pd.DataFrame:
+    """Every session's parameters beside what the sessions before it predict for them.
 
     Parameters
     ----------
@@ -24,26 +25,41 @@ def expectation(result: Result) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        name, joint, direction, session, unit, estimate, expected_low, expected_high (SI), surprising.
-        The range holds all parameters of a drive that changes from session to session as it did so far
-        in 99 of 100 cases (Student's t, Bonferroni over the parameters listed). Parameters with fewer
-        than three earlier sessions are not listed.
+        name, joint, direction, session, unit, estimate, low, high (its 95 %), expected_low, expected_high
+        (SI) and surprising. The range holds all parameters of a drive that changes from session to session
+        as it did so far in 99 of 100 sessions (Student's t, Bonferroni over the session's parameters that
+        have a range); it is NaN with fewer than three earlier sessions. Parameters that are not known, and
+        those that all sessions share, are not listed.
     """
-    table = result.parameters.dropna(subset=["estimate"])
-    rows = []
-    for _, history in table.groupby(["joint", "direction", "name"], sort=False):
-        earlier, today = history["estimate"].to_numpy()[:-1], history.iloc[-1]
-        if len(earlier) >= FEWEST:
-            rows.append(
-                (today, earlier.mean(), earlier.std(ddof=1) * np.sqrt(1 + 1 / len(earlier)), len(earlier))
-            )
-    found = pd.DataFrame([today for today, *_ in rows], columns=table.columns).reset_index(drop=True)
-    found = found[["name", "joint", "direction", "session", "unit", "estimate"]]
-    middle, spread, sessions = (np.array([row[k] for row in rows], dtype=float) for k in (1, 2, 3))
-    reach = spread * student_t.ppf(1 - SURPRISE / 2 / max(len(rows), 1), sessions - 1)
-    found["expected_low"], found["expected_high"] = middle - reach, middle + reach
-    found["surprising"] = np.abs(found["estimate"].to_numpy(float) - middle) > reach
-    return found
+    table = result.parameters.dropna(subset=["estimate", "session"])
+    chart = table[["name", "joint", "direction", "session", "unit", "estimate", "low", "high"]]
+    chart = chart.reset_index(drop=True)
+    histories = chart.groupby(["joint", "direction", "name"], sort=False)["estimate"]
+    earlier = histories.cumcount().to_numpy()
+    middle, spread = np.full(len(chart), np.nan), np.full(len(chart), np.nan)
+    for _, history in histories:
+        middle[history.index], spread[history.index] = _expected(history.to_numpy(float))
+    told = earlier >= FEWEST
+    together = np.maximum(pd.Series(told).groupby(chart["session"]).transform("sum").to_numpy(), 1)
+    freedom = np.where(told, earlier - 1, 1)
+    reach = spread * student_t.ppf(1 - SURPRISE / 2 / together, freedom)
+    chart["expected_low"], chart["expected_high"] = middle - reach, middle + reach
+    chart["surprising"] = np.abs(chart["estimate"] - middle) > reach
+    return chart
+
+
+def expectation(result: Result) -> pd.DataFrame:
+    """The latest session's parameters beside what the earlier sessions predict for them.
+
+    Returns
+    -------
+    DataFrame
+        The last row of each parameter in `control_chart`. Parameters with fewer than three earlier sessions
+        are not listed.
+    """
+    chart = control_chart(result)
+    latest = chart.groupby(["joint", "direction", "name"], sort=False).tail(1)
+    return latest.dropna(subset=["expected_low"]).reset_index(drop=True)
 
 
 def expectation_text(found: pd.DataFrame) -> str:
@@ -66,3 +82,12 @@ def expectation_text(found: pd.DataFrame) -> str:
         for row in odd.itertuples(index=False)
     ]
     return "\n".join([f"session {session} is not where the sessions before it lead one to expect:", *lines])
+
+
+def _expected(estimates: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Mean and standard deviation of the next estimate after each stretch of the past, shape (2, n)."""
+    found = np.full((2, len(estimates)), np.nan)
+    for k in range(FEWEST, len(estimates)):
+        past = estimates[:k]
+        found[:, k] = past.mean(), past.std(ddof=1) * np.sqrt(1 + 1 / k)
+    return found

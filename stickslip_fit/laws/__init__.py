@@ -7,6 +7,7 @@ from stickslip_fit.laws.parameter import Configuration, Parameter
 from stickslip_fit.laws.prismatic import Prismatic
 from stickslip_fit.laws.published import constant_law, describe_law, published_law, restore_law
 from stickslip_fit.laws.rotary import Base, BaseAtOneReach, Elbow, Rotary
+from stickslip_fit.laws.state import State, state_at
 
 __all__ = [
     "Base",
@@ -18,6 +19,7 @@ __all__ = [
     "Prismatic",
     "Rotary",
     "Rows",
+    "State",
     "StepLaw",
     "column",
     "constant_law",
@@ -27,5 +29,6 @@ __all__ = [
     "restore_law",
     "rounding_variance",
     "seen_count",
+    "state_at",
     "travel",
 ]

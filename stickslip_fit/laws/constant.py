@@ -6,6 +6,7 @@ import numpy as np
 
 from stickslip_fit.laws.law import Array, Counter, Rows, StepLaw, column, travel
 from stickslip_fit.laws.parameter import Configuration, Parameter
+from stickslip_fit.laws.state import State
 from stickslip_fit.machine import PRISMATIC
 
 
@@ -27,13 +28,13 @@ class ConstantStep(StepLaw):
         unit = "nm" if joint == PRISMATIC else "µrad"
         self.parameters = (Parameter("gamma", unit, "step size everywhere", lower=0.0),)
 
-    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size`."""
-        return np.broadcast_to(np.atleast_2d(values)[:, :1], position.shape)
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        return values[:, :1]
 
-    def step_size_slopes(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size_slopes`."""
-        return np.ones((*position.shape, 1))
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        return np.ones((len(values), 1, 1))
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""

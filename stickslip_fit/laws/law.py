@@ -12,6 +12,7 @@ import numpy.typing as npt
 from stickslip_fit.laws.count import expected_steps, rounding_variance
 from stickslip_fit.laws.parameter import Configuration, Parameter
 from stickslip_fit.laws.quadrature import integrate
+from stickslip_fit.laws.state import State, state_at
 
 Array = npt.NDArray[np.float64]
 Rows = Mapping[str, Any]
@@ -53,25 +54,24 @@ class StepLaw(ABC):
     widest: float = np.inf
 
     @abstractmethod
-    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """Step size with the joint at `position`.
+    def gamma(self, state: State, values: Array) -> Array:
+        """Step size in a state.
 
         Parameters
         ----------
-        rows : mapping of str to array, shape (n,)
-        position : array, shape (n, k)
-            Positions of the moving joint, rad or m.
-        values : array, shape (p,) or (n, p)
+        state : State
+            n traverses at k positions each.
+        values : array, shape (n, p)
 
         Returns
         -------
-        array, shape (n, k)
+        array, shape (n, k) or (n, 1)
             rad or m per step.
         """
 
     @abstractmethod
-    def step_size_slopes(self, rows: Rows, position: Array, values: Array) -> Array:
-        """Derivatives of `step_size` by each parameter, shape (n, k, p)."""
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """Derivatives of `gamma` by each parameter, shape (n, k or 1, p)."""
 
     @abstractmethod
     def start_values(self, mean_step: Array) -> Array:
@@ -88,6 +88,24 @@ class StepLaw(ABC):
     @abstractmethod
     def calibration(self) -> tuple[Configuration, ...]:
         """The configurations whose full traverses make every parameter known."""
+
+    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
+        """Step size with the joint at `position`.
+
+        Parameters
+        ----------
+        rows : mapping of str to array, shape (n,)
+        position : array, shape (n, k)
+            Positions of the moving joint, rad or m.
+        values : array, shape (p,) or (n, p)
+
+        Returns
+        -------
+        array, shape (n, k)
+            rad or m per step.
+        """
+        values = np.broadcast_to(values, (len(position), len(self.parameters)))
+        return np.broadcast_to(self.gamma(state_at(self.joint, rows, position), values), position.shape)
 
     def counter(self, rows: Rows) -> Counter:
         """How the steps over these traverses follow from parameter values.
@@ -110,8 +128,9 @@ class StepLaw(ABC):
 
             def integrand(owner: npt.NDArray[np.intp], position: Array) -> Array:
                 taken = {name: array[owner] for name, array in arrays.items()}
-                gamma = self.step_size(taken, position, values[owner])
-                slopes = self.step_size_slopes(taken, position, values[owner])
+                state = state_at(self.joint, taken, position)
+                gamma = np.broadcast_to(self.gamma(state, values[owner]), position.shape)
+                slopes = self.gamma_slopes(state, values[owner])
                 with np.errstate(divide="ignore", invalid="ignore"):
                     rate = np.where(gamma > 0, 1.0 / gamma, np.nan)[..., None]
                     return np.concatenate([rate, -slopes * rate**2], axis=-1)

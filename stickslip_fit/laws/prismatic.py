@@ -8,6 +8,7 @@ import numpy as np
 
 from stickslip_fit.laws.law import Array, Counter, Rows, StepLaw, column, travel
 from stickslip_fit.laws.parameter import Configuration, Parameter
+from stickslip_fit.laws.state import State
 from stickslip_fit.machine import PRISMATIC, published_load
 
 
@@ -27,17 +28,15 @@ class Prismatic(StepLaw):
         Parameter("c", "nm", "step size lost to the full load"),
     )
 
-    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size`."""
-        kept, net = _factors(self.features(rows), values)
-        return np.broadcast_to((kept * net)[:, None], position.shape)
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        kept, net = _factors(state.recoil, state.load, values[:, None, :])
+        return kept * net
 
-    def step_size_slopes(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size_slopes`."""
-        features = self.features(rows)
-        kept, net = _factors(features, values)
-        slopes = np.stack([kept, -features[:, 0] * net, -kept * features[:, 1]], axis=-1)
-        return np.broadcast_to(slopes[:, None, :], (*position.shape, 3))
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        kept, net = _factors(state.recoil, state.load, values[:, None, :])
+        return np.stack(np.broadcast_arrays(kept, -state.recoil * net, -kept * state.load), axis=-1)
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -63,11 +62,10 @@ class Prismatic(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`; NaN where the step size is not above 0."""
-        length, features = travel(rows), self.features(rows)
-        recoil, load = features.T
+        length, (recoil, load) = travel(rows), self.features(rows).T
 
         def count(values: Array) -> tuple[Array, Array]:
-            kept, net = _factors(features, values)
+            kept, net = _factors(recoil, load, values)
             with np.errstate(divide="ignore", invalid="ignore"):
                 counts = np.where((kept > 0) & (net > 0), length / (kept * net), np.nan)
                 slopes = np.stack([-counts / net, counts * recoil / kept, counts * load / net], axis=-1)
@@ -76,7 +74,6 @@ class Prismatic(StepLaw):
         return count
 
 
-def _factors(features: Array, values: Array) -> tuple[Array, Array]:
-    """What recoil leaves, 1 - b |cos q2|, and what load leaves, a - c u; each shape (n,)."""
-    a, b, c = np.broadcast_to(values, (len(features), 3)).T
-    return 1.0 - b * features[:, 0], a - c * features[:, 1]
+def _factors(recoil: Array, load: Array, values: Array) -> tuple[Array, Array]:
+    """What recoil leaves, 1 - b recoil, and what load leaves, a - c load; values' last axis is a, b, c."""
+    return 1.0 - values[..., 1] * recoil, values[..., 0] - values[..., 2] * load

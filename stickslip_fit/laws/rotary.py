@@ -10,6 +10,7 @@ import numpy as np
 from stickslip_fit.laws.harmonic import harmonic_counts
 from stickslip_fit.laws.law import Array, Counter, Rows, StepLaw, column
 from stickslip_fit.laws.parameter import Configuration, Parameter
+from stickslip_fit.laws.state import State
 from stickslip_fit.machine import Machine, published_load, reach
 
 
@@ -21,26 +22,34 @@ class Rotary(StepLaw):
     """
 
     @abstractmethod
-    def basis(self, rows: Rows) -> Array:
-        """Weights of each gamma0_k and d_k, shape (n, m)."""
+    def weights(self, q2: Array, q3: Array) -> list[Array]:
+        """Weight of each gamma0_k and d_k where joints 2 and 3 stand, m arrays of one shape."""
 
     @abstractmethod
     def swing(self, rows: Rows) -> tuple[Array, Array]:
         """Amplitude and phase of the load, u = amplitude cos(q - phase), each shape (n,)."""
 
+    def basis(self, rows: Rows) -> Array:
+        """Weights of each gamma0_k and d_k, shape (n, m)."""
+        q2 = column(rows, "q2") if "q2" in self.columns else np.zeros(len(column(rows, "q3")))
+        return np.stack(self.weights(q2, column(rows, "q3")), axis=-1)
+
     def coefficients(self, rows: Rows, values: Array) -> tuple[Array, Array]:
         """gamma0 and d of each row, rad, each shape (n,)."""
         return _weighted(self.basis(rows), values)
 
-    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size`."""
-        gamma0, d = self.coefficients(rows, values)
-        return gamma0[:, None] + d[:, None] * self._load(rows, position)
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        weights = self.weights(state.q2, state.q3)
+        gamma0 = sum(weight * values[:, k, None] for k, weight in enumerate(weights))
+        d = sum(weight * values[:, len(weights) + k, None] for k, weight in enumerate(weights))
+        return gamma0 + d * state.load
 
-    def step_size_slopes(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size_slopes`."""
-        basis = np.broadcast_to(self.basis(rows)[:, None, :], (*position.shape, len(self.parameters) // 2))
-        return np.concatenate([basis, basis * self._load(rows, position)[..., None]], axis=-1)
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        weights = self.weights(state.q2, state.q3)
+        slopes = [*weights, *(weight * state.load for weight in weights)]
+        return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`; NaN where the step size is not above 0 all round."""
@@ -60,10 +69,6 @@ class Rotary(StepLaw):
         amplitude, phase = self.swing(rows)
         load = np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1)
         return np.concatenate([self.basis(rows), load], axis=1)
-
-    def _load(self, rows: Rows, position: Array) -> Array:
-        amplitude, phase = self.swing(rows)
-        return amplitude[:, None] * np.cos(position - phase[:, None])
 
 
 def _weighted(basis: Array, values: Array) -> tuple[Array, Array]:
@@ -94,11 +99,11 @@ class Elbow(Rotary):
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
 
-    def basis(self, rows: Rows) -> Array:
-        """See `Rotary.basis`."""
+    def weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `Rotary.weights`."""
         low, high = self.machine.ranges[3]
-        out = (column(rows, "q3") - low) / (high - low)
-        return np.stack([1.0 - out, out], axis=-1)
+        out = (q3 - low) / (high - low)
+        return [1.0 - out, out]
 
     def swing(self, rows: Rows) -> tuple[Array, Array]:
         """u2 = cos(theta) sin(psi - q2)."""
@@ -147,10 +152,10 @@ class Base(Rotary):
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
 
-    def basis(self, rows: Rows) -> Array:
-        """See `Rotary.basis`."""
-        rho = reach(self.machine, column(rows, "q2"), column(rows, "q3"))
-        return np.stack([np.ones_like(rho), rho], axis=-1)
+    def weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `Rotary.weights`."""
+        rho = reach(self.machine, q2, q3)
+        return [np.ones_like(rho), rho]
 
     def swing(self, rows: Rows) -> tuple[Array, Array]:
         """u1 = cos(theta) sin(psi) sin(q1) + sin(theta) cos(q1)."""
@@ -206,9 +211,9 @@ class BaseAtOneReach(Base):
         self.q2 = q2
         self.q3 = q3
 
-    def basis(self, rows: Rows) -> Array:
-        """See `Rotary.basis`."""
-        return np.ones((len(column(rows, "q2")), 1))
+    def weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `Rotary.weights`."""
+        return [np.ones_like(q2)]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""

@@ -49,6 +49,11 @@ class Log:
     def __str__(self) -> str:
         return self.summary()
 
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import log_html
+
+        return log_html(self)
+
     @property
     def sessions(self) -> tuple[str, ...]:
         """Labels of the sessions, in the order in which they began."""

@@ -8,10 +8,10 @@ from stickslip_fit.fit import Result
 from stickslip_fit.logs import Log
 from stickslip_fit.report import accuracy
 from stickslip_fit.report.figures.configurations import configurations_picture
+from stickslip_fit.report.figures.control import control_picture
 from stickslip_fit.report.figures.departures import departures_picture
 from stickslip_fit.report.figures.errors import errors_picture
 from stickslip_fit.report.figures.load_coefficient import load_coefficient_picture
-from stickslip_fit.report.figures.parameters import parameters_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.prismatic import prismatic_pictures
 from stickslip_fit.report.figures.rotary import rotary_pictures
@@ -36,7 +36,7 @@ def joint_pictures(
     rows = traverses_of(joint, log, calibration, fit)
     sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
     d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
-    return [departures_picture(rows), *sweeps, *d, parameters_picture(joint, calibration, fit)]
+    return [departures_picture(rows), *sweeps, *d, control_picture(joint, fit)]
 
 
 def gallery(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
+from stickslip_fit.anova import analyse
 from stickslip_fit.fit import Result
 from stickslip_fit.fit import errors as errors_of
 from stickslip_fit.logs import Log
@@ -15,6 +16,7 @@ from stickslip_fit.report import accuracy, calibrated, measured
 from stickslip_fit.report.answer import answer, answer_table
 from stickslip_fit.report.claims import claims_table
 from stickslip_fit.report.d_table import d_table
+from stickslip_fit.report.factors import cautions, factors
 from stickslip_fit.report.gallery import gallery
 from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.report.remarks import remarks
@@ -45,6 +47,7 @@ def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *,
     errors = errors_of(log, calibration, constant)
     coefficients = load_coefficients(log, calibration, fit)
     compared = calibrated.compared(calibration, fit)
+    variance = analyse(log)
     return _template().render(
         title=_title(log),
         answer=answer(log, calibration, errors),
@@ -60,6 +63,8 @@ def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *,
         accuracy_explained=accuracy.explain(errors),
         accuracy=_accuracy(errors, log),
         claims=claims_table(errors) if len(errors) else None,
+        factors=factors(variance),
+        cautions=cautions(variance),
         remarks=remarks(calibration, fit),
         provenance=_provenance(log, fit, command),
     )

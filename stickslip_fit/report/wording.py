@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from math import isfinite
 
@@ -14,6 +15,7 @@ MINUS = "\N{MINUS SIGN}"
 NO_BREAK = "\N{NO-BREAK SPACE}"
 UNKNOWN = "not known"
 DECIMALS = {"nm": 1, "µrad": 2}  # a tenth of what a traverse repeats to
+_NEGATIVE = re.compile(r"(?<= )-(?=\d)")
 SAME_ANGLE, SAME_PART = 1e-9, 1e-6  # rad; share of the travel
 
 
@@ -138,6 +140,17 @@ def place(name: str, value: float) -> str:
     ('q3 = 12 mm', 'theta = 0°')
     """
     return f"{name} = {length(value) if name == 'q3' else angle(value)}"
+
+
+def typeset(text: str) -> str:
+    """Angles of a plain text as a page has them.
+
+    Examples
+    --------
+    >>> typeset("theta -90 deg, q3 12 mm")
+    'theta −90°, q3 12 mm'
+    """
+    return _NEGATIVE.sub(MINUS, text).replace(" deg", "°")
 
 
 def count(how_many: int, what: str) -> str:

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import binom, ttest_ind
 
-from stickslip_fit.fit import least_squares
-from stickslip_fit.fit.expectation import expectation, expectation_text
+from stickslip_fit.fit import closed_form, least_squares
+from stickslip_fit.fit.expectation import control_chart, expectation, expectation_text
 from stickslip_fit.logs import read_log
 
 CALIBRATION = (
@@ -65,3 +68,63 @@ def test_three_sessions_are_too_few(campaign, tmp_path):
     found = expectation(fitted(campaign(sessions=days, settings=CALIBRATION), tmp_path))
     assert found.empty
     assert "too few to say" in expectation_text(found)
+
+
+def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, tmp_path):
+    """The limit is where the test's p reaches 1 % over the session's six parameters."""
+    chart = control_chart(fitted(drifting(0.93), tmp_path))
+    checked = 0
+    for _, history in chart.groupby(["direction", "name"]):
+        estimates = history["estimate"].to_numpy()
+        for k, row in enumerate(history.itertuples()):
+            if k < 3:
+                assert np.isnan(row.expected_low)
+                assert not row.surprising
+                continue
+            at_limit = [
+                ttest_ind(estimates[:k], [end]).pvalue for end in (row.expected_low, row.expected_high)
+            ]
+            assert at_limit == pytest.approx([0.01 / 6] * 2)
+            assert row.surprising == (ttest_ind(estimates[:k], [row.estimate]).pvalue < 0.01 / 6)
+            checked += 1
+    assert checked == 6 * 7
+    assert 0 < chart["surprising"].sum() < checked
+
+
+def test_earlier_limits_are_those_that_were_seen_then(drifting, tmp_path):
+    """No session's limits know of a later one."""
+    drifting(1.0).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    chart = control_chart(closed_form(log))
+    for session in log.sessions[3:]:
+        then = expectation(closed_form(log.select(log.rows["session"] <= session)))
+        now = chart[chart["session"] == session].reset_index(drop=True)
+        limits = ["name", "direction", "expected_low", "expected_high", "surprising"]
+        pd.testing.assert_frame_equal(now[limits], then[limits])
+
+
+def test_one_usual_session_in_a_hundred_has_a_point_outside(drifting, tmp_path):
+    """Over 1,500 sessions whose parameters change independently."""
+    fit = fitted(drifting(1.0), tmp_path)
+    sessions, rng = 1500, np.random.default_rng(5)
+    names = np.repeat([f"day {number:04d}" for number in range(sessions)], 2)
+    groups = pd.DataFrame({"session": names.astype(object), "direction": ["+", "-"] * sessions})
+    size = (len(groups), 3)
+    usual = replace(
+        fit.joints[3],
+        groups=groups,
+        values=rng.normal([970e-9, 0.3, 430e-9], [10e-9, 0.01, 10e-9], size),
+        known=np.ones(size, dtype=bool),
+        covariance=np.full((*size, 3), np.nan),
+        interval=np.full((*size, 2), np.nan),
+    )
+    chart = control_chart(replace(fit, joints={3: usual}))
+    outside = chart.groupby("session", sort=False)["surprising"].any().sum()
+    assert binom.ppf(0.001, sessions, 0.01) <= outside <= binom.ppf(0.999, sessions, 0.01)
+
+
+def test_what_all_sessions_share_has_no_chart(drifting, tmp_path):
+    drifting(1.0).to_csv(tmp_path / "log.csv", index=False)
+    chart = control_chart(least_squares(read_log(tmp_path / "log.csv"), shared=["b"]))
+    assert set(chart["name"]) == {"a", "c"}
+    assert chart["expected_low"].notna().sum() == 4 * 7

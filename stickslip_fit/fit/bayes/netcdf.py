@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.files import write_atomically
 from stickslip_fit.fit.bayes.posterior import Posterior
 from stickslip_fit.fit.bayes.priors import Priors
 from stickslip_fit.fit.save import load_result, save_result
@@ -28,11 +29,8 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
         "priors": json.dumps(posterior.priors.to_json()),
         "diagnostics": json.dumps(quality.to_dict(orient="list")),
     }
+    write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
     save_result(posterior.result, path.with_suffix(".json"))
-    try:
-        tree.to_netcdf(path, engine="h5netcdf")
-    except OSError as error:
-        raise InputError(Problem(f"cannot be written ({error}); give another path", str(path))) from None
 
 
 def load_posterior(path: str | Path) -> Posterior:

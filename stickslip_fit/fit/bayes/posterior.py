@@ -9,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.fit.bayes.means import BOUNDS
 from stickslip_fit.fit.bayes.priors import Priors
 from stickslip_fit.fit.bayes.tree import branch_name
 from stickslip_fit.fit.result import Result
 from stickslip_fit.fit.summary import summary
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset, DataTree
 
 Array = npt.NDArray[np.float64]
@@ -41,12 +43,73 @@ class Posterior:
     diagnostics: pd.DataFrame
 
     def __str__(self) -> str:
+        return f"{summary(self.result)}\n\n{self.quality}\n\nPriors\n{self.priors}"
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import posterior_html
+
+        return posterior_html(self)
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> Figure:
+        """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
+
+        Raises
+        ------
+        InputError
+            If there is no such session, joint or direction, or its draws have not converged.
+        """
+        from stickslip_fit.report.figures.corner import plot_draws
+
+        return plot_draws(self, joint, direction, session)
+
+    def plot_forest(self, joint: int) -> Figure:
+        """Every session's parameters of a joint beside the campaign's mean.
+
+        Raises
+        ------
+        InputError
+            If the joint was not fitted.
+        """
+        from stickslip_fit.report.figures.forest import plot_forest
+
+        return plot_forest(self.result, joint, self.campaign_means())
+
+    def plot_control(self) -> Figure:
+        """See `Result.plot_control`."""
+        return self.result.plot_control()
+
+    @property
+    def quality(self) -> str:
+        """How good the draws are, in a line."""
         worst = self.diagnostics
-        quality = (
+        return (
             f"R-hat up to {worst['r_hat'].max():.4f}, at least {worst['ess_bulk'].min():.0f} "
             f"effective draws, k-hat up to {worst['k_hat'].max():.2f}"
         )
-        return f"{summary(self.result)}\n\n{quality}\n\nPriors\n{self.priors}"
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Steps and step size for traverses of fitted sessions and new ones; see `bayes.predict.predict`."""
+        from stickslip_fit.fit.bayes.predict import predict
+
+        return predict(self, rows)
+
+    def campaign_means(self) -> pd.DataFrame:
+        """Means that the sessions' parameters scatter about; what is not known is not listed.
+
+        Returns
+        -------
+        DataFrame
+            name, joint, direction, estimate, low, high (95 %), SI.
+        """
+        tables = []
+        for joint, direction in self.groups:
+            fit, mean = self.result.joints[joint], self.draws(joint, direction, "mean")
+            low, high = np.quantile(mean, BOUNDS, axis=0)
+            names = list(self.priors.prior(joint, direction).names)
+            columns = {"estimate": mean.mean(axis=0), "low": low, "high": high}
+            table = pd.DataFrame({"name": names, "joint": joint, "direction": direction} | columns)
+            tables.append(table[fit.known[(fit.groups["direction"] == direction).to_numpy()].any(axis=0)])
+        return pd.concat(tables, ignore_index=True)
 
     def branch(self, joint: int, direction: str) -> DataTree:
         """The tree's branch for a joint and direction."""
@@ -59,8 +122,15 @@ class Posterior:
 
     def draws(self, joint: int, direction: str, name: str) -> Array:
         """Draws of mean, spread, repeatability or parameters, chains end to end; shape (d, ...), SI."""
-        posterior: Dataset = self.branch(joint, direction)["posterior"].to_dataset()
-        values = posterior[name].to_numpy()
+        return self._drawn(joint, direction, "posterior", name)
+
+    def prior_draws(self, joint: int, direction: str, name: str) -> Array:
+        """As `draws`, before the counts were seen; fewer of them."""
+        return self._drawn(joint, direction, "prior", name)
+
+    def _drawn(self, joint: int, direction: str, group: str, name: str) -> Array:
+        dataset: Dataset = self.branch(joint, direction)[group].to_dataset()
+        values = dataset[name].to_numpy()
         return values.reshape(-1, *values.shape[2:])
 
     def sessions(self, joint: int, direction: str) -> list[str]:

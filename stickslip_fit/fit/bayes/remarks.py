@@ -32,7 +32,7 @@ def remarks(
     """
     slopes = sample.traverses.law.jacobian(sample.traverses.rows, values[sample.traverses.groups.of_row])
     known, *_ = known_parameters((slopes.T @ slopes)[None], sample.prior.width[None])
-    found = _not_converged(sample, direction) + _wild_counts(sample, direction, residual)
+    found = _not_converged(sample, direction) + wild_counts(sample.traverses, sample.prior, residual)
     if not known.all():
         found.append(_not_identified(sample, machine, direction, slopes, known[0]))
     freedom = len(residual) - _campaign_rank(sample, slopes)
@@ -83,19 +83,6 @@ def _few_replicates(sample: Sample, direction: str) -> Remark:
     return _remark("few_replicates", sample, direction, what)
 
 
-def _wild_counts(sample: Sample, direction: str, residual: Array) -> list[Remark]:
-    found = []
-    for index, off in wild_counts(sample.traverses, sample.prior, residual).items():
-        row = sample.traverses.rows.iloc[index]
-        expected = row["steps"] * np.exp(-off)
-        what = (
-            f"the count {row['steps']} of {row['time']} is wildly off, {expected:.0f} were to be expected; "
-            "correct it, or exclude the traverse"
-        )
-        found.append(_remark("wild_count", sample, direction, what, session=str(row["session"])))
-    return found
-
-
 def _campaign_rank(sample: Sample, slopes: Array) -> int:
     """How many numbers the sessions, each by itself, take from the counts."""
     padded = sample.traverses.padded(slopes * sample.prior.width, 0.0)
@@ -103,13 +90,8 @@ def _campaign_rank(sample: Sample, slopes: Array) -> int:
 
 
 def _remark(
-    flag: str,
-    sample: Sample,
-    direction: str,
-    what: str,
-    parameters: tuple[str, ...] | None = None,
-    session: str = "",
+    flag: str, sample: Sample, direction: str, what: str, parameters: tuple[str, ...] | None = None
 ) -> Remark:
     joint = sample.traverses.law.joint
-    where = f"joint {joint}, direction {direction}" + (f", session {session}" if session else "")
-    return Remark(flag, joint, direction, session, parameters or sample.prior.names, f"{where}: {what}")
+    message = f"joint {joint}, direction {direction}: {what}"
+    return Remark(flag, joint, direction, "", parameters or sample.prior.names, message)

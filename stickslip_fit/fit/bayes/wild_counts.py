@@ -10,6 +10,7 @@ import numpy.typing as npt
 from stickslip_fit.fit.bayes.expansion import expand
 from stickslip_fit.fit.bayes.priors import Prior
 from stickslip_fit.fit.bayes.traverses import Traverses
+from stickslip_fit.fit.remark import Remark
 
 Array = npt.NDArray[np.float64]
 
@@ -20,27 +21,41 @@ FREEDOM = 5.0
 PASSES = 5
 
 
-def wild_counts(traverses: Traverses, prior: Prior, residual: Array) -> dict[int, float]:
-    """Rows whose counts are wildly off, and by how much.
+def wild_counts(traverses: Traverses, prior: Prior, residual: Array) -> list[Remark]:
+    """Name every count that is wildly off, with what the others lead one to expect.
 
     Parameters
     ----------
     traverses : Traverses
     prior : Prior
     residual : array, shape (n,)
-        Of the posterior means.
+        Of any fit: where all are small, no count is off, and nothing needs to be done.
 
     Returns
     -------
-    dict of int to float
-        Position of each such row, and log(steps) seen over what the other counts lead one to expect.
+    list of Remark
     """
-    if np.all(np.abs(residual) < SUSPECT * prior.repeatability):
-        return {}
+    if _is_fine(residual, prior):
+        return []
     doubted = _doubting(traverses, prior)
     # How large a residual is nothing special: as most are, and no less than is believed beforehand.
     size = max(NORMAL_OVER_MEDIAN * float(np.median(np.abs(doubted))), prior.repeatability)
-    return {int(index): float(doubted[index]) for index in np.flatnonzero(np.abs(doubted) > WILD * size)}
+    wild = np.abs(doubted) > WILD * size
+    rows = traverses.rows[wild].assign(expected=np.exp(traverses.y - doubted)[wild])
+    joint = traverses.law.joint
+    return [
+        Remark(
+            "wild_count", joint, str(row.direction), str(row.session), prior.names,
+            f"joint {joint}, direction {row.direction}, session {row.session}: the count {row.steps} of "
+            f"{row.time} is wildly off, {row.expected:.0f} were to be expected; correct it, or exclude the "
+            "traverse",
+        )
+        for row in rows.itertuples()
+    ]  # fmt: skip
+
+
+def _is_fine(residual: Array, prior: Prior) -> bool:
+    return bool(np.all(np.abs(residual) < SUSPECT * prior.repeatability))
 
 
 def _doubting(traverses: Traverses, prior: Prior) -> Array:
@@ -56,5 +71,7 @@ def _doubting(traverses: Traverses, prior: Prior) -> Array:
         given = marginal.conditional(x[None])
         z = given.sessions(given.centre)[:, :, 0].T
         residual[traverses.place[there]] = (marginal.response - np.vecdot(marginal.slopes, z[:, None]))[there]
+        if _is_fine(residual, prior):
+            break
         doubt = residual**2 / FREEDOM
     return residual

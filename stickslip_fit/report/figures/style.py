@@ -11,10 +11,11 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
+from stickslip_fit.report.figures.drawing import Drawing
 from stickslip_fit.report.wording import plain
 
 Shared = bool | Literal["none", "all", "row", "col"]
@@ -101,11 +102,35 @@ def canvas(
     -------
     Figure, array of Axes with shape (rows, columns)
     """
-    rows = len(heights)
-    tall = top + bottom + sum(heights) + down * (rows - 1)
-    figure = Figure(figsize=(WIDTH, tall))
+    tall = height(heights, top, bottom, down)
+    figure = Drawing(figsize=(WIDTH, tall))
+    margins = {"left": left, "right": right, "top": top, "bottom": bottom, "across": across, "down": down}
+    return figure, grid(figure, heights, columns, **margins, share_x=share_x, share_y=share_y)
+
+
+def height(heights: Sequence[float], top: float, bottom: float, down: float) -> float:
+    """Inches that a `grid` takes up."""
+    return top + bottom + sum(heights) + down * (len(heights) - 1)
+
+
+def grid(
+    parent: FigureBase,
+    heights: Sequence[float],
+    columns: int,
+    *,
+    left: float,
+    right: float,
+    top: float,
+    bottom: float,
+    across: float,
+    down: float,
+    share_x: Shared,
+    share_y: Shared,
+) -> npt.NDArray[np.object_]:
+    """A grid of axes, as `canvas` has it, in a figure or a part of one that is `height` tall."""
+    rows, tall = len(heights), height(heights, top, bottom, down)
     wide = (WIDTH - left - right - across * (columns - 1)) / columns
-    axes = figure.subplots(
+    return parent.subplots(
         rows,
         columns,
         sharex=share_x,
@@ -121,7 +146,6 @@ def canvas(
             "hspace": down / (sum(heights) / rows),
         },
     )
-    return figure, axes
 
 
 def legend_rows(entries: Sequence[Line2D]) -> int:
@@ -130,12 +154,12 @@ def legend_rows(entries: Sequence[Line2D]) -> int:
     return int(np.ceil(wide / WIDTH))
 
 
-def legend(figure: Figure, entries: Sequence[Line2D]) -> None:
-    """One legend for all axes, along the figure's upper edge."""
+def legend(figure: FigureBase, entries: Sequence[Line2D], top: float = 1.0) -> None:
+    """One legend for all axes, along the figure's upper edge or where `top` is, a share of its height."""
     figure.legend(
         handles=list(entries),
         loc="upper left",
-        bbox_to_anchor=(0.0, 1.0),
+        bbox_to_anchor=(0.0, top),
         ncols=int(np.ceil(len(entries) / legend_rows(entries))),
         borderaxespad=0.1,
     )

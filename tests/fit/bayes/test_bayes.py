@@ -205,7 +205,7 @@ def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campa
 @pytest.mark.parametrize("factor", [10.0, 1.3, 0.1])
 @pytest.mark.parametrize("sessions", [1, 12])
 def test_a_count_wildly_off_is_named_and_no_other(campaign, read, sessions, factor):
-    """Though it pulls its whole session: one alone has no neighbours to show it up, many make it stand out."""
+    """Though it pulls its whole session, which others show up if there are others."""
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 5 + sessions))
     table = campaign(sessions=days, settings=JOINT_3, directions=("+",))
     table.loc[7, "steps"] = 5 * round(factor * table.loc[7, "steps"] / 5)

@@ -127,3 +127,20 @@ def test_a_linear_law_needs_no_weights_and_a_bent_one_little(
         marginal, _, _ = expand(each, prior)
         _, log_weight = draw_back(each, marginal, rng.normal(size=(2000, 4)), rng)
         assert np.std(log_weight) < most
+
+
+def test_what_uneven_weights_cost_is_walked_for(traverses, tight_prior, fitted, monkeypatch):
+    """Weights of 1 to 3000 leave a quarter of the draws."""
+    from stickslip_fit.fit.bayes import sample as module
+
+    def uneven(traverses, marginal, x, rng):
+        draws, log_weight = right(traverses, marginal, x, rng)
+        return draws, log_weight + rng.uniform(0.0, 8.0, len(x))
+
+    even = fitted(traverses, tight_prior, target_ess=1000, max_steps=1000)
+    right = module.draw_back
+    monkeypatch.setattr(module, "draw_back", uneven)
+    found = fitted(traverses, tight_prior, target_ess=1000, max_steps=1000)
+    assert found.converged
+    assert found.steps > 2 * even.steps
+    assert not fitted(traverses, tight_prior, target_ess=1000, max_steps=50).converged

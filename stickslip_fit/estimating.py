@@ -1,0 +1,159 @@
+"""What the verb `fit` does between reading a log and printing: estimate, tell, save."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stickslip_fit.arguments import bound_of, command, repeatabilities_of
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.files import check_folder
+from stickslip_fit.options import Method
+
+if TYPE_CHECKING:
+    from stickslip_fit.fit import Result
+    from stickslip_fit.fit.bayes import Posterior
+    from stickslip_fit.logs import Log
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """How to fit, as the options say it.
+
+    Attributes
+    ----------
+    method : Method
+    heavy_tails, profile : bool
+        Of least squares, as are the next three.
+    campaign_wide : tuple of str
+        Parameters that all sessions share.
+    bounds : tuple of str
+        As typed: NAME=LOW:HIGH.
+    repeatability : tuple of str
+        As typed: PERCENT or JOINT±=PERCENT.
+    seed : int
+    walks : Path or None
+        Of Bayes.
+    """
+
+    method: Method
+    heavy_tails: bool = False
+    profile: bool = False
+    campaign_wide: tuple[str, ...] = ()
+    bounds: tuple[str, ...] = ()
+    repeatability: tuple[str, ...] = ()
+    seed: int = 0
+    walks: Path | None = None
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write beside what is printed: the result, its control chart, the posterior's tree."""
+
+    json: Path | None = None
+    chart: Path | None = None
+    tree: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A result, what is printed of it, and by Bayes the posterior behind it."""
+
+    result: Result
+    text: str
+    posterior: Posterior | None = None
+
+
+def refuse(how: Estimator, outputs: Outputs) -> None:
+    """Refuse options that do not go together and files that could not be written, before any work.
+
+    Raises
+    ------
+    InputError
+    """
+    least_squares = how.method is Method.least_squares
+    if (not least_squares and (how.heavy_tails or how.profile)) or (how.heavy_tails and how.profile):
+        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
+    for option, texts in (
+        ("--campaign-wide", how.campaign_wide),
+        ("--bound", how.bounds),
+        ("--repeatability", how.repeatability),
+    ):
+        if texts and not least_squares:
+            raise InputError(f"{option} belongs to --method least-squares")
+    for option, given in (("--walks", how.walks), ("--tree", outputs.tree)):
+        if how.method is not Method.bayes and given is not None:
+            raise InputError(f"{option} belongs to --method bayes")
+    for path in (outputs.json, outputs.chart, outputs.tree):
+        if path is not None:
+            check_folder(path)
+    if outputs.chart is not None:
+        from stickslip_fit.report.chart import check_suffix
+
+        check_suffix(outputs.chart)
+    if outputs.tree is not None and outputs.tree.suffix != ".nc":
+        raise InputError(Problem("is netCDF: end its name in .nc", column="--tree", value=str(outputs.tree)))
+
+
+def estimate(log: Log, how: Estimator) -> Estimate:
+    """Fit a log and put the result into words."""
+    from stickslip_fit.fit import closed_form, least_squares, summary
+    from stickslip_fit.fit.expectation import expectation, expectation_text
+    from stickslip_fit.fit.likelihood import Gaussian, StudentT
+
+    if how.method is Method.bayes:
+        return _bayes(log, how)
+    if how.method is Method.closed_form:
+        result = closed_form(log, command=command())
+    else:
+        likelihood = StudentT() if how.heavy_tails else Gaussian()
+        result = least_squares(
+            log,
+            likelihood=likelihood,
+            shared=how.campaign_wide,
+            bounds=dict(bound_of(text, "--bound") for text in how.bounds),
+            repeatability=repeatabilities_of(how.repeatability, "--repeatability"),
+            command=command(),
+        )
+    parts = [summary(result), expectation_text(expectation(result))]
+    if how.profile:
+        from stickslip_fit.fit.profile import profile_intervals
+        from stickslip_fit.fit.summary import profile_summary
+
+        parts.append(profile_summary(profile_intervals(log, result)))
+    return Estimate(result, "\n\n".join(parts))
+
+
+def save(found: Estimate, outputs: Outputs) -> list[str]:
+    """Write the files that were asked for; a line for each."""
+    lines = []
+    if outputs.json is not None:
+        from stickslip_fit.fit import save_result
+
+        save_result(found.result, outputs.json)
+        lines.append(f"saved to {outputs.json}")
+    if outputs.tree is not None and found.posterior is not None:
+        from stickslip_fit.fit.bayes import save_posterior
+
+        save_posterior(found.posterior, outputs.tree)
+        lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
+    if outputs.chart is not None:
+        from stickslip_fit.report.chart import write_chart
+
+        write_chart(found.result, outputs.chart)
+        lines.append(f"control chart written to {outputs.chart}")
+    return lines
+
+
+def _bayes(log: Log, how: Estimator) -> Estimate:
+    import sys
+
+    from stickslip_fit.fit.bayes import bayes
+    from stickslip_fit.fit.bayes.checks_text import checks_text
+    from stickslip_fit.fit.expectation import expectation, expectation_text
+
+    watched = sys.stderr.isatty()
+    posterior = bayes(log, seed=how.seed, backend=how.walks, progress=watched, command=command())
+    told = expectation_text(expectation(posterior.result))
+    return Estimate(posterior.result, f"{posterior}\n\n{checks_text(posterior)}\n\n{told}", posterior)

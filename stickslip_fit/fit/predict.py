@@ -1,0 +1,133 @@
+"""What a plan's traverses will take, before anybody makes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.fit.bayes.posterior import Posterior
+from stickslip_fit.fit.result import Result
+from stickslip_fit.laws import seen_count
+from stickslip_fit.logs.plan import Plan
+
+TRAVERSE = ["joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
+NEW_SESSION = ""  # no session of a log has this name
+
+
+def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = None) -> pd.DataFrame:
+    """Counts that the traverses of a plan will give.
+
+    Parameters
+    ----------
+    fitted : Result or Posterior
+    plan : Plan
+    session : str, optional
+        Whose parameters to use. Without it, a Result takes for each joint and direction the latest session
+        that knows all of them; a Posterior predicts a session yet to come, from what the campaign's
+        sessions have in common and how far they spread.
+
+    Returns
+    -------
+    DataFrame, indexed as `Plan.rows`
+        calibration (the session whose parameters were used, empty for one yet to come), steps (as many as
+        will be noted at the next look for the stop), low, high (95 % interval of that count, repeatability
+        included) and step_size (mean over the traverse, rad or m). low and high are NaN where the fit
+        knows no error bars.
+
+    Raises
+    ------
+    InputError
+        For a joint, direction or session that was not fitted, one whose parameters are not all known, or
+        a traverse in which the joint would stall.
+    """
+    rows = plan.rows()
+    # A plan comes back to the same traverses; each is worked out once.
+    which = rows.groupby(TRAVERSE, dropna=False, sort=False).ngroup().to_numpy()
+    _, first = np.unique(which, return_index=True)
+    distinct = rows.iloc[first].reset_index(drop=True)
+    distinct["session"] = _calibrations(fitted, distinct, session)
+    predicted = fitted.predict(distinct)
+    _refuse_unknown(fitted, distinct, predicted)
+    found = predicted[["steps", "low", "high", "step_size"]].assign(calibration=distinct["session"])
+    found = found.iloc[which].set_axis(rows.index)
+    for name in ("steps", "low", "high"):
+        found[name] = _noted(found[name], rows["check_every"])
+    return found[["calibration", "steps", "low", "high", "step_size"]]
+
+
+def _calibrations(fitted: Result | Posterior, rows: pd.DataFrame, session: str | None) -> list[str]:
+    """Whose parameters each row is predicted by."""
+    result = fitted.result if isinstance(fitted, Posterior) else fitted
+    pairs = [(int(joint), str(way)) for joint, way in zip(rows["joint"], rows["direction"], strict=True)]
+    if session is not None:
+        _refuse_unfitted(result, session)
+        return [session] * len(rows)
+    if isinstance(fitted, Posterior):
+        return [NEW_SESSION] * len(rows)
+    latest = {pair: _latest(result, *pair) for pair in dict.fromkeys(pairs)}
+    return [latest[pair] for pair in pairs]
+
+
+def _latest(result: Result, joint: int, direction: str) -> str:
+    """The latest session that knows every parameter of a joint and direction, or else its latest."""
+    if joint not in result.joints:
+        raise InputError(f"joint {joint} was not fitted; this result knows joints {list(result.joints)}")
+    fit = result.joints[joint]
+    mine = (fit.groups["direction"] == direction).to_numpy()
+    if not mine.any():
+        raise InputError(
+            f"joint {joint} was not fitted in direction {direction}; leave it out of the plan, or log some "
+            "traverses in that direction"
+        )
+    known = mine & fit.known.all(axis=1)
+    return str(fit.groups["session"].to_numpy()[known if known.any() else mine][-1])
+
+
+def _refuse_unfitted(result: Result, session: str) -> None:
+    fitted = list(
+        dict.fromkeys(str(name) for fit in result.joints.values() for name in fit.groups["session"])
+    )
+    if session not in fitted:
+        raise InputError(f"session {session!r} was not fitted; sessions fitted: {', '.join(fitted)}")
+
+
+def _refuse_unknown(fitted: Result | Posterior, rows: pd.DataFrame, predicted: pd.DataFrame) -> None:
+    """A number that leans on what the log does not know is none, and neither is one at a stall."""
+    result = fitted.result if isinstance(fitted, Posterior) else fitted
+    problems: list[str] = []
+    for row, steps in zip(rows.itertuples(index=False), predicted["steps"], strict=True):
+        lacking = _lacking(result, int(row.joint), str(row.direction), str(row.session))
+        if lacking:
+            problems += lacking
+        elif not np.isfinite(steps):
+            problems.append(
+                f"joint {row.joint} would stall in a planned traverse in direction {row.direction}: the law "
+                "gives a step size of zero or less there; leave it out of the plan"
+            )
+    if problems:
+        raise InputError([Problem(message) for message in dict.fromkeys(problems)])
+
+
+def _lacking(result: Result, joint: int, direction: str, session: str) -> list[str]:
+    """Why the parameters for a session are not all known; empty where they are."""
+    fit = result.joints[joint]
+    mine = (fit.groups["direction"] == direction).to_numpy()
+    if session != NEW_SESSION:
+        mine = mine & (fit.groups["session"] == session).to_numpy()
+    if fit.known[mine].all():
+        return []
+    return [
+        remark.message
+        for remark in result.remarks
+        if (remark.joint, remark.direction) == (joint, direction)
+        and remark.session in ("", session)
+        and remark.flag in ("not_identified", "not_converged")
+    ] or [f"joint {joint}, direction {direction}: not every parameter is known"]
+
+
+def _noted(steps: pd.Series, check_every: pd.Series) -> pd.Series:
+    """Counts as they will be noted; NaN stays NaN."""
+    known = np.isfinite(steps.to_numpy(float))
+    seen = seen_count(np.where(known, steps, 1.0), check_every)
+    return pd.Series(np.where(known, seen, np.nan), index=steps.index)

@@ -1,0 +1,178 @@
+"""Logs and results as a notebook shows them: one small piece of HTML that needs nothing but itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from stickslip_fit.fit import JointFit, Result
+from stickslip_fit.fit.expectation import expectation, expectation_text
+from stickslip_fit.fit.repeatability import Repeatability
+from stickslip_fit.logs import Log
+from stickslip_fit.report.measured import coverage_table, facts, sessions_table
+from stickslip_fit.report.remarks import remarks
+from stickslip_fit.report.table import Column, Table
+from stickslip_fit.report.wording import count, joint_name, listed, percent, uncertain, way
+
+if TYPE_CHECKING:
+    from stickslip_fit.fit.bayes import Posterior
+
+MOST_SESSIONS = 12
+MOST_FILES = 3
+MOST_REMARKS = 8
+ALL_SESSIONS = "all sessions"
+FLAGS = {
+    "at_bound": "at the edge of what is possible",
+    "not_identified": "cannot be known from this log",
+    "not_converged": "not converged",
+    "few_replicates": "too few replicates for error bars",
+    "repeatability_doubted": "counts scatter unlike the repeatability given",
+    "wild_count": "a count is wildly off",
+}
+
+
+def result_html(result: Result) -> str:
+    """A result: what is wrong with it, parameters by session, provenance."""
+    return _result_html(result, [], [])
+
+
+def posterior_html(posterior: Posterior) -> str:
+    """A posterior: as a result, with how good its draws are, and its priors."""
+    return _result_html(posterior.result, [posterior.quality], [("Priors", str(posterior.priors))])
+
+
+def log_html(log: Log) -> str:
+    """A log: what was driven in its latest sessions, what it covers, its files."""
+    latest = log.sessions[-MOST_SESSIONS:]
+    sessions = sessions_table(log.select(log.rows["session"].isin(latest)))
+    return _template().render(
+        title=f"Log {_files([name for name, _ in log.sources])}".strip(),
+        said=[facts(log)],
+        remarks=log.notes[:MOST_REMARKS],
+        tables=[replace(sessions, note=_latest(len(log.sessions))), coverage_table(log)],
+        folded=[],
+        provenance=[
+            *((name, f"sha256 {sha}") for name, sha in log.sources),
+            (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
+        ],
+    )
+
+
+def parameters_table(result: Result, joint: int) -> Table:
+    """One joint's parameters: sessions and directions down, parameters and remarks across."""
+    fit, table = result.joints[joint], result.parameters
+    table = table[table["joint"] == joint]
+    sessions = list(fit.groups["session"].unique())
+    shared = table["session"].isna()
+    shown = pd.concat([table[table["session"].isin(sessions[-MOST_SESSIONS:])], table[shared]])
+    heads = (Column("session", text=True), Column("direction", text=True))
+    parameters = [Column(each.name, each.unit.replace("1", "")) for each in fit.law.parameters]
+    rows = [
+        _row(fit, session, direction, mine)
+        for (session, direction), mine in shown.groupby(["session", "direction"], sort=False, dropna=False)
+    ]
+    columns = (*heads, *parameters, Column("remarks", text=True))
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+    note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), _latest(len(sessions))]))
+    return Table(f"Parameters of {joint_name(joint)}", columns, tuple(rows), stubs=2, note=note)
+
+
+def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str, str]]) -> str:
+    told = remarks(result)
+    if len(told) > MOST_REMARKS:
+        told = [
+            *told[:MOST_REMARKS],
+            f"{count(len(told) - MOST_REMARKS, 'more remark')}: print it to read all.",
+        ]
+    files, method = _files(result.provenance.log_files), result.method.replace("-", " ").capitalize()
+    return _template().render(
+        title=f"{method} fit of {files}" if files else f"{method} fit",
+        said=[*said, _begun_large(expectation_text(expectation(result)))],
+        remarks=told,
+        tables=[parameters_table(result, joint) for joint in result.joints],
+        folded=folded,
+        provenance=_provenance(result),
+    )
+
+
+def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
+    found = {row.name: row for row in table.itertuples(index=False)}
+    cells = [
+        uncertain(row.estimate, row.standard_error, row.unit) if (row := found.get(each.name)) else ""
+        for each in fit.law.parameters
+    ]
+    label = ALL_SESSIONS if pd.isna(session) else str(session)
+    return (label, way(direction), *cells, _flags(table))
+
+
+def _flags(table: pd.DataFrame) -> str:
+    """What is wrong with the parameters of a row, in words: "b, c: cannot be known from this log"."""
+    raised: dict[str, list[str]] = {}
+    for name, flags in zip(table["name"], table["flags"], strict=True):
+        for flag in dict.fromkeys(flags):
+            raised.setdefault(flag, []).append(name)
+    return "; ".join(
+        f"{listed(names) if len(names) < len(table) else 'all'}: {FLAGS.get(flag, flag.replace('_', ' '))}"
+        for flag, names in raised.items()
+    )
+
+
+def _repeatability(fit: JointFit) -> str:
+    known = [
+        f"{percent(found.value)} ({way(sign)}, {_source(found)})"
+        for sign, found in fit.repeatability.items()
+        if found.freedom > 0
+    ]
+    return f"Repeatability {listed(known)}." if known else "Repeatability not known."
+
+
+def _source(found: Repeatability) -> str:
+    return (
+        "given" if found.source == "given" else f"{found.source}, {count(found.freedom, 'degree')} of freedom"
+    )
+
+
+def _latest(sessions: int) -> str:
+    return f"The latest {MOST_SESSIONS} of {count(sessions, 'session')}." if sessions > MOST_SESSIONS else ""
+
+
+def _begun_large(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _files(names: Sequence[str]) -> str:
+    """The log's files in a title, without their folders; empty for a log that was never in a file."""
+    short = [Path(name).name for name in names[:MOST_FILES]]
+    if len(names) > MOST_FILES:
+        short.append(count(len(names) - MOST_FILES, "more file"))
+    return listed(short) if short else ""
+
+
+def _provenance(result: Result) -> list[tuple[str, str]]:
+    source = result.provenance
+    return [
+        ("log", f"{listed(source.log_files or ['no file'])}; sha256 {source.log_sha256}"),
+        (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),
+        ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
+        ("command", source.command or "none: made from Python"),
+        *([("seed", str(source.seed))] if source.seed is not None else []),
+    ]
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("stickslip_fit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("display.html.j2")

@@ -1,0 +1,182 @@
+"""Logs and results as a notebook shows them, read the way a browser would."""
+
+from __future__ import annotations
+
+import pytest
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.fit import least_squares
+from stickslip_fit.fit.bayes import bayes
+from stickslip_fit.logs import read_log
+
+CALIBRATION = (
+    {"joint": 3, "q2_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0},
+)
+SCRIPT = "<script>alert(1)</script>"
+IMAGE = '"><img src=x onerror=alert(2)>'
+JINJA = "{{ 7 * 7 }}"
+CLOSING = "</table></style></div>"
+SCALE = {"nm": 1e9, "µrad": 1e6, "µrad/mm": 1e3, "1": 1.0}
+CAPTION = "Parameters of joint 3 (prismatic)"
+
+
+def number(cell):
+    return float(cell.replace("−", "-"))
+
+
+@pytest.fixture(scope="module")
+def months(campaign, fitted):
+    """Fourteen sessions of joint 3."""
+    days = tuple(f"2012-03-{day:02d}" for day in range(1, 15))
+    return fitted(campaign(days, CALIBRATION), name="a<b>&.csv")
+
+
+@pytest.fixture(scope="module")
+def shown(months, read_page):
+    return read_page(months.fit._repr_html_())
+
+
+def test_cells_are_the_parameters_in_peoples_units(months, shown):
+    table = months.fit.parameters
+    for line, cells in enumerate(
+        zip(*(shown.column(CAPTION, head) for head in ("anm", "b", "cnm")), strict=True)
+    ):
+        session, direction = shown.tables[CAPTION][line][:2]
+        mine = table[(table["session"] == session) & (table["direction"] == direction.replace("−", "-"))]
+        for cell, row in zip(cells, mine.itertuples(), strict=True):
+            value, error = cell.split(" ± ")
+            digit = 0.5001 * 10.0 ** -len(error.partition(".")[2])
+            assert abs(number(value) - row.estimate * SCALE[row.unit]) <= digit
+            assert abs(number(error) - row.standard_error * SCALE[row.unit]) <= digit
+
+
+def test_the_last_twelve_sessions_are_shown_and_it_says_so(shown):
+    sessions = dict.fromkeys(row[0] for row in shown.tables[CAPTION])
+    assert list(sessions) == [f"2012-03-{day:02d}" for day in range(3, 15)]
+    assert "The latest 12 of 14 sessions." in shown.text
+
+
+def test_a_short_result_leaves_nothing_out(whole, read_page):
+    page = read_page(whole.fit._repr_html_())
+    assert "The latest" not in page.text
+    assert [len(page.tables[caption]) for caption in page.tables] == [4, 4, 4]
+
+
+def test_what_is_wrong_is_said_in_words(campaign, fitted, read_page):
+    poor = fitted(campaign(settings=CALIBRATION[:1], replicates=1, sessions=("2012-03-05",)))
+    page = read_page(poor.fit._repr_html_())
+    assert page.column(CAPTION, "b") == ["not known", "not known"]
+    for said in page.column(CAPTION, "remarks"):
+        assert "b and c: cannot be known from this log" in said
+        assert "too few replicates for error bars" in said
+    assert "missing: a full traverse at q2 = 0°" in page.text
+    assert "not_identified" not in page.text
+    assert "nan" not in page.text.lower().split()
+
+
+def test_parameters_that_all_sessions_share_are_shown_once(months, read_page):
+    shared = least_squares(months.log, shared=["b"])
+    page = read_page(shared._repr_html_())
+    of_all = [row for row in page.tables[CAPTION] if row[0] == "all sessions"]
+    table = shared.parameters[shared.parameters["session"].isna()]
+    assert [number(row[3].split(" ± ")[0]) for row in of_all] == pytest.approx(
+        list(table["estimate"]), abs=1e-4
+    )
+    assert {row[3] for row in page.tables[CAPTION] if row[0] != "all sessions"} == {""}
+
+
+def test_where_it_comes_from_is_folded_away(months, shown):
+    tags = [tag for tag, _ in shown.elements]
+    assert tags.index("details") > max(place for place, tag in enumerate(tags) if tag == "table")
+    assert not any("open" in attributes for tag, attributes in shown.elements if tag == "details")
+    source = months.fit.provenance
+    for known in (source.log_sha256, source.machine_sha256, source.versions["numpy"], "a<b>&.csv"):
+        assert known in shown.text
+
+
+def test_the_fragment_needs_and_touches_nothing_but_itself(months):
+    for html in (months.fit._repr_html_(), months.log._repr_html_()):
+        assert not any(word in html for word in ("http:", "https:", "@import", "url(", "<script", "<link"))
+        style = html.split("<style>")[1].split("</style>")[0]
+        rules = [line.split("{")[0].strip() for line in style.splitlines() if "{" in line]
+        assert rules
+        assert all(rule.startswith((".stickslip-fit", "@media")) for rule in rules)
+
+
+@pytest.mark.parametrize("name", [SCRIPT, IMAGE, JINJA, CLOSING, "A</details>B"])
+def test_a_hostile_session_name_is_shown_as_it_is_written(campaign, fitted, read_page, name):
+    table = campaign(settings=CALIBRATION, replicates=1)
+    table.loc[table["session"] == "2012-03-06", "session"] = name
+    found = fitted(table)
+    for shown in (found.log, found.fit, found.calibration):
+        page = read_page(shown._repr_html_())
+        assert name in [row[0] for rows in page.tables.values() for row in rows]
+        assert not {"script", "img"} & {tag for tag, _ in page.elements}
+        assert not any(key.startswith("on") for _, attributes in page.elements for key in attributes)
+
+
+def test_a_log_shows_what_was_driven(campaign, read_page, tmp_path):
+    table = campaign(tuple(f"2012-03-{day:02d}" for day in range(1, 15)), CALIBRATION)
+    table["status"] = ["interrupted"] + ["ok"] * (len(table) - 1)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    page = read_page(log._repr_html_())
+    sessions = page.tables["Sessions and traverses"]
+    assert [row[0] for row in sessions] == list(log.sessions[-12:])
+    assert {tuple(row[3:5]) for row in sessions} == {("6", "6")}
+    assert "The latest 12 of 14 sessions." in page.text
+    assert "1 interrupted traverse" in page.text
+    assert log.sha256 in page.text
+
+
+@pytest.fixture(scope="module")
+def posterior(months):
+    return bayes(months.log.select(months.log.rows["session"] > "2012-03-10"), progress=False)
+
+
+def test_a_posterior_shows_its_draws_quality_and_its_priors(posterior, read_page):
+    page = read_page(posterior._repr_html_())
+    assert posterior.quality in page.text
+    assert "campaign mean" in page.text
+    assert page.text.count("Where this comes from") == 1
+    assert len(page.tables[CAPTION]) == 8
+
+
+def test_a_posterior_that_has_not_converged_shows_no_numbers(months, read_page):
+    log = months.log.select(months.log.rows["session"] > "2012-03-11")
+    page = read_page(bayes(log, max_steps=20, target_ess=10**6, progress=False)._repr_html_())
+    assert all("not converged" in row[-1] for row in page.tables[CAPTION])
+    assert all(row[2:5] == ["not known"] * 3 for row in page.tables[CAPTION])
+
+
+def test_figures_show_themselves_in_a_notebook(months, posterior):
+    """As pictures of a size, on white: ink on a dark notebook could not be read."""
+    for figure in (
+        months.fit.plot_corner(3, "+"), months.fit.plot_forest(3), months.fit.plot_control(),
+        posterior.plot_corner(3, "-"), posterior.plot_forest(3), posterior.plot_control(),
+    ):  # fmt: skip
+        picture, size = figure._repr_png_()
+        assert picture.startswith(b"\x89PNG")
+        assert size["width"] == pytest.approx(100 * figure.get_figwidth(), abs=1)
+        assert figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_what_was_not_fitted_is_refused(months, posterior):
+    for shown in (months.fit, posterior):
+        with pytest.raises(
+            InputError, match=r"joint 1, direction [+] was not fitted; fitted were 3 [+], 3 -"
+        ):
+            shown.plot_corner(1, "+")
+        with pytest.raises(InputError, match="session 'never' was not fitted"):
+            shown.plot_corner(3, "+", "never")
+        with pytest.raises(InputError, match="joint 2 was not fitted"):
+            shown.plot_forest(2)
+
+
+def test_no_error_bars_no_corner(campaign, fitted):
+    bare = fitted(campaign(settings=CALIBRATION, replicates=1, sessions=("2012-03-05",))).fit
+    assert bare.parameters["estimate"].notna().all()
+    with pytest.raises(InputError, match="make each calibration traverse twice"):
+        bare.plot_corner(3, "+")
