@@ -9,11 +9,13 @@ import pandas as pd
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.fit.identifiability import configuration_rows, describe
 from stickslip_fit.fit.intervals import quadratic_interval
-from stickslip_fit.fit.least_squares import fit_joint, provenance
+from stickslip_fit.fit.least_squares import fit_joint
+from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability, from_replicates, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.solve_d import solve_d
+from stickslip_fit.fit.wild_counts import name_wild_counts
 from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, travel
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -52,7 +54,7 @@ def closed_form(log: Log, *, command: str = "") -> Result:
         for joint in log.joints
         if (rows["joint"] == joint).any()
     }
-    return calibrate(log, laws, "closed-form", command=command)
+    return name_wild_counts(calibrate(log, laws, "closed-form", command=command), log)
 
 
 def calibrate(log: Log, laws: dict[int, StepLaw], method: str, *, command: str = "") -> Result:

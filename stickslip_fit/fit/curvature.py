@@ -103,7 +103,8 @@ class Factors:
         rank = np.maximum(self.rank, 1)
         within = np.sum(np.where(self.singular > 0, self.along**2, 0.0), axis=1)
         beyond = np.maximum(cost - within, np.finfo(float).tiny)
-        return np.sqrt(within / rank * np.maximum(sizes - rank, 1) / beyond)
+        with np.errstate(over="ignore"):
+            return np.sqrt(within / rank * np.maximum(sizes - rank, 1) / beyond)
 
 
 def moments_of(

@@ -15,7 +15,7 @@ from stickslip_fit.fit.intervals import quadratic_interval, reaches
 from stickslip_fit.fit.levenberg_marquardt import Minimum
 from stickslip_fit.fit.likelihood import Likelihood
 from stickslip_fit.fit.problem import Problem, lay_out
-from stickslip_fit.fit.provenance import Provenance, versions
+from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import (
     GAUSSIAN,
@@ -27,6 +27,7 @@ from stickslip_fit.fit.repeatability import (
 )
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.terms import NO_TERMS, Terms
+from stickslip_fit.fit.wild_counts import name_wild_counts
 from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -89,7 +90,7 @@ def least_squares(
         joints[joint], residual, said = fit_joint(laws[joint], mine, log.machine, terms)
         residuals.append(pd.DataFrame({"joint": joint, "residual": residual, "used": True}, index=mine.index))
         remarks += said
-    return Result(
+    result = Result(
         method=likelihood.method,
         machine=log.machine,
         joints=joints,
@@ -97,6 +98,7 @@ def least_squares(
         remarks=tuple(remarks),
         provenance=provenance(log, command),
     )
+    return name_wild_counts(result, log)
 
 
 def fit_joint(
@@ -148,18 +150,6 @@ def _settle(problem: Problem, terms: Terms) -> tuple[Minimum, dict[str, Repeatab
         if np.max(np.abs(weight / before - 1.0)) < SETTLED:
             break
     return found, repeatability, weight, likelihood.information / scale2
-
-
-def provenance(log: Log, command: str) -> Provenance:
-    """Where a fit of `log` comes from."""
-    return Provenance(
-        log_files=tuple(name for name, _ in log.sources),
-        log_sha256=log.sha256,
-        machine_name=log.machine.name,
-        machine_sha256=log.machine.sha256,
-        versions=versions(),
-        command=command,
-    )
 
 
 def _from_residuals(problem: Problem, found: Minimum, likelihood: Likelihood) -> dict[str, Repeatability]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 
 from stickslip_fit import __version__
+from stickslip_fit.logs import Log
 
 
 @dataclass(frozen=True)
@@ -44,3 +45,15 @@ def versions() -> dict[str, str]:
         "scipy": version("scipy"),
         "pandas": version("pandas"),
     }
+
+
+def provenance(log: Log, command: str) -> Provenance:
+    """Where a fit of `log` comes from."""
+    return Provenance(
+        log_files=tuple(name for name, _ in log.sources),
+        log_sha256=log.sha256,
+        machine_name=log.machine.name,
+        machine_sha256=log.machine.sha256,
+        versions=versions(),
+        command=command,
+    )

@@ -109,7 +109,9 @@ def minimise_shared(
         slopes[:, own] *= ~found.at_bound[groups.of_row]
         _, follow = _eliminate(_products(slopes, weight, groups), sharing, scales)
         followed = np.einsum("ni,nij->nj", slopes[:, own], follow[groups.of_row])
-        return predicted, _seen(slopes[:, common] - followed, slopes, weight, border, sharing, scales)
+        return predicted, _seen(
+            slopes[:, common] - followed, slopes * scales[groups.of_row], weight, border, sharing.mean(scales)
+        )
 
     outer = minimise(
         profiled, y, weight, border, sharing.mean(start), sharing.mean(scales),
@@ -161,17 +163,23 @@ def shared_curvature(slopes: Array, weight: Array, groups: Groups, sharing: Shar
     return products
 
 
-def _seen(
-    reduced: Array, slopes: Array, weight: Array, border: Groups, sharing: Sharing, scales: Array
-) -> Array:
-    """The reduced slopes, but 0 for shared parameters that matter next to nothing beside all others."""
-    root = np.sqrt(weight)[:, None]
+def _seen(reduced: Array, effects: Array, weight: Array, border: Groups, scales: Array) -> Array:
+    """The reduced slopes, but 0 for shared parameters that matter next to nothing beside all others.
+
+    Parameters
+    ----------
+    reduced : array, shape (n, q)
+    effects : array, shape (n, p)
+        What a change of each parameter that matters does to each response.
+    weight : array, shape (n,)
+    border : Groups
+    scales : array, shape (h, q)
+    """
 
     def lengths(columns: Array) -> Array:
-        return np.sqrt(np.stack([border.sums(column**2) for column in (root * columns).T], axis=-1))
+        return np.sqrt(np.stack([border.sums(weight * column**2) for column in columns.T], axis=-1))
 
-    greatest = (lengths(slopes) * scales.mean(axis=0)).max(axis=1, keepdims=True)
-    enough = lengths(reduced) * sharing.mean(scales) > SMALLEST * greatest
+    enough = lengths(reduced) * scales > SMALLEST * lengths(effects).max(axis=1, keepdims=True)
     return reduced * enough[border.of_row]
 
 

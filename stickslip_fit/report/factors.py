@@ -57,29 +57,27 @@ def _answers_table(joint: int, answers: Sequence[Answer]) -> Table:
     unit = step_unit(joint)
     columns = (
         Column("question", text=True),
-        Column("direction", text=True),
         Column("session", text=True),
+        Column("largest less smallest", text=True),
         Column("difference", unit),
         Column("95 % interval", unit),
-        Column("largest less smallest", text=True),
-        Column("F"),
-        Column("degrees of freedom"),
-        Column("p"),
-        Column("adjusted p"),
-        Column("permutation p"),
         Column("omega²"),
+        Column("F (degrees)"),
+        Column("F test", group="p"),
+        Column("adjusted", group="p"),
+        Column("permuted", group="p"),
         Column("would show", unit),
     )
     shown = [each for each in answers if len(answers) <= MOST_ROWS or each.question.session is None]
     note = (
-        "Adjusted p: for everything asked of this log (Holm). Permutation p: from relabelled readings; "
+        "Adjusted: for everything asked of this log (Holm). Permuted: from relabelled readings; "
         f"{AT_FLOOR} the smallest that so few can give. Would show: the smallest difference that is seen at "
         "5 % in 80 of 100 such logs. " + _places(shown)
     )
     if len(shown) < len(answers):
         note += f" Not shown: {len(answers) - len(shown)} answers within single sessions."
     body = tuple(_row(each) for each in shown)
-    return Table(f"Factors of {joint_name(joint)}", columns, body, stubs=3, note=note)
+    return Table(f"Factors of {joint_name(joint)}", columns, body, stubs=2, note=note)
 
 
 def _row(answer: Answer) -> tuple[str, ...]:
@@ -89,20 +87,25 @@ def _row(answer: Answer) -> tuple[str, ...]:
     probabilities = [
         bare_probability(value) for value in (answer.p_value, answer.p_holm, answer.permutation.p_value)
     ]
+    statistic = f"{answer.statistic:.3g}" if answer.statistic < 1000 else f"{answer.statistic:,.0f}"
     return (
-        asked.analysis,
-        way(asked.direction) if asked.direction else "both",
+        f"{asked.analysis} {way(asked.direction)}" if asked.direction else asked.analysis,
         asked.session or "all",
+        _less(*levels),
         number(effect.difference, unit),
         f"{number(effect.low, unit)} to {number(effect.high, unit)}",
-        f"{levels[0]} less {levels[1]}",
-        f"{answer.statistic:.4g}",
-        ", ".join(str(freedom) for freedom in answer.squares.freedom[1:]),
+        f"{float(answer.squares.omega_squared):.2f}",
+        f"{statistic} ({', '.join(str(freedom) for freedom in answer.squares.freedom[1:])})",
         *probabilities[:2],
         probabilities[2] + (AT_FLOOR if at_floor else ""),
-        f"{float(answer.squares.omega_squared):.2f}",
         number(answer.detectable, unit),
     )
+
+
+def _less(largest: str, smallest: str) -> str:
+    """What both names begin with is said once: theta −90° less 0°."""
+    first, _, rest = smallest.partition(" ")
+    return f"{largest} less {rest if rest and largest.startswith(f'{first} ') else smallest}"
 
 
 def _places(answers: Sequence[Answer]) -> str:

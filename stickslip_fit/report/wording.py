@@ -15,6 +15,7 @@ MINUS = "\N{MINUS SIGN}"
 NO_BREAK = "\N{NO-BREAK SPACE}"
 UNKNOWN = "not known"
 DECIMALS = {"nm": 1, "µrad": 2}  # a tenth of what a traverse repeats to
+_SPACED = re.compile(r"(?<=\d) (?=(nm|mm|µrad|%))")
 _NEGATIVE = re.compile(r"(?<= )-(?=\d)")
 SAME_ANGLE, SAME_PART = 1e-9, 1e-6  # rad; share of the travel
 
@@ -143,14 +144,14 @@ def place(name: str, value: float) -> str:
 
 
 def typeset(text: str) -> str:
-    """Angles of a plain text as a page has them.
+    """A plain text as a page has it: angles in degrees, units kept with their numbers.
 
     Examples
     --------
-    >>> typeset("theta -90 deg, q3 12 mm")
+    >>> typeset("theta -90 deg, q3 12 mm").replace(NO_BREAK, " ")
     'theta −90°, q3 12 mm'
     """
-    return _NEGATIVE.sub(MINUS, text).replace(" deg", "°")
+    return _SPACED.sub(NO_BREAK, _NEGATIVE.sub(MINUS, text).replace(" deg", "°"))
 
 
 def count(how_many: int, what: str) -> str:

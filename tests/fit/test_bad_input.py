@@ -179,7 +179,6 @@ class TestACountWildlyOff:
         table.loc[first, "steps"] = 5 * round(factor * table.loc[first, "steps"] / 5)
         return table, table.loc[first, "steps"]
 
-    @pytest.mark.parametrize("method", ["bayes"], indirect=True)
     def test_is_named(self, fit, campaign, joint, place, factor):
         table, count = self.spoilt(campaign, joint, place, factor)
         result = fit(table)

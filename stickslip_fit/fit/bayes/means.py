@@ -13,7 +13,7 @@ from stickslip_fit.fit.bayes.remarks import remarks
 from stickslip_fit.fit.bayes.sample import Sample
 from stickslip_fit.fit.groups import group_rows
 from stickslip_fit.fit.intervals import COVERAGE
-from stickslip_fit.fit.least_squares import provenance
+from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import JointFit, Result

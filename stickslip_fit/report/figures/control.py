@@ -31,7 +31,7 @@ from stickslip_fit.units import from_si
 
 MOST_SESSIONS = 30
 LABELS = 12  # session names that an axis has room for
-LONGEST = 1.6  # of the spread of the estimates: bars and limits that say little are cut there
+LONGEST = 2.5  # of the spread of the estimates: bars and limits that say little are cut there
 PANEL = 1.15  # inches
 MARGINS = {
     "left": 0.62, "right": 0.08, "top": 2 * TITLE_LINE + 0.10, "bottom": 0.85, "across": 0.58, "down": 0.12

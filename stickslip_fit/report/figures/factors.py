@@ -29,6 +29,7 @@ from stickslip_fit.units import from_si
 MOST_SESSIONS = 30
 LABELS = 12  # session names that an axis has room for
 POINTS = 900
+ACROSS = 6  # as many that it has room for side by side
 SPREAD = 0.16  # how far beside its level's place a reading may be drawn
 
 
@@ -78,7 +79,7 @@ def _normal_force(joint: int, answers: Sequence[Answer]) -> Picture:
 def draw_days(answers: Sequence[Answer], sessions: Sequence[str]) -> Figure:
     """One panel for each direction."""
     with look():
-        figure, axes = canvas([1.5] * len(answers), 1, top=0.30, bottom=0.85, share_y=False)
+        figure, axes = canvas([1.5] * len(answers), 1, top=0.30, bottom=_room(sessions), share_y=False)
         for axis, answer in zip(axes[:, 0], answers, strict=True):
             sign = str(answer.question.direction)
             rows = answer.question.readings
@@ -96,7 +97,7 @@ def draw_directions(answers: Sequence[Answer], sessions: Sequence[str]) -> Figur
     rows = pd.concat([each.question.readings for each in answers]).drop_duplicates("time")
     unit = step_unit(answers[0].question.joint)
     with look():
-        figure, axes = canvas([1.9], 1, top=0.30, bottom=0.85)
+        figure, axes = canvas([1.9], 1, top=0.30, bottom=_room(sessions))
         axis = axes[0, 0]
         for sign, aside in (("+", -SPREAD), ("-", SPREAD)):
             mine = rows[rows["direction"] == sign]
@@ -115,7 +116,7 @@ def draw_directions(answers: Sequence[Answer], sessions: Sequence[str]) -> Figur
 def draw_rotations(answers: Sequence[Answer]) -> Figure:
     """One panel for each direction: readings less their session's mean over the orientations' means."""
     with look():
-        figure, axes = canvas([1.7], len(answers), top=0.30 + TITLE_LINE, bottom=0.55)
+        figure, axes = canvas([1.7], len(answers), top=0.34 + TITLE_LINE, bottom=_lines(answers))
         for axis, answer in zip(axes[0], answers, strict=True):
             asked, unit = answer.question, step_unit(answer.question.joint)
             order = _by_angle(answer)
@@ -141,7 +142,7 @@ def _readings(axis: Axes, rows: pd.DataFrame, places: np.ndarray, colour: str, a
     if shown.empty:
         return
     turn = shown.groupby("place").cumcount()
-    share = turn / shown.groupby("place")["place"].transform("size") - 0.5
+    share = (turn + 0.5) / shown.groupby("place")["place"].transform("size") - 0.5
     shown = thinned(shown.assign(x=shown["place"] + aside + SPREAD * share), POINTS)
     unit = step_unit(int(rows["joint"].iloc[0]))
     y = from_si(shown["step_size"].to_numpy(), unit)
@@ -153,9 +154,8 @@ def _bars(axis: Axes, answer: Answer, places: Sequence[int], *, centred: bool = 
     unit, at = step_unit(answer.question.joint), np.array(places)
     means = answer.effect.means - (answer.effect.means.mean() if centred else 0.0)
     y, error = from_si(means, unit)[at >= 0], from_si(answer.effect.half_width, unit)[at >= 0]
-    axis.errorbar(
-        at[at >= 0] + 1.4 * SPREAD, y, yerr=error, ls="", marker="_", ms=6.0, color=INK, elinewidth=0.9, capsize=2.0
-    )  # fmt: skip
+    beside = at[at >= 0] + 1.4 * SPREAD
+    axis.errorbar(beside, y, yerr=error, ls="", marker="_", ms=6.0, color=INK, elinewidth=0.9, capsize=2.0)
 
 
 def _entries(answers: Sequence[Answer]) -> list[Line2D]:
@@ -191,12 +191,25 @@ def _by_angle(answer: Answer) -> list[str]:
     return list(rows.sort_values(["theta", "psi"])["level"])
 
 
+def _is_crowded(sessions: Sequence[str]) -> bool:
+    return len(sessions) > ACROSS
+
+
+def _room(sessions: Sequence[str]) -> float:
+    """Inches below the axes: names of many sessions stand upright."""
+    return 0.85 if _is_crowded(sessions) else 0.28
+
+
+def _lines(answers: Sequence[Answer]) -> float:
+    """Inches below the axes for as many lines as an orientation's name has."""
+    return 0.14 + TITLE_LINE * max(name.count(", ") + 1 for each in answers for name in each.levels)
+
+
 def _name_sessions(axis: Axes, sessions: Sequence[str]) -> None:
     every = -(-len(sessions) // LABELS)
     places = list(range(0, len(sessions), every))
     axis.set_xlim(-0.5, len(sessions) - 0.5)
-    axis.set_xticks(
-        places, [shorten(sessions[place], 12) for place in places], rotation=90 if len(sessions) > 6 else 0
-    )
+    names = [shorten(sessions[place], 12) for place in places]
+    axis.set_xticks(places, names, rotation=90 if _is_crowded(sessions) else 0)
     axis.ticklabel_format(axis="y", useOffset=False)
     axis.grid(visible=False, axis="x")

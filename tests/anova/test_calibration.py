@@ -1,0 +1,92 @@
+"""Error rates: false alarms of each named analysis, power, and intervals that know of their selection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stickslip_fit.anova import Question, readings
+from stickslip_fit.anova.comparison import compare, sums_of_squares
+from stickslip_fit.anova.day import day
+from stickslip_fit.anova.direction import direction
+from stickslip_fit.anova.effect import effect_of
+from stickslip_fit.anova.normal_force import normal_force
+from stickslip_fit.anova.power import POWER, noncentrality, power, smallest_difference
+from stickslip_fit.anova.question import READINGS, most_read
+
+LOGS = 10_000
+SAME = 3.3  # standard deviations: one honest study in a thousand is further off
+
+DAYS = ("Mon", "Tue", "Wed", "Thu")
+BALANCED = {(d, s, t): 2 for d in DAYS for s in "+-" for t in (0.0, -30.0, -60.0)}
+UNEQUAL = {cell: 1 + (7 * index) % 3 for index, cell in enumerate(BALANCED)}
+GAPS = {
+    cell: count for cell, count in UNEQUAL.items() if cell not in {("Tue", "+", -30.0), ("Wed", "-", -60.0)}
+}
+DESIGNS = {"balanced": BALANCED, "unequal": UNEQUAL, "missing cells": GAPS}
+ANALYSES = {"day": day, "direction": direction, "normal-force": normal_force}
+
+
+def binomial(rate: float) -> float:
+    return SAME * np.sqrt(rate * (1 - rate) / LOGS)
+
+
+def null_logs(question: Question, rng: np.random.Generator, interaction: float) -> np.ndarray:
+    """What is compared, in logs where the factor does nothing, shape (LOGS, units).
+
+    Sessions differ by ten repeatabilities, and where the question is asked over sessions, levels differ in
+    each session at random by `interaction` of them, which is no effect of the factor.
+    """
+    rows = question.readings.reset_index(drop=True)
+    noise = rng.standard_normal((LOGS, len(rows)))
+    sessions, session = np.unique(rows["session"].to_numpy(object), return_inverse=True)
+    if question.analysis != "day":
+        noise += 10.0 * rng.standard_normal((LOGS, len(sessions)))[:, session]
+    if question.error_term == READINGS:
+        return noise
+    cells = rows.groupby(["session", "level"], sort=False).ngroup().to_numpy()
+    noise += interaction * rng.standard_normal((LOGS, cells.max() + 1))[:, cells]
+    share = (cells[:, None] == np.arange(cells.max() + 1)).astype(float)
+    return noise @ (share / share.sum(axis=0))
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("analysis", ANALYSES)
+def test_false_alarms_of_ten_thousand_null_logs(log_of_readings, readings_of, analysis, design):
+    log = log_of_readings(readings_of(DESIGNS[design]))
+    asked = ANALYSES[analysis](readings(log), log.machine.span(3), most_read)
+    questions = [each for each in asked if isinstance(each, Question)]
+    assert questions
+    rng = np.random.default_rng(3)
+    for question in questions:
+        for interaction in (0.0, 3.0):
+            units = question.units
+            values = null_logs(question, rng, interaction)
+            p = sums_of_squares(values, compare(units["level"], units["block"])).p_value
+            rate = np.mean(p < 0.05)
+            assert rate == pytest.approx(0.05, abs=binomial(0.05)), (question.error_term, interaction)
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (3, 3, 3), (2, 5, 3, 4)])
+def test_power_is_what_its_formula_says(sizes):
+    """Of the case that it is for: two levels apart, all others where they help least."""
+    comparison = compare(np.repeat(np.arange(len(sizes)), sizes))
+    difference = smallest_difference(1.0, comparison)
+    least = np.argsort(sizes, kind="stable")[:2]
+    true = np.zeros(len(sizes))
+    n, m = np.array(sizes)[least]
+    true[least] = difference * np.array([m, -n]) / (n + m)
+    noise = np.random.default_rng(5).standard_normal((LOGS, sum(sizes)))
+    p = sums_of_squares(true[comparison.level] + noise, comparison).p_value
+    assert np.mean(p < 0.05) == pytest.approx(POWER, abs=binomial(POWER))
+    assert power(noncentrality(difference, 1.0, comparison), comparison.freedom) == pytest.approx(POWER)
+
+
+def test_the_interval_of_the_largest_difference_knows_that_it_was_picked():
+    """The same numbers with Student's interval would be right in about 88 of 100 logs."""
+    rng, comparison = np.random.default_rng(6), compare(np.repeat(np.arange(3), 3))
+    right = 0
+    for values in rng.standard_normal((2000, 9)):
+        found = effect_of(values, comparison)
+        right += found.low <= 0.0 <= found.high
+    assert right / 2000 == pytest.approx(0.95, abs=SAME * np.sqrt(0.05 * 0.95 / 2000))

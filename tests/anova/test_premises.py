@@ -1,0 +1,71 @@
+"""Checks of premises: silent where they hold, loud where they fail, and honest where nothing can be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stickslip_fit.anova.premises import LEVEL, premises
+
+LOGS = 250
+
+
+def verdicts(values, time, level, block, name):
+    return next(each.verdict for each in premises(values, time, level, block) if each.name == name)
+
+
+def rate(draw, name, level, block, time):
+    rng = np.random.default_rng(1)
+    return np.mean([verdicts(draw(rng), time, level, block, name) == "doubtful" for _ in range(LOGS)])
+
+
+@pytest.fixture
+def design():
+    """Three sessions of eight readings, two levels in turn, five minutes apart."""
+    block = np.repeat(np.arange(3), 8)
+    return np.tile([0, 1], 12), block, np.tile(np.arange(8) * 300.0, 3)
+
+
+@pytest.mark.parametrize("name", ["normal scatter", "equal scatter", "drift within a session"])
+def test_a_premise_that_holds_is_doubted_as_seldom_as_is_said(design, name):
+    level, block, time = design
+    found = rate(lambda rng: 950.0 + 5.0 * block + rng.standard_normal(24), name, level, block, time)
+    assert found <= LEVEL + 3.3 * np.sqrt(LEVEL * (1 - LEVEL) / LOGS)
+
+
+def test_premises_that_fail_are_doubted(design):
+    level, block, time = design
+    misheard = 8.0 * (np.arange(24) == 5)
+    wild = rate(lambda rng: misheard + rng.standard_normal(24), "normal scatter", level, block, time)
+    days = (block, block, time)
+    loud = np.where(block == 0, 10.0, 1.0)
+    unequal = rate(lambda rng: loud * rng.standard_normal(24), "equal scatter", *days)
+    drifting = rate(
+        lambda rng: time / 300.0 + rng.standard_normal(24), "drift within a session", level, block, time
+    )
+    assert min(wild, unequal, drifting) > 0.7
+
+
+def test_a_constant_between_sessions_is_no_drift_and_no_shape(design):
+    level, block, time = design
+    values = np.random.default_rng(2).standard_normal(24)
+    far = premises(values + 1e4 * block + 50.0 * level, time, level, block)
+    assert [each.p_value for each in far] == pytest.approx(
+        [each.p_value for each in premises(values, time, level, block)]
+    )
+
+
+def test_levels_read_one_after_another_are_told_from_levels_in_turn(design):
+    level, block, time = design
+    values = np.zeros(24)
+    assert verdicts(values, time, level, block, "levels in turn") == "holds"
+    after = np.tile(np.repeat([0, 1], 4), 3)
+    spread = np.where(time < 1200.0, time, time + 36000.0)
+    assert verdicts(values, spread, after, block, "levels in turn") == "doubtful"
+
+
+def test_few_readings_say_so():
+    two = np.array([0, 0, 1, 1])
+    found = premises(np.array([1.0, 2.0, 4.0, 3.0]), np.arange(4.0), two, np.zeros(4, dtype=int))
+    assert [each.verdict for each in found[:3]] == ["cannot tell"] * 3
+    assert all("too few" in each.message for each in found[:3])

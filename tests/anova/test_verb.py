@@ -1,0 +1,73 @@
+"""`stickslip-fit anova` as a person uses it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from stickslip_fit import cli
+from stickslip_fit.anova.record import COLUMNS
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "data" / "reference" / "campaign.csv"
+CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["stickslip-fit", "anova", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):
+    status, out, _ = run(REFERENCE, "--joint", 3, "--json", tmp_path / "anova.json")
+    assert status == 0
+    first = out.splitlines()[0]
+    assert first.startswith("Joint 3. The step size changes from session to session, by up to")
+    assert "Recalibrate each session" in " ".join(out.split())
+    assert "Keep separate parameters for each direction" in " ".join(out.split())
+    records = json.loads((tmp_path / "anova.json").read_text("utf-8"))
+    assert all(tuple(record) == COLUMNS for record in records)
+    assert {record["analysis"] for record in records} == {"day", "direction", "normal-force"}
+
+
+def test_a_formula_prints_and_saves_its_table(run, tmp_path):
+    how = ("--formula", "step_size ~ C(session) * direction", "--type", 1, "--json", tmp_path / "f.json")
+    status, out, _ = run(REFERENCE, "--joint", 3, *how)
+    assert status == 0
+    assert "step_size ~ C(session) * direction, type 1, 456 readings" in out
+    assert len(json.loads((tmp_path / "f.json").read_text("utf-8"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--session", "never"], "no usable traverse of session 'never'"),
+        (["--formula", "step_size ~ nothing"], "'nothing' is not defined"),
+        (["--json", "absent/anova.json"], "absent/anova.json"),
+    ],
+)
+def test_bad_input_ends_with_one_message_and_status_2(run, tmp_path, monkeypatch, options, told):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(REFERENCE, *options)
+    assert (status, out) == (2, "")
+    assert told in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.skipif(not CAMPAIGNS.exists(), reason="the measured campaigns are not on this machine")
+@pytest.mark.parametrize("name", "abcdef")
+def test_measured_campaigns_get_an_answer(run, name, tmp_path):
+    status, out, err = run(CAMPAIGNS / f"campaign-{name}.csv", "--json", tmp_path / "anova.json")
+    assert (status, err) == (0, "")
+    assert out.startswith("Joint ")
+    assert any(record["F"] for record in json.loads((tmp_path / "anova.json").read_text("utf-8")))
