@@ -1,0 +1,87 @@
+"""A log on the bench: its rows, the law each obeys, what was measured and how well that repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.refit import Refit, refit
+from stickslip_fit.diagnose.study import Part, Study, study_of
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What is diagnosed; n rows. Nothing in it is particular to actuators.
+
+    Attributes
+    ----------
+    rows : DataFrame
+    parts : tuple of Part
+        The baseline laws, fitted; between them every row once.
+    responses, rounding : array, shape (n,)
+        What was measured, and the variance that rounding adds.
+    drive : array of int, shape (n,)
+        Which repeatability each row has.
+    repeatability : array
+        Standard deviation of each drive's responses.
+    causes : tuple
+        Bound to the rows, and not obviously without effect in them.
+    structures : callable
+        From a Study to the hypotheses that stand for ``unknown``.
+    """
+
+    rows: pd.DataFrame
+    parts: tuple[Part, ...]
+    responses: Array
+    rounding: Array
+    drive: Indices
+    repeatability: Array
+    causes: tuple[Any, ...]
+    structures: Callable[[Study], list[Hypothesis]]
+
+    def __len__(self) -> int:
+        return len(self.responses)
+
+    @property
+    def scale(self) -> Array:
+        """Standard deviation of each response, shape (n,)."""
+        return np.sqrt(self.repeatability[self.drive] ** 2 + self.rounding)
+
+    def study(self) -> Study:
+        """The rows under the baseline."""
+        return study_of(self.rows, self.parts, self.responses, self.scale)
+
+    def fitted(self, versions: Sequence[Any] = (), start: Array | None = None) -> Refit:
+        """The baseline with some causes in it, fitted anew."""
+        first = np.zeros(0) if start is None else start
+        return refit(self.rows, self.parts, self.responses, self.scale, versions, first)
+
+    def without(self, out: Indices) -> Bench:
+        """The bench without some rows, the baseline fitted anew."""
+        kept = np.setdiff1d(np.arange(len(self)), out)
+        place = np.full(len(self), -1)
+        place[kept] = np.arange(len(kept))
+        parts = []
+        for part in self.parts:
+            mine = place[part.rows] >= 0
+            parts.append(
+                replace(part, rows=place[part.rows][mine], block=part.block[mine], values=part.values[mine])
+            )
+        smaller = replace(
+            self,
+            rows=self.rows.iloc[kept].reset_index(drop=True),
+            parts=tuple(part for part in parts if len(part.rows)),
+            responses=self.responses[kept],
+            rounding=self.rounding[kept],
+            drive=self.drive[kept],
+        )
+        return replace(smaller, parts=smaller.fitted().parts)

@@ -1,0 +1,98 @@
+"""Counts that are wildly off, one here and one there.
+
+Noise may have tails as heavy as Student's t with 5 degrees of freedom, and nobody says how heavy: the bulk of
+the counts does. Misfires are what no such noise gives a log of this many traverses: a likelihood ratio of
+noise with misfires to noise alone, each at its best, judged by logs of noise alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student_t
+
+from stickslip_fit.diagnose.study import Study
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+TAILS = (5.0, 8.0, 15.0, 200.0)  # degrees of freedom that noise may have
+JUDGED = (5.0, 200.0)  # of the logs of noise alone
+SCALES = (0.9, 1.0, 1.1)  # of what the median says
+NEAREST, FARTHEST = 5.5, 120.0  # medians of the noise, between which misfires lie
+SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
+MOST = 0.1  # of a log: more are not looked at
+LARGEST_LEVERAGE = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Misfires:
+    """Rows that look like misfires, and how likely anything like them is by chance."""
+
+    rows: Indices
+    p_value: float
+
+
+def misfires(study: Study, residual: Array, drive: Indices, draws: int, rng: np.random.Generator) -> Misfires:
+    """Look for counts that are wildly off.
+
+    Parameters
+    ----------
+    study : Study
+    residual : array, shape (n,)
+        In units of the noise, with whatever else is wrong taken out.
+    drive : array of int, shape (n,)
+        Rows of one drive repeat equally well.
+    draws : int
+    rng : Generator
+    """
+    leverage = np.minimum(study.leverage, LARGEST_LEVERAGE)
+    off = _by_median(np.abs(residual)[None] / np.sqrt(1.0 - leverage), drive)
+    ratio, odds = _likelihood_ratio(off)
+    higher = 0
+    for freedom in JUDGED:
+        null = np.abs(student_t.rvs(freedom, size=(draws, off.shape[1]), random_state=rng))
+        higher = max(higher, int(np.sum(_likelihood_ratio(_by_median(null, drive))[0] >= ratio[0])))
+    return Misfires(np.flatnonzero(odds[0] > 1.0), (1 + higher) / (1 + draws))
+
+
+def _by_median(off: Array, drive: Indices) -> Array:
+    """Departures in units of their drive's median, which no few wild ones move; shape (k, n)."""
+    found = np.empty_like(off)
+    for each in np.unique(drive):
+        mine = drive == each
+        found[:, mine] = off[:, mine] / np.median(off[:, mine], axis=1, keepdims=True)
+    return found
+
+
+def _likelihood_ratio(off: Array) -> tuple[Array, Array]:
+    """Log likelihood ratio of noise with misfires to noise alone, (k,), and each row's odds of one, (k, n).
+
+    A misfire's size is as likely between 5 and 10 medians as between 50 and 100.
+    """
+    n = off.shape[1]
+    places = np.argsort(-off, axis=1)[:, : max(int(MOST * n), 1)]
+    top = np.take_along_axis(off, places, axis=1)
+    far = top > NEAREST
+    wild = np.where(far & (top < FARTHEST), 1.0 / (top * np.log(FARTHEST / NEAREST)), 0.0)
+    alone, both = np.full(len(off), -np.inf), np.full(len(off), -np.inf)
+    odds = np.zeros_like(top)
+    for freedom in TAILS:
+        middle = float(student_t.ppf(0.75, freedom))
+        for scale in SCALES:
+            log_noise = student_t.logpdf(off * middle / scale, freedom) + np.log(2.0 * middle / scale)
+            total = log_noise.sum(axis=1)
+            alone = np.maximum(alone, total)
+            ratio = wild * np.exp(-np.take_along_axis(log_noise, places, axis=1))
+            for share in SHARES:
+                # Only for the few rows that are far does the mixture differ from a share of the noise.
+                gained = np.where(far, np.log1p(share * (ratio - 1.0)), np.log1p(-share)).sum(axis=1)
+                value = total + gained + (n - top.shape[1]) * np.log1p(-share)
+                better = value > both
+                both = np.where(better, value, both)
+                odds = np.where(better[:, None], share * ratio / (1 - share), odds)
+    full = np.zeros_like(off)
+    np.put_along_axis(full, places, odds, axis=1)
+    return both - alone, full

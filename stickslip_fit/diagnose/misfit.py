@@ -1,0 +1,87 @@
+"""Is anything wrong at all? One number for everything that was searched.
+
+If nothing is wrong, each residual is as likely to be above as below what the law says, whatever the noise's
+tails and wherever it is larger: flipping signs at random makes further logs in which nothing is wrong. (E. S.
+Edgington and P. Onghena, Randomization Tests, 4th ed., Chapman & Hall, 2007; J. L. Horowitz, Annu. Rev. Econ.
+11:193, 2019, on the wild bootstrap.) Each is recalibrated and searched just as the log itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import logsumexp
+
+from stickslip_fit.diagnose.evidence import stack
+from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.study import Study
+
+Array = npt.NDArray[np.float64]
+
+UNKNOWN = "unknown"
+LARGEST_LEVERAGE = 0.8
+AT_A_TIME = 500  # flipped logs
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """How likely the residuals are by chance, and what each hypothesis makes of them.
+
+    Attributes
+    ----------
+    hypotheses : tuple of Hypothesis
+    log_evidence : array, shape (H,)
+    by_cause : dict of str to float
+        Log evidence of each cause, averaged over its shapes.
+    p_value : float
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    log_evidence: Array
+    by_cause: dict[str, float]
+    p_value: float
+
+    def best_of(self, cause: str) -> Hypothesis:
+        """The likeliest shape of a cause."""
+        mine = [k for k, each in enumerate(self.hypotheses) if kind_of(each) == cause]
+        return self.hypotheses[max(mine, key=lambda k: self.log_evidence[k])]
+
+
+def kind_of(hypothesis: Hypothesis) -> str:
+    """The cause, or ``unknown`` for any structure."""
+    return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
+
+
+def misfit(study: Study, hypotheses: Sequence[Hypothesis], flips: int, rng: np.random.Generator) -> Misfit:
+    """Judge the residuals of a study.
+
+    Parameters
+    ----------
+    study : Study
+    hypotheses : sequence of Hypothesis
+    flips : int
+        Logs in which nothing is wrong; 0 gives no p-value (NaN).
+    rng : Generator
+    """
+    together = stack(hypotheses, study.freedom)
+    kinds = [kind_of(each) for each in hypotheses]
+    names = list(dict.fromkeys(kinds))
+    member = np.array([[kind == name for kind in kinds] for name in names])
+
+    def by_cause(log_evidence: Array) -> Array:
+        sums = [logsumexp(log_evidence[mine], axis=0) - np.log(mine.sum()) for mine in member]
+        return np.stack(sums)
+
+    own = together.log_evidence(study.residual[:, None])
+    found = by_cause(own)[:, 0]
+    higher, total = 0, float(logsumexp(found))
+    raw = study.residual / np.sqrt(1.0 - np.minimum(study.leverage, LARGEST_LEVERAGE))
+    for first in range(0, flips, AT_A_TIME):
+        signs = rng.choice([-1.0, 1.0], (len(study), min(AT_A_TIME, flips - first)))
+        null = together.log_evidence(study.project(signs * raw[:, None]))
+        higher += int(np.sum(logsumexp(by_cause(null), axis=0) >= total))
+    p_value = (1 + higher) / (1 + flips) if flips else np.nan
+    return Misfit(tuple(hypotheses), own[:, 0], dict(zip(names, map(float, found), strict=True)), p_value)

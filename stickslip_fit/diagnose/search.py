@@ -1,0 +1,195 @@
+"""From residuals to causes: one after the other, as long as what is left is no chance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.candidates import candidates, changes
+from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.misfires import misfires
+from stickslip_fit.diagnose.misfit import UNKNOWN, Misfit, misfit
+from stickslip_fit.diagnose.naming import Naming, name
+from stickslip_fit.diagnose.refit import Refit
+from stickslip_fit.diagnose.repeatability import cleared, repeatability
+from stickslip_fit.diagnose.study import Study, study_of
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+MISFIRE = "end-stop-misfire"
+MOST_CAUSES = 4
+OWN_SHARE, MOST_FORMS = 0.003, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A cause, or unknown structure, and the look at the residuals that showed it.
+
+    Attributes
+    ----------
+    cause : str
+    version : object or None
+        As it acts in this log; None for unknown structure and misfires.
+    start : array, shape (q,)
+        Its parameters at the likeliest shape.
+    naming : Naming
+    misfit : Misfit or None
+        None for misfires, which have no shape.
+    p_value : float
+    """
+
+    cause: str
+    version: Any
+    start: Array
+    naming: Naming
+    misfit: Misfit | None
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a search found.
+
+    Attributes
+    ----------
+    bench : Bench
+        Without misfired rows, the repeatability estimated anew.
+    misfired : array of int
+        Rows of the bench that was given.
+    found : tuple of Found
+        In the order found.
+    first, last : Misfit
+        The looks at the residuals of the baseline, and of all that was found.
+    p_value : float
+        Of anything at all.
+    fit : Refit
+        The baseline with all causes found in it.
+    study : Study
+        What is left under `fit`.
+    """
+
+    bench: Bench
+    misfired: Indices
+    found: tuple[Found, ...]
+    first: Misfit
+    last: Misfit
+    p_value: float
+    fit: Refit
+    study: Study
+
+    @property
+    def versions(self) -> list[Any]:
+        """The causes in `fit`, in its order."""
+        return [each.version for each in self.found if each.version is not None]
+
+
+def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> Search:
+    """Search a log for what its baseline leaves unexplained.
+
+    Parameters
+    ----------
+    bench : Bench
+    alpha : float
+        False-alarm rate over everything that is searched.
+    flips : int
+        Logs in which nothing is wrong, by which that is judged.
+    rng : Generator
+    """
+    bench, study, residual = _settled(bench)
+    wild = misfires(study, residual, bench.drive, flips, rng)
+    # Two looks, one for wild counts and one for all else, share the rate.
+    level, misfired = alpha / 2, np.zeros(0, dtype=np.intp)
+    found: list[Found] = []
+    if wild.p_value < level and len(wild.rows):
+        misfired = wild.rows
+        bench, study, _ = _settled(bench.without(misfired))
+        naming = Naming(MISFIRE, (), {})
+        found.append(Found(MISFIRE, None, np.zeros(0), naming, None, min(1.0, 2 * wild.p_value)))
+    first = last = look(study, bench, flips, rng)
+    p_value = min(1.0, 2 * min(wild.p_value, first.p_value))
+    fit = bench.fitted()
+    named: list[Found] = []
+    while last.p_value < level and len(named) < MOST_CAUSES:
+        named.append(_name(last))
+        if named[-1].cause == UNKNOWN:
+            break
+        bench, fit, study = extended(bench, named)
+        last = look(study, bench, flips, rng, without=[each.cause for each in named])
+    return Search(bench, misfired, (*found, *named), first, last, p_value, fit, study)
+
+
+def look(
+    study: Study, bench: Bench, flips: int, rng: np.random.Generator, without: Sequence[str] = ()
+) -> Misfit:
+    """Judge residuals by every cause but some, and by structure that none of them has."""
+    causes = [cause for cause in bench.causes if cause.name not in without]
+    return misfit(study, [*candidates(study, causes), *bench.structures(study)], flips, rng)
+
+
+def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]:
+    """The bench with causes in its laws: the fit, what is left, and the repeatability by that."""
+    versions = [each.version for each in named if each.version is not None]
+    start = np.concatenate([np.zeros(0), *(each.start for each in named if each.version is not None)])
+    fit = bench.fitted(versions, start)
+    study = _study(bench, fit, named)
+    again = repeatability(study, study.residual, 0.0, bench.rounding, bench.drive)
+    bench = replace(bench, repeatability=again)
+    return bench, fit, _study(bench, fit, named)
+
+
+def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
+    """The bench with its repeatability estimated anew; its study, and residuals without structure."""
+    study = bench.study()
+    quiet = np.random.default_rng(0)
+    residual, taken = cleared(study, look(study, bench, 0, quiet))
+    again = repeatability(study, residual, taken, bench.rounding, bench.drive)
+    settled = replace(bench, repeatability=again)
+    return settled, settled.study(), residual * study.scale / settled.scale
+
+
+def _name(looked: Misfit) -> Found:
+    naming = name(looked)
+    shape = looked.best_of(naming.cause)
+    p_value = min(1.0, 2 * looked.p_value)
+    start = np.zeros(0)
+    if shape.version is not None:
+        start = np.array(shape.version.absent) if shape.values is None else shape.values
+    return Found(naming.cause, shape.version, start, naming, looked, p_value)
+
+
+def _study(bench: Bench, fit: Refit, named: Sequence[Found]) -> Study:
+    plain = study_of(bench.rows, fit.parts, bench.responses, bench.scale, shared=len(fit.values))
+    own = [_own_forms(plain, each) for each in named if each.version is not None]
+    if not own:
+        return plain
+    absorbed = np.concatenate(own, axis=1)
+    return study_of(
+        bench.rows, fit.parts, bench.responses, bench.scale, shared=len(fit.values), absorbed=absorbed
+    )
+
+
+def _own_forms(study: Study, found: Found) -> Array:
+    """What a named cause can do in other forms than the one fitted, in units of the noise, shape (n, m).
+
+    These are its other shapes, and the square and the cube of its own effect: a bend in whatever it follows.
+    """
+    looked = found.misfit
+    assert looked is not None
+    shapes = [each.directions for each in looked.hypotheses if same(each, found)]
+    effect = changes(study, found.version, found.start[None])
+    bent = np.concatenate([effect**2, effect**3], axis=1) / study.scale[:, None]
+    length = np.linalg.norm(bent, axis=0)
+    columns = np.concatenate([*shapes, bent / np.where(length > 0, length, 1.0)], axis=1)
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular**2 > OWN_SHARE * np.sum(singular**2)][:, :MOST_FORMS]
+
+
+def same(hypothesis: Hypothesis, found: Found) -> bool:
+    """Whether a hypothesis is a shape of what was found, in the same version."""
+    return hypothesis.cause == found.cause and bool(hypothesis.version == found.version)
