@@ -68,6 +68,8 @@ class Cause(ABC):
         Whether it changes along a traverse beyond what the law itself does.
     joined : bool
         Whether a version's trials act in any combination, and not one at a time.
+    most : float
+        Where `largest` is empty: how many times as large as in its trials the first parameter may be.
     widest : float
         Widest panel, rad or m, that still sees it along a traverse.
     """
@@ -83,6 +85,7 @@ class Cause(ABC):
     scale: tuple[float, ...]
     along: ClassVar[bool] = False
     joined: ClassVar[bool] = False
+    most: ClassVar[float] = 1.0
     widest: float = np.inf
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:

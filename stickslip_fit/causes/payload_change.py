@@ -31,6 +31,7 @@ class PayloadChange(StateCause):
         "whatever the configuration, while the step size without load stays what it was. After a session's "
         "end it is part of the next session's calibration."
     )
+    most = 5.0
     shows_best = "joint 3 upright before and after, in both directions"
     columns = ("q1", "q2", "q3", "theta", "psi", "session", "session_seconds", "payload")
 

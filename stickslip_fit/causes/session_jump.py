@@ -32,6 +32,7 @@ class SessionJump(FactorCause):
     )
     shows_best = "the configurations of before the jump once more, after it"
     columns = ("session", "session_seconds")
+    most = 10.0
     absent = (0.0, 0.0)
     scale = (0.01, 600.0)
 

@@ -79,7 +79,7 @@ class Bench:
         smaller = replace(
             self,
             rows=self.rows.iloc[kept].reset_index(drop=True),
-            parts=tuple(part for part in parts if len(part.rows)),
+            parts=tuple(parts),
             responses=self.responses[kept],
             rounding=self.rounding[kept],
             drive=self.drive[kept],

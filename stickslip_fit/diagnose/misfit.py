@@ -37,12 +37,19 @@ class Misfit:
     by_cause : dict of str to float
         Log evidence of each cause, averaged over its shapes.
     p_value : float
+    null : array, shape (flips,)
+        Log evidence, over everything, in logs in which nothing is wrong.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     log_evidence: Array
     by_cause: dict[str, float]
     p_value: float
+    null: Array
+
+    def critical(self, level: float) -> float:
+        """Log evidence, over everything, that chance exceeds with probability `level`."""
+        return float(np.quantile(self.null, 1.0 - level)) if len(self.null) else np.nan
 
     def best_of(self, cause: str) -> Hypothesis:
         """The likeliest shape of a cause."""
@@ -77,11 +84,13 @@ def misfit(study: Study, hypotheses: Sequence[Hypothesis], flips: int, rng: np.r
 
     own = together.log_evidence(study.residual[:, None])
     found = by_cause(own)[:, 0]
-    higher, total = 0, float(logsumexp(found))
+    total, by_chance = float(logsumexp(found)), [np.zeros(0)]
     raw = study.residual / np.sqrt(1.0 - np.minimum(study.leverage, LARGEST_LEVERAGE))
     for first in range(0, flips, AT_A_TIME):
         signs = rng.choice([-1.0, 1.0], (len(study), min(AT_A_TIME, flips - first)))
         null = together.log_evidence(study.project(signs * raw[:, None]))
-        higher += int(np.sum(logsumexp(by_cause(null), axis=0) >= total))
-    p_value = (1 + higher) / (1 + flips) if flips else np.nan
-    return Misfit(tuple(hypotheses), own[:, 0], dict(zip(names, map(float, found), strict=True)), p_value)
+        by_chance.append(logsumexp(by_cause(null), axis=0))
+    totals = np.concatenate(by_chance)
+    p_value = (1 + int(np.sum(totals >= total))) / (1 + flips) if flips else np.nan
+    each = dict(zip(names, map(float, found), strict=True))
+    return Misfit(tuple(hypotheses), own[:, 0], each, p_value, totals)

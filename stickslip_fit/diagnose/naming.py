@@ -35,14 +35,12 @@ class Naming:
     probability: dict[str, float]
 
 
-def name(found: Misfit, *, nothing: float = PRIOR_NOTHING) -> Naming:
+def name(found: Misfit) -> Naming:
     """Name what a misfit shows.
 
     Parameters
     ----------
     found : Misfit
-    nothing : float, optional
-        Probability beforehand that nothing is wrong.
     """
     evidence = found.by_cause
     causes = {cause: value for cause, value in evidence.items() if cause != UNKNOWN}
@@ -54,11 +52,11 @@ def name(found: Misfit, *, nothing: float = PRIOR_NOTHING) -> Naming:
         floor = causes[best] - AS_LIKELY
         close = [cause for cause, value in causes.items() if cause != best and value > floor]
         rivals = tuple(sorted(close, key=lambda cause: -causes[cause]))
-    return Naming(best, rivals, probabilities(evidence, nothing))
+    return Naming(best, rivals, probabilities(evidence))
 
 
-def probabilities(evidence: dict[str, float], nothing: float) -> dict[str, float]:
-    """Probability of each cause if at most one is at work."""
+def probabilities(evidence: dict[str, float], nothing: float = PRIOR_NOTHING) -> dict[str, float]:
+    """Probability of each cause if at most one is at work; nothing is as likely beforehand as something."""
     each = (1.0 - nothing) / max(len(evidence), 1)
     logs = np.array([*evidence.values(), 0.0]) + np.log([each] * len(evidence) + [nothing])
     weights = np.exp(logs - logs.max())

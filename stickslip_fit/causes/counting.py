@@ -1,0 +1,169 @@
+"""From the step size at a few positions to the steps over a traverse, and how these follow it.
+
+Each way says at which positions it needs the step size; the steps are then a function of those numbers
+alone, whatever they depend on.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.laws.harmonic import harmonic_counts
+
+Array = npt.NDArray[np.float64]
+
+ALIKE = 1e-9  # relative; a step size that is a sine of the position is one to within rounding
+ORDER = 10
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
+# The last two Legendre coefficients of a panel, as sums over its nodes.
+TAIL = (2 * np.arange(ORDER - 2, ORDER) + 1) / 2 * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:]
+TAIL *= WEIGHTS[:, None]
+# An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
+SETTLED = 3e-6
+MOST_PANELS = 1024
+
+
+class Counting(ABC):
+    """A way of counting the steps over n traverses from the step size at k positions of each.
+
+    Attributes
+    ----------
+    positions : array, shape (n, k)
+    """
+
+    positions: Array
+
+    @abstractmethod
+    def fits(self, gamma: Array) -> bool:
+        """Whether step sizes at the positions, shape (n, k) or (n, 1), are such that the count is right."""
+
+    @abstractmethod
+    def counts(self, gamma: Array) -> Array:
+        """Steps, shape (n,); NaN where a joint stalls."""
+
+    @abstractmethod
+    def slopes(self, gamma: Array) -> Array:
+        """Derivative of the steps by the step size at each position, shape (n, k)."""
+
+
+class Even(Counting):
+    """The step size is the same all along a traverse: its length over the step size.
+
+    Parameters
+    ----------
+    start, stop : array, shape (n,)
+    """
+
+    def __init__(self, start: Array, stop: Array) -> None:
+        self.length = np.abs(stop - start)
+        self.positions = np.stack([start, stop], axis=-1)
+
+    def fits(self, gamma: Array) -> bool:
+        """See `Counting.fits`: it must not so much as depend on the position."""
+        return gamma.shape[1] == 1
+
+    def counts(self, gamma: Array) -> Array:
+        """See `Counting.counts`."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(gamma[:, 0] > 0, self.length / gamma[:, 0], np.nan)
+
+    def slopes(self, gamma: Array) -> Array:
+        """See `Counting.slopes`."""
+        return (-self.counts(gamma) / gamma[:, 0])[:, None]
+
+
+class Swinging(Counting):
+    """The step size swings as one sine of a rotary joint's position; closed form of `harmonic_counts`.
+
+    Three positions, a third of a turn apart, tell mean, cosine and sine; two more whether it is a sine.
+
+    Parameters
+    ----------
+    start, stop : array, shape (n,)
+    """
+
+    PLACES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3, 0.8, 2.9])
+    PARTS = np.stack([np.ones(5), np.cos(PLACES), np.sin(PLACES)])
+    FROM_THREE = np.linalg.inv(PARTS[:, :3].T)
+
+    def __init__(self, start: Array, stop: Array) -> None:
+        self.start, self.stop = start, stop
+        self.positions = np.broadcast_to(self.PLACES, (len(start), 5))
+
+    def fits(self, gamma: Array) -> bool:
+        """See `Counting.fits`."""
+        departure = gamma - self._parts(gamma) @ self.PARTS
+        return bool(np.all(np.abs(departure) <= ALIKE * np.abs(gamma).max(axis=1, keepdims=True)))
+
+    def counts(self, gamma: Array) -> Array:
+        """See `Counting.counts`."""
+        return harmonic_counts(*self._swing(gamma), self.start, self.stop)[0]
+
+    def slopes(self, gamma: Array) -> Array:
+        """See `Counting.slopes`."""
+        mean, amplitude, phase = self._swing(gamma)
+        _, by_mean, by_amplitude = harmonic_counts(mean, amplitude, phase, self.start, self.stop)
+        first, last = self.start - phase, self.stop - phase
+        ends = (mean + amplitude * np.cos(first)) * (mean + amplitude * np.cos(last))
+        # The integral of sin(q - phase) / gamma^2, which is that of a derivative.
+        across = -np.sign(self.stop - self.start) * (np.cos(first) - np.cos(last)) / ends
+        by_cosine = by_amplitude * np.cos(phase) - across * np.sin(phase)
+        by_sine = by_amplitude * np.sin(phase) + across * np.cos(phase)
+        slopes = np.zeros((len(mean), 5))
+        slopes[:, :3] = np.stack([by_mean, by_cosine, by_sine], axis=-1) @ self.FROM_THREE
+        return slopes
+
+    def _parts(self, gamma: Array) -> Array:
+        """Mean, cosine and sine of the step size over a turn, shape (n, 3)."""
+        return np.broadcast_to(gamma, self.positions.shape)[:, :3] @ self.FROM_THREE.T
+
+    def _swing(self, gamma: Array) -> tuple[Array, Array, Array]:
+        mean, cosine, sine = self._parts(gamma).T
+        return mean, np.hypot(cosine, sine), np.arctan2(sine, cosine)
+
+
+class Panels(Counting):
+    """Any step size: Gauss-Legendre panels of equal width along each traverse.
+
+    Parameters
+    ----------
+    start, stop : array, shape (n,)
+    number : int
+        Of panels on each traverse.
+    """
+
+    def __init__(self, start: Array, stop: Array, number: int) -> None:
+        if number > MOST_PANELS:
+            raise InputError("the step size varies too sharply within a traverse to count its steps")
+        self.number = number
+        half = (stop - start)[:, None] / (2 * number)
+        middles = start[:, None] + half * (2 * np.arange(number) + 1)
+        self.positions = (middles[:, :, None] + half[:, :, None] * NODES).reshape(len(start), -1)
+        self.weights = np.abs(half) * np.tile(WEIGHTS, number)
+
+    def finer(self, start: Array, stop: Array) -> Panels:
+        """Twice as many panels."""
+        return Panels(start, stop, 2 * self.number)
+
+    def fits(self, gamma: Array) -> bool:
+        """See `Counting.fits`: the last Legendre coefficients of each panel are next to nothing."""
+        rate = self._rate(gamma)
+        rate = rate[np.isfinite(rate).all(axis=1)]
+        tail = np.abs(rate.reshape(-1, ORDER) @ TAIL).max(axis=1)
+        return bool(np.all(tail.reshape(-1, self.number) <= SETTLED * rate.mean(axis=1, keepdims=True)))
+
+    def counts(self, gamma: Array) -> Array:
+        """See `Counting.counts`."""
+        return np.sum(self.weights * self._rate(gamma), axis=1)
+
+    def slopes(self, gamma: Array) -> Array:
+        """See `Counting.slopes`."""
+        return -self.weights * self._rate(gamma) ** 2
+
+    def _rate(self, gamma: Array) -> Array:
+        with np.errstate(divide="ignore"):
+            return np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), self.positions.shape)

@@ -1,0 +1,99 @@
+"""How large a finding is, with intervals that hold although it was found because it looked large.
+
+An effect's strength is estimated by z, the length of its estimate in repeatabilities; z^2 is noncentral
+chi-square, and was seen only because it exceeded what chance gives. The interval inverts that distribution
+given the alarm (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal case).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+from scipy.stats import ncx2
+
+Array = npt.NDArray[np.float64]
+
+COVERAGE = 0.95
+LARGE = 12.0  # strength beyond which the alarm was certain
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its interval of 95 %; NaN where it is not known."""
+
+    estimate: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Interval:
+        """All three times a factor."""
+        return Interval(self.estimate * factor, self.low * factor, self.high * factor)
+
+
+def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
+    """Strength of an effect that was seen with length `z`, because it exceeded `threshold`.
+
+    Parameters
+    ----------
+    z : float
+        Length of the estimated effect, in repeatabilities.
+    dimensions : int
+        Numbers that were estimated with it.
+    threshold : float
+        Least length that raises the alarm.
+
+    Examples
+    --------
+    A strong effect has the ordinary interval; one just above the threshold may well be nothing much.
+
+    >>> strong, weak = strength_interval(20.0, 1, 4.0), strength_interval(4.2, 1, 4.0)
+    >>> round(strong.low, 1), round(strong.high, 1), round(weak.low, 1)
+    (18.0, 22.0, 0.0)
+    """
+    if z > LARGE:
+        middle = np.sqrt(max(z**2 - dimensions, 0.0))
+        return Interval(middle, max(z - 1.96, 0.0), np.sqrt((z + 1.96) ** 2 - dimensions + 1))
+    threshold = min(threshold, z * (1 - 1e-9))
+
+    def below(strength: float) -> float:
+        """Chance of less than `z`, given the alarm."""
+        least, all_of_it = ncx2.cdf(threshold**2, dimensions, strength**2), 1.0
+        alarm = max(all_of_it - least, 1e-300)
+        return float((ncx2.cdf(z**2, dimensions, strength**2) - least) / alarm)
+
+    def where(chance: float) -> float:
+        if below(1e-6) < chance:
+            return 0.0
+        return float(brentq(lambda s: below(s) - chance, 1e-6, z + 10.0, xtol=1e-4))
+
+    tail = (1.0 - COVERAGE) / 2
+    return Interval(where(0.5), where(1.0 - tail), where(tail))
+
+
+def threshold_length(critical: float, shapes: int, freedom: int, strengths: Array) -> float:
+    """Length at which one shape alone would raise the alarm.
+
+    Parameters
+    ----------
+    critical : float
+        Log evidence, over everything, that raises it.
+    shapes : int
+        Of the cause; its evidence is their mean.
+    freedom : int
+    strengths : array
+        Over which evidence is averaged.
+    """
+
+    def evidence(z: float) -> float:
+        signal = strengths**2
+        log = -0.5 * np.log1p(signal) - 0.5 * freedom * np.log1p(
+            -np.minimum(z**2 * signal / (1 + signal) / (freedom + z**2), 1 - 1e-12)
+        )
+        return float(np.log(np.mean(np.exp(log - log.max()))) + log.max() - np.log(shapes))
+
+    if not np.isfinite(critical) or evidence(0.0) > critical:
+        return 0.0
+    return float(brentq(lambda z: evidence(z) - critical, 0.0, 60.0, xtol=1e-3))

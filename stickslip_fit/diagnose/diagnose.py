@@ -1,0 +1,103 @@
+"""The whole of a diagnosis, step by step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+import numpy as np
+
+from stickslip_fit.causes import Cause
+from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Verdict
+from stickslip_fit.diagnose.findings import findings
+from stickslip_fit.diagnose.misfit import UNKNOWN
+from stickslip_fit.diagnose.naming import probabilities
+from stickslip_fit.diagnose.of_log import bench_of
+from stickslip_fit.diagnose.search import Search, search
+from stickslip_fit.diagnose.testable import untestable
+from stickslip_fit.logs import Log
+
+# Logs in which nothing is wrong, for each false alarm that may be raised.
+FLIPS_PER_ALARM = 20
+FEWEST = 10  # degrees of freedom
+CERTAIN = 0.99
+
+
+def diagnose(
+    log: Log, *, causes: Iterable[Cause] | None = None, alpha: float = 0.01, seed: int = 0
+) -> Diagnosis:
+    """Find out what the published laws get wrong in a log, and why.
+
+    Parameters
+    ----------
+    log : Log
+    causes : iterable of Cause, optional
+        To choose from; the library and the lab's own columns without it.
+    alpha : float, optional
+        False-alarm rate.
+    seed : int, optional
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse.
+    """
+    began = time.perf_counter()
+    given, missing = bench_of(log, causes)
+    unable = missing | untestable(given, given.study())
+    bench = Bench(
+        **{**vars(given), "causes": tuple(each for each in given.causes if each.name not in unable)}
+    )
+    searched = search(bench, alpha, flips(alpha), np.random.default_rng(seed))
+    sized = findings(searched, bench, alpha) if searched.p_value < alpha else ()
+    return Diagnosis(
+        verdict=_verdict(sized),
+        findings=sized,
+        p_value=searched.p_value,
+        misfit=float(np.sqrt(np.mean((given.study().residual * given.scale) ** 2))),
+        repeatability=float(np.sqrt(np.mean(searched.bench.repeatability[searched.bench.drive] ** 2))),
+        inclusion=_inclusion(searched, bench, unable),
+        untestable=unable,
+        gain=None,
+        gain_new_session=None,
+        next_experiment=(),
+        alpha=alpha,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        log_file=log.sources[0][0] if log.sources else "",
+        log_sha256=log.sha256,
+        search=searched,
+    )
+
+
+def flips(alpha: float) -> int:
+    """Logs in which nothing is wrong that an alarm rate needs; twice, since two looks share it."""
+    return int(np.ceil(2 * FLIPS_PER_ALARM / alpha))
+
+
+def _verdict(sized: tuple[Finding, ...]) -> Verdict:
+    if not sized:
+        return "nothing wrong"
+    if sized[0].cause == UNKNOWN:
+        return "unknown cause"
+    return "cannot tell apart" if sized[0].equivalent else "cause named"
+
+
+def _inclusion(searched: Search, bench: Bench, unable: dict[str, str]) -> dict[str, float | None]:
+    """Probability of each cause: of those found at the look that found them, of all others at the last."""
+    last = probabilities(searched.last.by_cause)
+    found: dict[str, float | None] = dict.fromkeys([*(cause.name for cause in bench.causes), UNKNOWN], 0.0)
+    found |= last
+    for each in searched.found:
+        if each.misfit is not None:
+            for cause, probability in each.naming.probability.items():
+                if cause == each.cause or cause in each.naming.rivals:
+                    found[cause] = max(probability, found.get(cause) or 0.0)
+        else:
+            found[each.cause] = CERTAIN
+    return found | dict.fromkeys(unable)

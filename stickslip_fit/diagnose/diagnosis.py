@@ -1,0 +1,184 @@
+"""What a diagnosis says: whether anything is wrong, what, how large, and what would tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pandas as pd
+
+from stickslip_fit.diagnose.amplitude import Interval
+from stickslip_fit.diagnose.search import Search
+
+Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
+
+
+@dataclass(frozen=True)
+class SizedParameter:
+    """A parameter of a named cause, SI, with its interval of 95 %.
+
+    Attributes
+    ----------
+    name, unit : str
+        The unit is the one people read it in.
+    size : Interval
+    joint : int or None
+    direction, session : str or None
+    """
+
+    name: str
+    unit: str
+    size: Interval
+    joint: int | None = None
+    direction: str | None = None
+    session: str | None = None
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Error on traverses that took no part, before and after extending the law; relative, rms.
+
+    Attributes
+    ----------
+    baseline, extended : float
+    noise_floor : float
+        What even the true law would leave, rounding included.
+    low, high : float
+        95 % interval of baseline less extended for a fresh replicate of the campaign.
+    by_session : DataFrame
+        session, baseline, extended, traverses.
+    """
+
+    baseline: float
+    extended: float
+    noise_floor: float
+    low: float
+    high: float
+    by_session: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes
+    ----------
+    cause : str
+    version : object or None
+        The cause as it acts in this log.
+    equivalent : tuple of str
+        Causes that this log cannot tell from it.
+    p_value : float
+    joints : tuple of int
+    effect : Interval
+        Rms over all rows of the relative change in the count, recalibration taken out.
+    parameters : tuple of SizedParameter
+    gain : Gain or None
+        From the findings before it to those with it.
+    closest, share : str, float
+        For ``unknown``: the cause that comes closest, and the share of the structure that it explains.
+    carrier : str
+        For ``unknown``: what the structure follows.
+    """
+
+    cause: str
+    version: Any
+    equivalent: tuple[str, ...]
+    p_value: float
+    joints: tuple[int, ...]
+    effect: Interval
+    parameters: tuple[SizedParameter, ...]
+    gain: Gain | None = None
+    closest: str = ""
+    share: float = 0.0
+    carrier: str = ""
+
+
+@dataclass(frozen=True)
+class NextTraverse:
+    """A traverse worth making next; SI, NaN where it does not matter.
+
+    Attributes
+    ----------
+    session : str
+        ``new``, or one that is still going on.
+    joint : int
+    direction : str
+    q1, q2, q3, theta, psi, start, stop : float
+    repeats : int
+    tells_apart : tuple of str
+    note : str
+        When to make it, where that matters.
+    """
+
+    session: str
+    joint: int
+    direction: str
+    q1: float
+    q2: float
+    q3: float
+    theta: float
+    psi: float
+    start: float
+    stop: float
+    repeats: int
+    tells_apart: tuple[str, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer, and what it rests on.
+
+    Attributes
+    ----------
+    verdict : str
+    findings : tuple of Finding
+        Strongest first.
+    p_value : float
+        Of anything at all, corrected for everything that was searched.
+    misfit : float
+        Rms residual of the baseline.
+    repeatability : float
+        Root mean square over the rows of each row's own.
+    inclusion : dict of str to float or None
+        Probability that each cause is at work; None where the log cannot show it.
+    untestable : dict of str to str
+        Why the log cannot show a cause.
+    gain, gain_new_session : Gain or None
+    next_experiment : tuple of NextTraverse
+    alpha : float
+    seed : int
+    seconds : float
+    log_file, log_sha256 : str
+    search : Search
+        What all this follows from, for pictures.
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    p_value: float
+    misfit: float
+    repeatability: float
+    inclusion: Mapping[str, float | None]
+    untestable: Mapping[str, str]
+    gain: Gain | None
+    gain_new_session: Gain | None
+    next_experiment: tuple[NextTraverse, ...]
+    alpha: float
+    seed: int
+    seconds: float
+    log_file: str
+    log_sha256: str
+    search: Search
+
+    def __str__(self) -> str:
+        from stickslip_fit.diagnose.text import text
+
+        return text(self)
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.diagnosis import diagnosis_html
+
+        return diagnosis_html(self)

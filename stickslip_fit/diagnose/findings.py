@@ -1,0 +1,162 @@
+"""From what a search found to findings with sizes and intervals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import beta
+
+from stickslip_fit.diagnose.amplitude import Interval, strength_interval, threshold_length
+from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.candidates import changes
+from stickslip_fit.diagnose.diagnosis import Finding, SizedParameter
+from stickslip_fit.diagnose.evidence import STRENGTHS
+from stickslip_fit.diagnose.misfit import UNKNOWN
+from stickslip_fit.diagnose.search import MISFIRE, Found, Search
+from stickslip_fit.diagnose.separability import told_apart
+from stickslip_fit.diagnose.study import Study
+
+Array = npt.NDArray[np.float64]
+TWO_SIDED = 1.959964
+COVARIATE = "covariate:"
+
+
+def findings(searched: Search, given: Bench, alpha: float) -> tuple[Finding, ...]:
+    """Size up everything that was found, strongest first; what has no name comes last.
+
+    Parameters
+    ----------
+    searched : Search
+    given : Bench
+        What was searched, misfired rows and all.
+    alpha : float
+        Of the search.
+    """
+    study, first = searched.bench.study(), 0
+    sized = []
+    for found in searched.found:
+        number = len(found.start)
+        if found.cause == MISFIRE:
+            sized.append(_misfires(searched, given, found))
+        elif found.cause == UNKNOWN:
+            sized.append(_unknown(searched, found, alpha))
+        else:
+            sized.append(_named(searched, study, found, slice(first, first + number), alpha))
+            first += number
+    return tuple(sorted(sized, key=lambda each: (each.cause == UNKNOWN, -each.effect.estimate)))
+
+
+def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: float) -> Finding:
+    values, covariance = searched.fit.values[mine], searched.fit.covariance[mine, mine]
+    change = study.project(changes(study, found.version, values[None])[:, 0] / study.scale)
+    length = float(np.linalg.norm(change))
+    other_forms = _beyond(searched, found)
+    strength = _strength(found, np.hypot(length, other_forms), _rank(covariance), study, alpha)
+    per_strength = _rms(change * study.scale) / max(length, 1e-12)
+    looked = found.misfit
+    assert looked is not None
+    rivals = tuple(
+        rival
+        for rival in found.naming.rivals
+        if not told_apart(looked.best_of(found.cause), looked, rival, strength.estimate)
+    )
+    error = np.sqrt(np.diag(covariance))
+    sizes = [
+        SizedParameter(
+            parameter.name, parameter.unit,
+            Interval(value, value - TWO_SIDED * spread, value + TWO_SIDED * spread),
+            parameter.joint, parameter.direction, parameter.session,
+        )
+        for parameter, value, spread in zip(found.version.parameters, values, error, strict=True)
+        if spread > 0
+    ]  # fmt: skip
+    shown = () if found.cause.startswith(COVARIATE) else tuple(sizes)
+    return Finding(
+        found.cause, found.version, rivals, found.p_value, _joints(searched.bench, found.version),
+        strength.times(per_strength), shown,
+    )  # fmt: skip
+
+
+def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
+    looked, study = found.misfit, searched.study
+    assert looked is not None
+    best = looked.best_of(UNKNOWN)
+    along = best.directions.T @ study.residual
+    strength2 = max(float(along @ along) - len(along), 0.0)
+    taken = best.share * strength2 / (1.0 + best.share * strength2)
+    shape = best.directions @ (taken * along)
+    length = float(np.linalg.norm(shape))
+    strength = _strength(found, np.sqrt(strength2 + 1.0), 1, study, alpha)
+    effect = strength.times(_rms(shape * study.scale) / max(length, 1e-12))
+    causes = {cause: value for cause, value in looked.by_cause.items() if cause != UNKNOWN}
+    closest = max(causes, key=lambda cause: causes[cause]) if causes else ""
+    share = 0.0
+    if closest:
+        near = looked.best_of(closest)
+        explained = float(np.sum((near.directions.T @ study.residual) ** 2)) - len(near.share)
+        share = min(max(explained / max(strength2, 1e-12), 0.0), 1.0)
+    carrier = best.cause.removeprefix(f"{UNKNOWN}:")
+    touched = tuple(
+        int(part.law.joint)
+        for part in study.parts
+        if np.any(np.abs(shape[part.rows]) > 1e-3 * np.abs(shape).max())
+    )
+    return Finding(UNKNOWN, None, (), found.p_value, touched, effect, (), None, closest, share, carrier)
+
+
+def _misfires(searched: Search, given: Bench, found: Found) -> Finding:
+    out, n = searched.misfired, len(given)
+    off = np.abs(_departures(searched, given, out))
+    rms = float(np.sqrt(np.sum(off**2) / n))
+    spread = TWO_SIDED * rms * float(np.sqrt(np.mean(given.scale[out] ** 2) / np.mean(off**2) / len(out)))
+    share = Interval(
+        len(out) / n,
+        float(beta.ppf(0.025, len(out), n - len(out) + 1)),
+        float(beta.ppf(0.975, len(out) + 1, n - len(out))),
+    )
+    low, middle, high = np.quantile(off, [0.025, 0.5, 0.975])
+    joints = tuple(sorted({int(joint) for joint in given.rows["joint"].iloc[out]}))
+    return Finding(
+        MISFIRE, None, (), found.p_value, joints, Interval(rms, max(rms - spread, 0.0), rms + spread),
+        (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
+    )  # fmt: skip
+
+
+def _departures(searched: Search, given: Bench, out: npt.NDArray[np.intp]) -> Array:
+    """By how much rows that were left out of the fit differ from it; those it cannot predict by nothing."""
+    off = np.zeros(len(given))
+    for part, fitted in zip(given.parts, searched.fit.parts, strict=True):
+        blocks, first = np.unique(fitted.block, return_index=True)
+        mine = np.isin(part.rows, out) & np.isin(part.block, blocks)
+        values = fitted.values[first[np.searchsorted(blocks, part.block[mine])]]
+        rows = part.rows[mine]
+        if len(rows):
+            off[rows] = given.responses[rows] - fitted.law.predict(given.rows.iloc[rows], values)
+    return off[out]
+
+
+def _strength(found: Found, length: float, dimensions: int, study: Study, alpha: float) -> Interval:
+    looked = found.misfit
+    assert looked is not None
+    shapes = sum(each.cause == found.cause for each in looked.hypotheses) or 1
+    threshold = threshold_length(looked.critical(alpha / 2), shapes, study.freedom, STRENGTHS)
+    return strength_interval(length, max(dimensions, 1), threshold)
+
+
+def _beyond(searched: Search, found: Found) -> float:
+    """Length of what the cause's other forms explain beyond the one that was fitted; 0 if that is chance."""
+    return 0.0
+
+
+def _rank(covariance: Array) -> int:
+    return int(np.sum(np.diag(covariance) > 0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _joints(bench: Bench, version: Any) -> tuple[int, ...]:
+    return tuple(int(part.law.joint) for part in bench.parts if part.law.joint in version.joints)

@@ -1,0 +1,41 @@
+"""Which causes a log could show at all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.candidates import effects
+from stickslip_fit.diagnose.search import MISFIRE
+from stickslip_fit.diagnose.study import Study
+
+ENOUGH = 3.0  # strength at the largest plausible size
+
+
+def untestable(bench: Bench, study: Study) -> dict[str, str]:
+    """Causes that even at their largest plausible size would not show, and why."""
+    found = {}
+    for cause in bench.causes:
+        strength = largest_strength(cause, study)
+        if strength == 0.0:
+            found[cause.name] = "this log's traverses show nothing of it, once each session is recalibrated"
+        elif strength < ENOUGH:
+            found[cause.name] = (
+                f"even at its largest plausible size its strength in this log would be {strength:.1f}, less "
+                f"than {ENOUGH:.0f}"
+            )
+    return found
+
+
+def largest_strength(cause: Any, study: Study) -> float:
+    """Norm of a cause's largest plausible effect, in repeatabilities, recalibration taken out."""
+    if cause.name == MISFIRE:
+        return np.inf
+    shapes = [(cause, np.array(cause.largest()))] if cause.largest() else cause.trials(study.rows)
+    strengths = [0.0]
+    for version, values in shapes:
+        grown = values if cause.largest() else values * np.r_[cause.most, np.ones(values.shape[1] - 1)]
+        strengths.append(float(np.linalg.norm(effects(study, version, grown), axis=0).max()))
+    return max(strengths)
