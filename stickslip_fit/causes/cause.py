@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes.conditions import known_of
 from stickslip_fit.laws import Parameter, State, StepLaw, state_at
 from stickslip_fit.machine import Machine
 
@@ -120,12 +121,12 @@ class Cause(ABC):
             The law's parameters.
         trials : array, shape (m, q)
         """
-        extended, here = self.extend(law), law.predict(rows, values)
+        steps, here = self.extend(law).steps(rows), law.predict(rows, values)
         both = np.concatenate([values, np.empty((len(values), trials.shape[1]))], axis=1)
         found = np.empty((len(values), len(trials)))
         for k, trial in enumerate(trials):
             both[:, values.shape[1] :] = trial
-            found[:, k] = extended.predict(rows, both) - here
+            found[:, k] = np.log(steps(both)) - here
         return found
 
     def bound(self, rows: pd.DataFrame, machine: Machine) -> Cause:
@@ -142,8 +143,9 @@ class Cause(ABC):
 class StateCause(Cause):
     """A cause by which angles, load or recoil are not what was written down."""
 
-    turns: ClassVar[bool] = False
-    """Whether it changes angles, and so comes before those that change what follows from them."""
+    turn: ClassVar[int] = 3
+    """When: 1 for one that changes angles, 2 that puts a load or a recoil in place of the one that follows
+    from them, 3 that alters those as it finds them."""
 
     @abstractmethod
     def change(self, state: State, values: list[Array]) -> State:
@@ -175,12 +177,21 @@ class FactorCause(Cause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that stays the same along a traverse divides its steps."""
-        if self.along:
+        from stickslip_fit.causes.extended import extend_by
+
+        before = extend_by(law, ())
+        known = known_of(rows, (*before.columns, *self.columns))
+        ends = state_at(law.joint, known, np.stack([known["start"], known["stop"]], axis=-1))
+        state, one = before.true_state(ends, values), np.ones((len(values), 1))
+        factors = [self.factor(state, [size * one for size in trial]) for trial in trials]
+        if any(factor.shape[1] > 1 for factor in factors):
             return super().changes(law, rows, values, trials)
-        place = np.asarray(rows["start"], dtype=float)[:, None]
-        state = state_at(law.joint, rows, place)
-        factors = [self.factor(state, [np.full_like(place, size) for size in trial]) for trial in trials]
-        return -np.log(np.concatenate(factors, axis=1))
+        factor = np.concatenate([*factors, one], axis=1)[:, :-1]
+        added = before.steps_added(ends, values)[:, None]
+        if not added.any():
+            return -np.log(factor)
+        whole = np.exp(law.predict(rows, values))[:, None]
+        return np.log((whole - added) / factor + added) - np.log(whole)
 
 
 class CountCause(Cause):

@@ -11,10 +11,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.errors import InputError
 from stickslip_fit.laws.harmonic import harmonic_counts
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 ALIKE = 1e-9  # relative; a step size that is a sine of the position is one to within rounding
 ORDER = 10
@@ -24,7 +24,6 @@ TAIL = (2 * np.arange(ORDER - 2, ORDER) + 1) / 2 * np.polynomial.legendre.legvan
 TAIL *= WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
 SETTLED = 3e-6
-MOST_PANELS = 1024
 
 
 class Counting(ABC):
@@ -38,8 +37,8 @@ class Counting(ABC):
     positions: Array
 
     @abstractmethod
-    def fits(self, gamma: Array) -> bool:
-        """Whether step sizes at the positions, shape (n, k) or (n, 1), are such that the count is right."""
+    def fits(self, gamma: Array) -> Mask:
+        """Whether each count will be right, shape (n,), by the step sizes, shape (n, k) or (n, 1)."""
 
     @abstractmethod
     def counts(self, gamma: Array) -> Array:
@@ -62,9 +61,9 @@ class Even(Counting):
         self.length = np.abs(stop - start)
         self.positions = np.stack([start, stop], axis=-1)
 
-    def fits(self, gamma: Array) -> bool:
+    def fits(self, gamma: Array) -> Mask:
         """See `Counting.fits`: it must not so much as depend on the position."""
-        return gamma.shape[1] == 1
+        return np.full(len(gamma), gamma.shape[1] == 1)
 
     def counts(self, gamma: Array) -> Array:
         """See `Counting.counts`."""
@@ -94,10 +93,10 @@ class Swinging(Counting):
         self.start, self.stop = start, stop
         self.positions = np.broadcast_to(self.PLACES, (len(start), 5))
 
-    def fits(self, gamma: Array) -> bool:
+    def fits(self, gamma: Array) -> Mask:
         """See `Counting.fits`."""
         departure = gamma - self._parts(gamma) @ self.PARTS
-        return bool(np.all(np.abs(departure) <= ALIKE * np.abs(gamma).max(axis=1, keepdims=True)))
+        return np.all(np.abs(departure) <= ALIKE * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
 
     def counts(self, gamma: Array) -> Array:
         """See `Counting.counts`."""
@@ -137,24 +136,18 @@ class Panels(Counting):
     """
 
     def __init__(self, start: Array, stop: Array, number: int) -> None:
-        if number > MOST_PANELS:
-            raise InputError("the step size varies too sharply within a traverse to count its steps")
         self.number = number
         half = (stop - start)[:, None] / (2 * number)
         middles = start[:, None] + half * (2 * np.arange(number) + 1)
         self.positions = (middles[:, :, None] + half[:, :, None] * NODES).reshape(len(start), -1)
         self.weights = np.abs(half) * np.tile(WEIGHTS, number)
 
-    def finer(self, start: Array, stop: Array) -> Panels:
-        """Twice as many panels."""
-        return Panels(start, stop, 2 * self.number)
 
-    def fits(self, gamma: Array) -> bool:
-        """See `Counting.fits`: the last Legendre coefficients of each panel are next to nothing."""
+    def fits(self, gamma: Array) -> Mask:
+        """See `Counting.fits`: the last Legendre coefficients of each panel are next to nothing, or it stalls."""
         rate = self._rate(gamma)
-        rate = rate[np.isfinite(rate).all(axis=1)]
-        tail = np.abs(rate.reshape(-1, ORDER) @ TAIL).max(axis=1)
-        return bool(np.all(tail.reshape(-1, self.number) <= SETTLED * rate.mean(axis=1, keepdims=True)))
+        tail = np.abs(rate.reshape(len(rate), self.number, ORDER) @ TAIL).max(axis=(1, 2))
+        return ~(tail > SETTLED * rate.mean(axis=1))
 
     def counts(self, gamma: Array) -> Array:
         """See `Counting.counts`."""

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from stickslip_fit.causes.cause import Cause, CountCause, FactorCause, StateCause, TermCause
-from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw, state_at
+from stickslip_fit.causes.cause import Cause, CauseParameter, CountCause, FactorCause, StateCause, TermCause
+from stickslip_fit.causes.conditions import known_of
+from stickslip_fit.causes.traverses import Traverses
+from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw
 from stickslip_fit.laws.law import Array, Counter, column
-from stickslip_fit.laws.quadrature import integrate
-
-Indices = npt.NDArray[np.intp]
 
 # Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
 APART = 1e-5
-ACCURATE = 1e-10
+AT_ONCE = 4096  # rows; with all the positions that a worn spot takes, arrays stay small
 
 
 class ExtendedLaw(StepLaw):
     """A published law and the causes by which a joint departs from it.
 
-    Its parameters are the law's own, then those of each cause under ``cause.parameter``.
+    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
+    joint, direction or session in brackets where it is that of one only.
 
     Parameters
     ----------
@@ -38,22 +37,37 @@ class ExtendedLaw(StepLaw):
         self.law = law
         self.causes = tuple(causes)
         self.joint = law.joint
-        self.acting = tuple(cause for cause in causes if law.joint in cause.joints)
         self.parameters = (
             *law.parameters,
             *(_named(cause, each) for cause in causes for each in cause.parameters),
         )
 
     @property
+    def acting(self) -> tuple[tuple[Cause, range], ...]:
+        """The causes that act on the joint, each with the places of its parameters."""
+        found, first = [], len(self.law.parameters)
+        for cause in self.causes:
+            places = range(first, first + len(cause.parameters))
+            first = places.stop
+            if self.joint in cause.joints:
+                found.append((cause, places))
+        return tuple(found)
+
+    @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `StepLaw.columns`."""
-        needed = [*self.law.columns, *(name for cause in self.acting for name in cause.columns)]
+        """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
+        needed = [*self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
         return tuple(dict.fromkeys(needed))
 
     @property
     def widest(self) -> float:  # type: ignore[override]
         """See `StepLaw.widest`."""
-        return min([self.law.widest, *(cause.widest for cause in self.acting)])
+        return min([self.law.widest, *(cause.widest for cause, _ in self.acting)])
+
+    @property
+    def along(self) -> bool:
+        """Whether a cause makes the step size change along a traverse otherwise than the law itself does."""
+        return any(cause.along for cause, _ in self.acting)
 
     @property
     def absent(self) -> Array:
@@ -62,131 +76,139 @@ class ExtendedLaw(StepLaw):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        own, sizes = self._split(values)
-        for cause in sorted(self._of(StateCause), key=lambda cause: not cause.turns):
-            state = cause.change(state, sizes[cause])
-        gamma = self.law.gamma(state, own)
-        terms = self._of(TermCause)
-        if terms:
-            still = np.zeros_like(state.load)
-            free = self.law.gamma(state.but(given_load=still, given_recoil=still), own)
-            gamma = gamma + sum(cause.term(free, state, sizes[cause]) for cause in terms)
-        for factor in self._of(FactorCause):
-            gamma = gamma * factor.factor(state, sizes[factor])
-        return gamma
+        true = self.true_state(state, values)
+        return self._before_factors(true, values) * self._factor(true, values)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`; by central differences."""
-        apart = self._apart(values)
-        slopes = []
-        for k, step in enumerate(apart):
-            ahead, behind = values.copy(), values.copy()
-            ahead[:, k] += step
-            behind[:, k] -= step
-            slopes.append((self.gamma(state, ahead) - self.gamma(state, behind)) / (2 * step))
+        """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
+        true = self.true_state(state, values)
+        before, factor = self._before_factors(true, values), self._factor(true, values)
+        own = self._own_slopes(true, values) * factor[..., None]
+        slopes = [*np.moveaxis(own, -1, 0), *np.zeros((len(self.absent), len(values), 1))]
+        ways: dict[type[Cause], Callable[[Array], Array]] = {
+            StateCause: lambda there: self.gamma(state, there),
+            TermCause: lambda there: self._before_factors(true, there) * factor,
+            FactorCause: lambda there: before * self._factor(true, there),
+        }
+        for kind, function in ways.items():
+            for _, places in self._of(kind):
+                for k in places:
+                    slopes[k] = self._difference(function, values, k)
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
+    def true_state(self, state: State, values: Array) -> State:
+        """The state as the causes have it: angles, then what follows from them, then what alters that."""
+        for cause, places in sorted(self._of(StateCause), key=lambda acting: acting[0].turn):
+            state = cause.change(state, _sizes(values, places))
+        return state
+
+    def steps_added(self, state: State, values: Array) -> Array:
+        """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
+        added = [cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self._of(CountCause)]
+        return np.sum(added, axis=0) if added else np.zeros(len(values))
+
     def counter(self, rows: Rows) -> Counter:
-        """See `StepLaw.counter`; derivatives by central differences."""
-        count = self._steps(rows)
+        """See `StepLaw.counter`; NaN where the step size is not above 0."""
+        parts = self.parts(rows)
 
-        def counted(values: Array) -> tuple[Array, Array]:
+        def count(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
-            slopes = np.empty(values.shape)
-            for k, step in enumerate(self._apart(values)):
-                ahead, behind = values.copy(), values.copy()
-                ahead[:, k] += step
-                behind[:, k] -= step
-                slopes[:, k] = (count(ahead) - count(behind)) / (2 * step)
-            return count(values), slopes
+            found = [self._counted(part, values[mine]) for mine, part in parts]
+            counts, slopes = zip(*found, strict=True)
+            return np.concatenate(counts), np.concatenate(slopes)
 
-        return counted
+        return count
 
     def predict(self, rows: Rows, values: Array) -> Array:
         """See `StepLaw.predict`; without the derivatives, which take most of the time."""
-        shape = (len(column(rows, "start")), len(self.parameters))
-        with np.errstate(invalid="ignore"):
-            return np.log(self._steps(rows)(np.broadcast_to(values, shape)))
+        values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(self.steps(rows)(values))
+
+    def steps(self, rows: Rows) -> Callable[[Array], Array]:
+        """Steps over each traverse as a function of the values, shape (n, p) -> (n,)."""
+        parts = self.parts(rows)
+
+        def count(values: Array) -> Array:
+            return np.concatenate(
+                [
+                    part.counts(values[mine]) + self.steps_added(part.here, values[mine])
+                    for mine, part in parts
+                ]
+            )
+
+        return count
+
+    def parts(self, rows: Rows) -> list[tuple[slice, Traverses]]:
+        """The traverses, so many at once as keep memory small."""
+        known = known_of(rows, self.columns)
+        ends = range(0, max(len(known["start"]), 1), AT_ONCE)
+        slices = [slice(first, first + AT_ONCE) for first in ends]
+        return [(mine, Traverses(self, {name: of[mine] for name, of in known.items()})) for mine in slices]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`: the law's own, with the causes absent."""
-        absent = np.broadcast_to(self.absent, (len(mean_step), len(self.absent)))
-        return np.concatenate([self.law.start_values(mean_step), absent], axis=1)
+        return _beside(self.law.start_values(mean_step), self.absent)
 
     def scales(self, mean_step: Array) -> Array:
         """See `StepLaw.scales`."""
-        sizes = np.array([size for cause in self.causes for size in cause.scale])
-        return np.concatenate(
-            [self.law.scales(mean_step), np.broadcast_to(sizes, (len(mean_step), len(sizes)))], axis=1
-        )
+        return _beside(self.law.scales(mean_step), self._scales())
 
     def features(self, rows: Rows) -> Array:
-        """See `StepLaw.features`."""
-        return self.law.features(rows)
+        """See `StepLaw.features`: those of the law, and every number that a cause looks at."""
+        known = known_of(rows, self.columns)
+        seen = [values.astype(float) for values in known.values() if values.dtype.kind in "fiu"]
+        return np.column_stack([self.law.features(rows), *seen])
 
     def calibration(self) -> tuple[Configuration, ...]:
         """See `StepLaw.calibration`: that of the law itself."""
         return self.law.calibration()
 
-    def _of(self, kind: type[Any]) -> list[Any]:
-        return [cause for cause in self.acting if isinstance(cause, kind)]
+    def _of(self, kind: type[Cause]) -> list[tuple[Any, range]]:
+        return [(cause, places) for cause, places in self.acting if isinstance(cause, kind)]
 
-    def _split(self, values: Array) -> tuple[Array, dict[Cause, list[Array]]]:
-        """The law's own values, and each cause's as arrays of shape (n, 1)."""
-        first, sizes = len(self.law.parameters), {}
-        for cause in self.causes:
-            last = first + len(cause.parameters)
-            sizes[cause] = [values[:, k, None] for k in range(first, last)]
-            first = last
-        return values[:, : len(self.law.parameters)], sizes
+    def _before_factors(self, true: State, values: Array) -> Array:
+        """The law and the terms added to it."""
+        own = values[:, : len(self.law.parameters)]
+        gamma, terms = self.law.gamma(true, own), self._of(TermCause)
+        free = self.law.gamma(_unloaded(true), own) if terms else gamma
+        return gamma + sum(cause.term(free, true, _sizes(values, places)) for cause, places in terms)
 
-    def _apart(self, values: Array) -> Array:
-        mean_step = np.abs(values[:1, 0])
-        return APART * self.scales(mean_step)[0]
+    def _factor(self, true: State, values: Array) -> Array:
+        factor = np.ones((len(values), 1))
+        for cause, places in self._of(FactorCause):
+            factor = factor * cause.factor(true, _sizes(values, places))
+        return factor
 
-    def _steps(self, rows: Rows) -> Any:
-        """Steps over each traverse as a function of values, shape (n, p) -> (n,)."""
-        start, stop = column(rows, "start"), column(rows, "stop")
-        arrays = {name: np.asarray(rows[name]) for name in self.columns} | {"start": start, "stop": stop}
-        here = state_at(self.joint, arrays, start[:, None])
-        whole = self._whole_traverses(rows)
+    def _own_slopes(self, true: State, values: Array) -> Array:
+        """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
+        own = values[:, : len(self.law.parameters)]
+        slopes, terms = self.law.gamma_slopes(true, own), self._of(TermCause)
+        if terms:
+            free, by_free = self.law.gamma(_unloaded(true), own), self.law.gamma_slopes(_unloaded(true), own)
+            for cause, places in terms:
+                sizes, step = _sizes(values, places), APART * free
+                rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
+                slopes = slopes + (rise / (2 * step))[..., None] * by_free
+        return slopes
 
-        def steps(values: Array) -> Array:
-            counts = whole(values) if whole else self._integrated(arrays, values)
-            _, sizes = self._split(values)
-            for cause in self._of(CountCause):
-                counts = counts + cause.steps(here, sizes[cause])[:, 0]
-            return counts
+    def _counted(self, part: Traverses, values: Array) -> tuple[Array, Array]:
+        counts, slopes = part.counts_and_slopes(values)
+        for _, places in self._of(CountCause):
+            for k in places:
+                slopes[:, k] += self._difference(lambda there: self.steps_added(part.here, there), values, k)
+        return counts + self.steps_added(part.here, values), slopes
 
-        return steps
+    def _difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
+        """Derivative of a function of the values by that of one of a cause's parameters."""
+        step = APART * self._scales()[k - len(self.law.parameters)]
+        ahead, behind = values.copy(), values.copy()
+        ahead[:, k] += step
+        behind[:, k] -= step
+        return (function(ahead) - function(behind)) / (2 * step)
 
-    def _whole_traverses(self, rows: Rows) -> Any:
-        """Where nothing but the law itself changes along a traverse, the law's own count over the factors."""
-        if self._of(StateCause) or self._of(TermCause) or any(cause.along for cause in self.acting):
-            return None
-        own_count, start = self.law.counter(rows), column(rows, "start")
-        arrays = {name: np.asarray(rows[name]) for name in self.columns} | {"start": start}
-        here = state_at(self.joint, arrays | {"stop": column(rows, "stop")}, start[:, None])
-
-        def count(values: Array) -> Array:
-            own, sizes = self._split(values)
-            counts, _ = own_count(own)
-            for cause in self._of(FactorCause):
-                counts = counts / cause.factor(here, sizes[cause])[:, 0]
-            return counts
-
-        return count
-
-    def _integrated(self, arrays: dict[str, Any], values: Array) -> Array:
-        start, stop = arrays["start"], arrays["stop"]
-
-        def integrand(owner: Indices, position: Array) -> Array:
-            taken = {name: array[owner] for name, array in arrays.items()}
-            gamma = self.gamma(state_at(self.joint, taken, position), values[owner])
-            with np.errstate(divide="ignore"):
-                return np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), position.shape)
-
-        return np.abs(integrate(integrand, start, stop, widest=self.widest, relative=ACCURATE))
+    def _scales(self) -> Array:
+        return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
 
 
 def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
@@ -199,12 +221,32 @@ def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
     cause : Cause
         Bound to a log.
     """
+    return extend_by(law, (cause,))
+
+
+def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
+    """A law with any number of causes more, none included."""
     if isinstance(law, ExtendedLaw):
-        return ExtendedLaw(law.law, (*law.causes, cause))
-    return ExtendedLaw(law, (cause,))
+        return ExtendedLaw(law.law, (*law.causes, *causes))
+    return ExtendedLaw(law, causes)
 
 
-def _named(cause: Cause, parameter: Parameter) -> Parameter:
-    return Parameter(
-        f"{cause.name}.{parameter.name}", parameter.unit, parameter.meaning, parameter.lower, parameter.upper
-    )
+def _named(cause: Cause, parameter: CauseParameter) -> Parameter:
+    only = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
+    name = f"{cause.name}.{parameter.name}" + (f"[{only}]" if only else "")
+    return Parameter(name, parameter.unit, parameter.meaning, parameter.lower, parameter.upper)
+
+
+def _sizes(values: Array, places: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return [values[:, k, None] for k in places]
+
+
+def _unloaded(state: State) -> State:
+    still = np.zeros((len(state.position), 1))
+    return state.but(given_load=still, given_recoil=still)
+
+
+def _beside(own: Array, same: Array) -> Array:
+    """Columns of the law's own and, the same for every group, those of the causes."""
+    return np.concatenate([own, np.broadcast_to(same, (len(own), len(same)))], axis=1)

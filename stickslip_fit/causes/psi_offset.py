@@ -27,7 +27,7 @@ class PsiOffset(StateCause):
     parameters = (CauseParameter("delta", "deg", "tilt of the base plate about y"),)
     absent = (0.0,)
     scale = (radians(1.0),)
-    turns = True
+    turn = 1
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""

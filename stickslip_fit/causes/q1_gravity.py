@@ -27,6 +27,7 @@ class Q1Gravity(StateCause):
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
     absent = (0.0,)
     scale = (0.5,)
+    turn = 2
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""

@@ -28,7 +28,7 @@ class Q2Offset(StateCause):
     parameters = (CauseParameter("delta", "deg", "error of joint 2's zero"),)
     absent = (0.0,)
     scale = (radians(1.0),)
-    turns = True
+    turn = 1
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""

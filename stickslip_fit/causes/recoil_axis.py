@@ -29,6 +29,7 @@ class RecoilAxis(StateCause):
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
     absent = (0.0,)
     scale = (radians(2.0),)
+    turn = 2
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: both signs, since |cos| has no derivative where it is 0."""

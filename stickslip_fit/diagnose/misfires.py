@@ -25,6 +25,7 @@ NEAREST, FARTHEST = 5.5, 120.0  # medians of the noise, between which misfires l
 SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MOST = 0.1  # of a log: more are not looked at
 LARGEST_LEVERAGE = 0.8
+HARDLY = 0.5  # nats in favour of misfires; noise alone often gives as much, and need not be simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,8 @@ def misfires(study: Study, residual: Array, drive: Indices, draws: int, rng: np.
     leverage = np.minimum(study.leverage, LARGEST_LEVERAGE)
     off = _by_median(np.abs(residual)[None] / np.sqrt(1.0 - leverage), drive)
     ratio, odds = _likelihood_ratio(off)
+    if ratio[0] < HARDLY:
+        return Misfires(np.zeros(0, dtype=np.intp), 1.0)
     higher = 0
     for freedom in JUDGED:
         null = np.abs(student_t.rvs(freedom, size=(draws, off.shape[1]), random_state=rng))
@@ -65,6 +68,12 @@ def _by_median(off: Array, drive: Indices) -> Array:
         mine = drive == each
         found[:, mine] = off[:, mine] / np.median(off[:, mine], axis=1, keepdims=True)
     return found
+
+
+def _log_density(off: Array, unit: float, freedom: float) -> Array:
+    """Of the size of Student's t over `unit`."""
+    constant = float(student_t.logpdf(0.0, freedom)) + np.log(2.0 * unit)
+    return constant - (freedom + 1.0) / 2.0 * np.log1p((off * (unit / np.sqrt(freedom))) ** 2)
 
 
 def _likelihood_ratio(off: Array) -> tuple[Array, Array]:
@@ -82,7 +91,7 @@ def _likelihood_ratio(off: Array) -> tuple[Array, Array]:
     for freedom in TAILS:
         middle = float(student_t.ppf(0.75, freedom))
         for scale in SCALES:
-            log_noise = student_t.logpdf(off * middle / scale, freedom) + np.log(2.0 * middle / scale)
+            log_noise = _log_density(off, middle / scale, freedom)
             total = log_noise.sum(axis=1)
             alone = np.maximum(alone, total)
             ratio = wild * np.exp(-np.take_along_axis(log_noise, places, axis=1))

@@ -18,6 +18,9 @@ from stickslip_fit.fit.shared import Sharing, minimise_shared
 
 Array = npt.NDArray[np.float64]
 
+# Far below the error of any parameter; blocks with as many rows as parameters never come to rest entirely.
+TOLERANCE, MOST = 1e-4, 40
+
 
 @dataclass(frozen=True, eq=False)
 class Refit:
@@ -90,7 +93,17 @@ def refit(
     lower, upper = np.full(scales.shape, -np.inf), np.full(scales.shape, np.inf)
     lower[:, widest:], upper[:, widest:] = [low for low, _ in bounds], [high for _, high in bounds]
     if not shared:
-        alone = minimise(model, responses, 1.0 / scale**2, blocks, first, scales, damping=0.0)
+        alone = minimise(
+            model,
+            responses,
+            1.0 / scale**2,
+            blocks,
+            first,
+            scales,
+            damping=0.0,
+            tolerance=TOLERANCE,
+            most=MOST,
+        )
         kept = tuple(
             Part(
                 part.law,
@@ -113,6 +126,8 @@ def refit(
         scales,
         lower=lower,
         upper=upper,
+        tolerance=TOLERANCE,
+        most=MOST,
     )
     _, _, covariance = known_parameters(found.curvature[:1], scales[:1])
     taken = tuple(

@@ -67,6 +67,8 @@ def minimise_shared(
     *,
     lower: Array,
     upper: Array,
+    tolerance: float = 1e-8,
+    most: int = 2000,
 ) -> Minimum:
     """Minimise the sum of weight (y - model)^2 over each group's own and the shared parameters.
 
@@ -80,6 +82,8 @@ def minimise_shared(
     start, scales : array, shape (g, p)
         Shared parameters begin at the mean over their groups.
     lower, upper : array, shape (g, p)
+    tolerance, most : float, int, optional
+        See `minimise`.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def minimise_shared(
 
         return minimise(
             alone, y, weight, groups, start[:, own], scales[:, own],
-            lower=lower[:, own], upper=upper[:, own], damping=0.0,
+            lower=lower[:, own], upper=upper[:, own], damping=0.0, tolerance=tolerance, most=most,
         )  # fmt: skip
 
     def profiled(shared: Array) -> tuple[Array, Array]:
@@ -115,7 +119,7 @@ def minimise_shared(
 
     outer = minimise(
         profiled, y, weight, border, sharing.mean(start), sharing.mean(scales),
-        lower=sharing.mean(lower), upper=sharing.mean(upper), damping=0.0,
+        lower=sharing.mean(lower), upper=sharing.mean(upper), damping=0.0, tolerance=tolerance, most=most,
     )  # fmt: skip
     inner = blocks(outer.values[set_of_row])
     each = sharing.sets.of_row

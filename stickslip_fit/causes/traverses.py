@@ -1,0 +1,97 @@
+"""Traverses whose steps are counted again and again under one law, each time as closely as it takes."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from stickslip_fit.causes.counting import Array, Counting, Even, Mask, Panels, Swinging
+from stickslip_fit.laws import State, state_at
+from stickslip_fit.machine import PRISMATIC
+
+FINEST = 7  # times that panels are halved before a step size counts as no smooth function
+
+
+class Stepping(Protocol):
+    """What a law has to tell."""
+
+    joint: int
+
+    @property
+    def widest(self) -> float:
+        """See `StepLaw.widest`."""
+
+    @property
+    def along(self) -> bool:
+        """Whether the step size changes along a traverse in a way of its own."""
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+
+
+class Traverses:
+    """Traverses of one joint, counted in the simplest way that is right.
+
+    Parameters
+    ----------
+    law : Stepping
+    known : dict of str to array, shape (n,)
+        start, stop and the columns that the law needs.
+    """
+
+    def __init__(self, law: Stepping, known: dict[str, Any]) -> None:
+        self.law = law
+        self.known = known
+        self._level = 0
+        self._prepared: dict[int, tuple[Counting, State]] = {}
+
+    @cached_property
+    def here(self) -> State:
+        """Where each traverse begins."""
+        return state_at(self.law.joint, self.known, self.known["start"][:, None])
+
+    def counts(self, values: Array) -> Array:
+        """Steps over each traverse, shape (n, p) -> (n,); NaN where the step size is not above 0."""
+        way, _, gamma, right = self._settled(values)
+        return np.where(right, way.counts(gamma), np.nan)
+
+    def counts_and_slopes(self, values: Array) -> tuple[Array, Array]:
+        """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
+        way, state, gamma, right = self._settled(values)
+        by_place, by_value = way.slopes(gamma), self.law.gamma_slopes(state, values)
+        slopes = np.einsum("nk,nkp->np", by_place, np.broadcast_to(by_value, (*by_place.shape, values.shape[1])))
+        return np.where(right, way.counts(gamma), np.nan), slopes
+
+    def _settled(self, values: Array) -> tuple[Counting, State, Array, Mask]:
+        """A way of counting that is right, the step size where it needs it, and for which rows it is."""
+        level, ways = self._level, self._simplest_first
+        while True:
+            way, state = self._at(level)
+            gamma = self.law.gamma(state, values)
+            right = way.fits(gamma)
+            if right.all():
+                self._level = level  # Other values are likely to need it, too.
+                return way, state, gamma, right
+            level += 1
+            if level == len(ways):
+                return way, state, gamma, right
+
+    def _at(self, level: int) -> tuple[Counting, State]:
+        if level not in self._prepared:
+            kind, *arguments = self._simplest_first[level]
+            way = kind(self.known["start"], self.known["stop"], *arguments)
+            self._prepared[level] = way, state_at(self.law.joint, self.known, way.positions)
+        return self._prepared[level]
+
+    @cached_property
+    def _simplest_first(self) -> list[tuple[Any, ...]]:
+        """Ways of counting with their arguments."""
+        longest = float(np.abs(self.known["stop"] - self.known["start"]).max(initial=0.0))
+        fewest = max(int(np.ceil(longest / self.law.widest)), 1)
+        swinging = [(Swinging,)] if self.law.joint != PRISMATIC and not self.law.along else []
+        return [(Even,), *swinging, *((Panels, fewest * 2**halved) for halved in range(FINEST))]
