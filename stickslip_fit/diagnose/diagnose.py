@@ -27,7 +27,17 @@ CERTAIN = 0.99
 def diagnose(
     log: Log, *, causes: Iterable[Cause] | None = None, alpha: float = 0.01, seed: int = 0
 ) -> Diagnosis:
-    """Find out what the published laws get wrong in a log, and why.
+    """Find out what the published laws get wrong in a log, why, and what knowing it gains.
+
+    Parameters, result and errors are those of `decide`.
+    """
+    return decide(log, causes=causes, alpha=alpha, seed=seed)
+
+
+def decide(
+    log: Log, *, causes: Iterable[Cause] | None = None, alpha: float = 0.01, seed: int = 0
+) -> Diagnosis:
+    """Find out what the published laws get wrong in a log, and why; no gain, no next experiment.
 
     Parameters
     ----------
