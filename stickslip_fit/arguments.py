@@ -215,6 +215,17 @@ def reference_campaign() -> Path:
     raise InputError("the reference campaign is not installed; give a log of your own")
 
 
+def reference_law() -> Path:
+    """The laws that are true in the simulated campaign: about right where nobody knows better.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    return reference_campaign().with_name("law.toml")
+
+
 def browser_is_there() -> bool:
     """Whether a person sits in front of a screen that can show a page."""
     screen = (

@@ -22,6 +22,7 @@ from stickslip_fit.arguments import (
     log_of,
     positions,
     reference_campaign,
+    reference_law,
     tip_position,
 )
 from stickslip_fit.errors import InputError
@@ -216,6 +217,46 @@ def simulate(
     log = run(read_plan(plan, chosen), law_values_of(law, chosen), chosen, seed)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
+
+
+@app.command()
+def plan(
+    source: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...|PLAN", help="A campaign log, or the plan of a campaign (TOML)."),
+    ],
+    law: Annotated[
+        Path | None,
+        typer.Option(help="Of a plan: law file (TOML), or a result saved with `fit --json`; else ours."),
+    ] = None,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    seed: Annotated[int, typer.Option(min=0, help="Of the logs in which nothing is wrong.")] = 0,
+    json: Json = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option("--chart", help="Of a plan: also draw which causes are confused: .png, .svg or .pdf."),
+    ] = None,
+) -> None:
+    """Say which traverses are worth making next; of a plan, which causes it could tell apart."""
+    from stickslip_fit import planning
+
+    planning.refuse(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
+    planning.refuse_outputs(json, chart)
+    if planning.is_plan(source):
+        from stickslip_fit.logs.read_plan import read_plan
+        from stickslip_fit.machine import load_machine
+
+        chosen = load_machine(machine)
+        truth = law_values_of(law or reference_law(), chosen)
+        found = planning.before_data(read_plan(source[0], chosen), truth, chosen, alpha, seed)
+    else:
+        found = planning.after_log(log_of(source, machine, since, until), alpha, seed)
+    print(found.text)
+    if saved := planning.save(found, json, chart):
+        print("\n" + "\n".join(saved))
 
 
 @app.command()

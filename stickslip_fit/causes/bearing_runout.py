@@ -24,7 +24,6 @@ class BearingRunout(FactorCause):
     )
     shows_best = "a rotary joint over stretches of 60 degrees with the base on its side"
     joints = (1, 2)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (
         CauseParameter("A", "%", "amplitude of the step size over a turn"),
         CauseParameter("phi", "deg", "where the step size is greatest"),

@@ -33,7 +33,6 @@ class CableTorque(TermCause):
     )
     shows_best = "a rotary joint over short stretches at both ends of its range, in both directions"
     joints = (1, 2)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
     absent = (0.0,)
     scale = (0.01e-6 * 180 / np.pi,)

@@ -36,11 +36,14 @@ class CauseParameter(Parameter):
     ----------
     joint : int or None
     direction, session : str or None
+    sudden : bool
+        The response jumps as it changes, so that it is chosen among trials; slopes say nothing of it.
     """
 
     joint: int | None = None
     direction: str | None = None
     session: str | None = None
+    sudden: bool = False
 
 
 class Cause(ABC):
@@ -59,7 +62,7 @@ class Cause(ABC):
     joints : tuple of int
         On which it acts.
     columns : tuple of str
-        Quantities of a traverse that it needs.
+        Quantities of a traverse that it needs, beside where the joints and the base stand.
     parameters : tuple of CauseParameter
     absent : tuple of float
         Values under which it does nothing.
@@ -123,11 +126,15 @@ class Cause(ABC):
         """
         steps, here = self.extend(law).steps(rows), law.predict(rows, values)
         both = np.concatenate([values, np.empty((len(values), trials.shape[1]))], axis=1)
-        found = np.empty((len(values), len(trials)))
-        for k, trial in enumerate(trials):
-            both[:, values.shape[1] :] = trial
+        found = np.zeros((len(values), len(trials)))
+        for k in np.flatnonzero(self._acts_on(law.joint, trials)):
+            both[:, values.shape[1] :] = trials[k]
             found[:, k] = np.log(steps(both)) - here
         return found
+
+    def known(self, law: StepLaw, rows: Row) -> dict[str, Any]:
+        """What a law with this cause in it has to know of each traverse; see `known_of`."""
+        return known_of(rows, self.extend(law).columns)
 
     def bound(self, rows: pd.DataFrame, machine: Machine) -> Cause:
         """The cause as it acts in a log: with the means and ranges that its equation refers to."""
@@ -138,6 +145,11 @@ class Cause(ABC):
         if not rows["joint"].isin(self.joints).any():
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
+
+    def _acts_on(self, joint: int, trials: Array) -> npt.NDArray[np.bool_]:
+        """Which trials give a parameter that concerns a joint another value than that of no effect."""
+        mine = [each.joint in (None, joint) for each in self.parameters]
+        return np.any((trials != np.array(self.absent)) & mine, axis=1)
 
 
 class StateCause(Cause):
@@ -179,8 +191,7 @@ class FactorCause(Cause):
         """See `Cause.changes`: a factor that stays the same along a traverse divides its steps."""
         from stickslip_fit.causes.extended import extend_by
 
-        before = extend_by(law, ())
-        known = known_of(rows, (*before.columns, *self.columns))
+        before, known = extend_by(law, ()), self.known(law, rows)
         ends = state_at(law.joint, known, np.stack([known["start"], known["stop"]], axis=-1))
         state, one = before.true_state(ends, values), np.ones((len(values), 1))
         factors = [self.factor(state, [size * one for size in trial]) for trial in trials]

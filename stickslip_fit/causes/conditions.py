@@ -22,8 +22,8 @@ NEEDED = {
 def known_of(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
     """Start, stop and the given columns of each traverse, as arrays of shape (n,).
 
-    A joint that nothing is said of follows no other traverse, under mean conditions (an empty cell) and
-    without payload. How long a session has run and how many steps a joint has made have no such value.
+    A joint that nothing is said of follows no other traverse, under the log's mean conditions (as an empty
+    cell does). How long a session has run and how many steps a joint has made have no such value.
 
     Raises
     ------

@@ -142,9 +142,8 @@ class Panels(Counting):
         self.positions = (middles[:, :, None] + half[:, :, None] * NODES).reshape(len(start), -1)
         self.weights = np.abs(half) * np.tile(WEIGHTS, number)
 
-
     def fits(self, gamma: Array) -> Mask:
-        """See `Counting.fits`: the last Legendre coefficients of each panel are next to nothing, or it stalls."""
+        """See `Counting.fits`: it stalls, or each panel's last Legendre coefficients are next to nothing."""
         rate = self._rate(gamma)
         tail = np.abs(rate.reshape(len(rate), self.number, ORDER) @ TAIL).max(axis=(1, 2))
         return ~(tail > SETTLED * rate.mean(axis=1))

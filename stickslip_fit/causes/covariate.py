@@ -18,25 +18,26 @@ ORDER = 3
 
 @dataclass(frozen=True)
 class Covariate(FactorCause):
-    """gamma times 1 + f(column), f a polynomial of the column's standard scores, smooth over the log's range.
+    """gamma times 1 + f(column), f a polynomial over the log's range and constant beyond; 0 at the mean.
 
     Attributes
     ----------
     column : str
         The lab's own name of it.
-    mean, spread : float
+    mean, low, high : float
         Over the log.
     """
 
     column: str = ""
     mean: float = 0.0
-    spread: float = 1.0
+    low: float = -1.0
+    high: float = 1.0
 
     phrase = "steps follow a column that the lab logged"
     physics = "Whatever the column stands for; the log alone shows that the step size follows it smoothly."
     shows_best = "one configuration at the lowest and at the highest values of the column"
     parameters = tuple(
-        CauseParameter(f"f{order}", "%", f"Chebyshev coefficient {order} of the column's standard score")
+        CauseParameter(f"f{order}", "%", f"Chebyshev coefficient {order} over the column's range")
         for order in range(1, ORDER + 1)
     )
     absent = (0.0,) * ORDER
@@ -55,9 +56,8 @@ class Covariate(FactorCause):
 
     def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
-        values = rows[self.name].to_numpy(float)
-        half = (np.nanmax(values) - np.nanmin(values)) / 2
-        return replace(self, mean=float(np.nanmin(values) + half), spread=float(half or 1.0))
+        values = rows[self.name].astype(float)
+        return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
@@ -73,7 +73,10 @@ class Covariate(FactorCause):
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        score = (filled(state.column(self.name), np.nan) - self.mean) / self.spread
-        chebyshev = np.polynomial.chebyshev.chebvander(np.clip(score, -1.0, 1.0), ORDER)[..., 1:]
-        departure = sum(size * chebyshev[..., k] for k, size in enumerate(values))
-        return 1.0 + np.nan_to_num(departure)
+        column = filled(state.column(self.name), self.mean)
+        shape = self._chebyshev(column) - self._chebyshev(np.array(self.mean))
+        return 1.0 + np.sum([size * shape[..., k] for k, size in enumerate(values)], axis=0)
+
+    def _chebyshev(self, column: Array) -> Array:
+        score = np.clip((2.0 * column - self.low - self.high) / (self.high - self.low), -1.0, 1.0)
+        return np.stack([score, 2.0 * score**2 - 1.0, 4.0 * score**3 - 3.0 * score], axis=-1)

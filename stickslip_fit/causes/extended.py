@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from stickslip_fit.causes.cause import Cause, CauseParameter, CountCause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.conditions import known_of
+from stickslip_fit.causes.counting import Mask
 from stickslip_fit.causes.traverses import Traverses
-from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw
+from stickslip_fit.laws import Configuration, Rows, State, StepLaw
 from stickslip_fit.laws.law import Array, Counter, column
 
 # Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
 APART = 1e-5
+POSE = ("q1", "q2", "q3", "theta", "psi")
 AT_ONCE = 4096  # rows; with all the positions that a worn spot takes, arrays stay small
 
 
@@ -29,6 +32,11 @@ class ExtendedLaw(StepLaw):
     law : StepLaw
     causes : sequence of Cause
         Bound to a log; see `Cause.bound`.
+
+    Attributes
+    ----------
+    common : tuple of CauseParameter
+        The causes' parameters, the last of all: one number each for the whole campaign.
     """
 
     name = "extended"
@@ -37,10 +45,8 @@ class ExtendedLaw(StepLaw):
         self.law = law
         self.causes = tuple(causes)
         self.joint = law.joint
-        self.parameters = (
-            *law.parameters,
-            *(_named(cause, each) for cause in causes for each in cause.parameters),
-        )
+        self.common = tuple(_named(cause, each) for cause in causes for each in cause.parameters)
+        self.parameters = (*law.parameters, *self.common)
 
     @property
     def acting(self) -> tuple[tuple[Cause, range], ...]:
@@ -56,7 +62,7 @@ class ExtendedLaw(StepLaw):
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
-        needed = [*self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
+        needed = [*POSE, *self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
         return tuple(dict.fromkeys(needed))
 
     @property
@@ -74,6 +80,14 @@ class ExtendedLaw(StepLaw):
         """Values of the causes' parameters under which the law is the published one, shape (q,)."""
         return np.array([value for cause in self.causes for value in cause.absent], dtype=float)
 
+    @property
+    def concerned(self) -> Mask:
+        """Which parameters say anything of this joint, shape (p,)."""
+        places = {k for _, places in self.acting for k in places}
+        own = len(self.law.parameters)
+        mine = [each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)]
+        return np.array([True] * own + mine)
+
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
         true = self.true_state(state, values)
@@ -85,7 +99,7 @@ class ExtendedLaw(StepLaw):
         before, factor = self._before_factors(true, values), self._factor(true, values)
         own = self._own_slopes(true, values) * factor[..., None]
         slopes = [*np.moveaxis(own, -1, 0), *np.zeros((len(self.absent), len(values), 1))]
-        ways: dict[type[Cause], Callable[[Array], Array]] = {
+        ways: dict[type[Any], Callable[[Array], Array]] = {
             StateCause: lambda there: self.gamma(state, there),
             TermCause: lambda there: self._before_factors(true, there) * factor,
             FactorCause: lambda there: before * self._factor(true, there),
@@ -164,7 +178,7 @@ class ExtendedLaw(StepLaw):
         """See `StepLaw.calibration`: that of the law itself."""
         return self.law.calibration()
 
-    def _of(self, kind: type[Cause]) -> list[tuple[Any, range]]:
+    def _of(self, kind: type[Any]) -> list[tuple[Any, range]]:
         return [(cause, places) for cause, places in self.acting if isinstance(cause, kind)]
 
     def _before_factors(self, true: State, values: Array) -> Array:
@@ -231,10 +245,10 @@ def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
     return ExtendedLaw(law, causes)
 
 
-def _named(cause: Cause, parameter: CauseParameter) -> Parameter:
+def _named(cause: Cause, parameter: CauseParameter) -> CauseParameter:
     only = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
     name = f"{cause.name}.{parameter.name}" + (f"[{only}]" if only else "")
-    return Parameter(name, parameter.unit, parameter.meaning, parameter.lower, parameter.upper)
+    return replace(parameter, name=name)
 
 
 def _sizes(values: Array, places: range) -> list[Array]:

@@ -23,4 +23,4 @@ class Humidity(OfColumn):
     columns = ("humidity",)
     called = "relative humidity"
     parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
-    most = 1.0
+    plausible = 0.5

@@ -26,7 +26,6 @@ class InertiaQuadratic(TermCause):
     )
     shows_best = "joint 2 at q3 = 6 mm"
     joints = (2,)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
     absent = (0.0,)
     scale = (0.02,)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit.causes.cause import Array, Cause, CauseParameter, TermCause
 from stickslip_fit.laws import State
+from stickslip_fit.machine import Machine
 
 BENDS: dict[str, Callable[[Array], Array]] = {
     "square": np.square,
@@ -27,9 +29,12 @@ class LoadNonlinearity(TermCause):
     ----------
     form : {"square", "cube", "tanh"}
         u^2, u^3 or tanh(2 u).
+    groups : tuple of (int, str)
+        Joints and directions that the log has.
     """
 
     form: str = "square"
+    groups: tuple[tuple[int, str], ...] = GROUPS
 
     name = "load-nonlinearity"
     phrase = "the response to load bends"
@@ -39,28 +44,42 @@ class LoadNonlinearity(TermCause):
         "so that the response bends."
     )
     shows_best = "joint 3 or 2 at half the full load, upwards and downwards"
-    columns = ("q1", "q2", "q3", "theta", "psi")
-    parameters = tuple(
-        CauseParameter("k", "%", f"bend of joint {joint} {way}", joint=joint, direction=way)
-        for joint, way in GROUPS
-    )
-    absent = (0.0,) * len(GROUPS)
-    scale = (0.02,) * len(GROUPS)
     along = True
     joined = True
 
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(
+            CauseParameter("k", "%", f"bend of joint {joint} {way}", joint=joint, direction=way)
+            for joint, way in self.groups
+        )
+
+    @property
+    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.groups)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.02,) * len(self.groups)
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        there = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
+        return replace(self, groups=tuple(group for group in GROUPS if group in there))
+
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
-        there = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
-        sizes = 0.02 * np.eye(len(GROUPS))[[group in there for group in GROUPS]]
-        return [(replace(self, form=form), sizes) for form in BENDS]
+        return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BENDS]
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.full(len(GROUPS), 0.1),)
+        return (np.full(len(self.groups), 0.1),)
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        first = GROUPS.index((state.joint, "+"))
-        size = np.where(state.way > 0, values[first], values[first + 1])
-        return size * free * BENDS[self.form](state.load)
+        size = dict(zip(self.groups, values, strict=True))
+        up, down = (size.get((state.joint, way), np.zeros_like(state.way)) for way in "+-")
+        return np.where(state.way > 0, up, down) * free * BENDS[self.form](state.load)

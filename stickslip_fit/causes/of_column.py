@@ -27,7 +27,7 @@ class OfColumn(FactorCause):
 
     column: ClassVar[str]
     called: ClassVar[str]
-    most: ClassVar[float]
+    plausible: ClassVar[float]
     absent = (0.0,)
 
     def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
@@ -41,12 +41,16 @@ class OfColumn(FactorCause):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (self.most / 10,)
+        return (self.plausible / 10,)
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.array([self.most]),)
+        return (np.array([self.plausible]),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return 1.0 + values[0] * (filled(state.column(self.column), self.mean) - self.mean)
+        return 1.0 + values[0] * self.departure(state)
+
+    def departure(self, state: State) -> Array:
+        """How far the column is from its mean, shape (n, 1)."""
+        return filled(state.column(self.column), self.mean) - self.mean

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.cause import Array, Cause, CauseParameter, Row, StateCause, missing_column
-from stickslip_fit.causes.moments import moments
+from stickslip_fit.causes.cause import (
+    Array,
+    Cause,
+    CauseParameter,
+    Row,
+    StateCause,
+    filled,
+    missing_column,
+)
+from stickslip_fit.causes.moments import changes_since, moment_of, moments, since
 from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -20,9 +30,12 @@ class PayloadChange(StateCause):
     ----------
     session : str
         In which the mass was put on or taken off; empty where the log records the payload.
+    mean : float
+        Payload over the log, kg.
     """
 
     session: str = ""
+    mean: float = 0.0
 
     name = "payload-change"
     phrase = "the arm carries another mass"
@@ -33,7 +46,11 @@ class PayloadChange(StateCause):
     )
     most = 5.0
     shows_best = "joint 3 upright before and after, in both directions"
-    columns = ("q1", "q2", "q3", "theta", "psi", "session", "session_seconds", "payload")
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return ("session", "session_seconds") if self.session else ("payload",)
 
     @property
     def absent(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -52,9 +69,7 @@ class PayloadChange(StateCause):
             return (CauseParameter("k", "%/g", "change of the load coefficient per gram"),)
         return (
             CauseParameter("k", "%", "change of the load coefficient", session=self.session),
-            CauseParameter(
-                "moment", "min", "when, from the session's first traverse", lower=0.0, session=self.session
-            ),
+            moment_of(self.session),
         )
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -62,10 +77,15 @@ class PayloadChange(StateCause):
         found: list[tuple[Cause, Array]] = [
             (replace(self, session=session), np.column_stack([np.full(len(when), 0.1), when]))
             for session, when in moments(rows)
+            if self.session in ("", session)
         ]
-        if missing_column(rows, "payload", "payload") is None:
+        if self.session == "" and missing_column(rows, "payload", "payload") is None:
             found += super().trials(rows)
         return found
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
@@ -75,20 +95,15 @@ class PayloadChange(StateCause):
         """See `Cause.changes`: a traverse is changed by the whole or not at all."""
         if self.session == "":
             return super().changes(law, rows, values, trials)
-        mine = np.asarray(rows["session"], dtype=object) == self.session
-        seconds = np.asarray(rows["session_seconds"], dtype=float)
-        after = mine[:, None] & (seconds[:, None] >= trials[:, 1])
-        sizes, which = np.unique(trials[:, 0], return_inverse=True)
-        whole = super().changes(law, rows, values, np.column_stack([sizes, np.full(len(sizes), -np.inf)]))
-        return whole[:, which] * after
+        return changes_since(
+            lambda *known: super(PayloadChange, self).changes(law, *known),
+            self.known(law, rows), values, self.session, trials,
+        )  # fmt: skip
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
         if self.session == "":
-            return state.but(
-                given_load=state.load * (1.0 + values[0] * np.nan_to_num(state.column("payload")))
-            )
+            payload = filled(state.column("payload"), self.mean)
+            return state.but(given_load=state.load * (1.0 + values[0] * payload))
         size, moment = values
-        mine = (np.asarray(state.row["session"], dtype=object) == self.session)[:, None]
-        after = mine & (state.column("session_seconds") >= moment)
-        return state.but(given_load=state.load * (1.0 + size * after))
+        return state.but(given_load=state.load * (1.0 + size * since(state, self.session, moment)))

@@ -23,7 +23,6 @@ class PsiOffset(StateCause):
         "the law believes, while recoil, which the arm's own angle decides, is what it was."
     )
     shows_best = "arm level, base level: where the load on joint 3 is 0 and changes most with psi"
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("delta", "deg", "tilt of the base plate about y"),)
     absent = (0.0,)
     scale = (radians(1.0),)

@@ -23,7 +23,6 @@ class Q1Gravity(StateCause):
     )
     shows_best = "joint 3 or 2 at q1 = 90 degrees with theta away from 0"
     joints = (2, 3)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
     absent = (0.0,)
     scale = (0.5,)

@@ -24,7 +24,6 @@ class Q2Offset(StateCause):
         "does not."
     )
     shows_best = "joint 3 with the arm upright and level, in both orientations of the base"
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("delta", "deg", "error of joint 2's zero"),)
     absent = (0.0,)
     scale = (radians(1.0),)

@@ -25,7 +25,6 @@ class RecoilAxis(StateCause):
     )
     shows_best = "joint 3 at q2 = -45 and -135 degrees"
     joints = (3,)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
     absent = (0.0,)
     scale = (radians(2.0),)

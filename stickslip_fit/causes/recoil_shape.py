@@ -24,7 +24,6 @@ class RecoilShape(StateCause):
     )
     shows_best = "joint 3 half-way between upright and level, q2 = -45 and -60 degrees"
     joints = (3,)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("p", "1", "exponent; 1 in the published law", 0.1, 6.0),)
     absent = (1.0,)
     scale = (0.2,)

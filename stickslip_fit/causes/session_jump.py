@@ -8,9 +8,9 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.cause import Array, Cause, CauseParameter, FactorCause
-from stickslip_fit.causes.moments import moments
-from stickslip_fit.laws import State
+from stickslip_fit.causes.cause import Array, Cause, CauseParameter, FactorCause, Row
+from stickslip_fit.causes.moments import changes_since, moment_of, moments, since
+from stickslip_fit.laws import State, StepLaw
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,7 @@ class SessionJump(FactorCause):
         """See `Cause`."""
         return (
             CauseParameter("A", "%", "change of the step size", session=self.session),
-            CauseParameter(
-                "moment", "min", "when, from the session's first traverse", lower=0.0, session=self.session
-            ),
+            moment_of(self.session),
         )
 
     def within(self, session: str) -> Self:
@@ -55,14 +53,21 @@ class SessionJump(FactorCause):
         return [
             (self.within(session), np.column_stack([np.full(len(when), 0.01), when]))
             for session, when in moments(rows)
+            if self.session in ("", session)
         ]
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
         return ()
 
+    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
+        """See `Cause.changes`."""
+        return changes_since(
+            lambda *known: super(SessionJump, self).changes(law, *known),
+            self.known(law, rows), values, self.session, trials,
+        )  # fmt: skip
+
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
         size, moment = values
-        mine = (np.asarray(state.row["session"], dtype=object) == self.session)[:, None]
-        return 1.0 + size * (mine & (state.column("session_seconds") >= moment))
+        return 1.0 + size * since(state, self.session, moment)

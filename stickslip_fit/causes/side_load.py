@@ -22,7 +22,6 @@ class SideLoad(FactorCause):
     )
     shows_best = "joint 3 level and upright in orientations that have the same load along the axis"
     joints = (3,)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
     absent = (0.0,)
     scale = (0.02,)

@@ -23,4 +23,4 @@ class SupplyVoltage(OfColumn):
     columns = ("supply",)
     called = "supply voltage"
     parameters = (CauseParameter("k", "%/V", "change of the step size per volt"),)
-    most = 0.05
+    plausible = 0.05

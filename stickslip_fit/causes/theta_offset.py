@@ -23,7 +23,6 @@ class ThetaOffset(StateCause):
         "every setting, and gravity acts along another direction than the law believes."
     )
     shows_best = "traverses on both sides of theta = 0, where the load changes most with theta"
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (CauseParameter("delta", "deg", "tilt of the base plate about x"),)
     absent = (0.0,)
     scale = (radians(1.0),)

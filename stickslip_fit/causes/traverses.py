@@ -64,7 +64,8 @@ class Traverses:
         """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
         way, state, gamma, right = self._settled(values)
         by_place, by_value = way.slopes(gamma), self.law.gamma_slopes(state, values)
-        slopes = np.einsum("nk,nkp->np", by_place, np.broadcast_to(by_value, (*by_place.shape, values.shape[1])))
+        by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
+        slopes = np.einsum("nk,nkp->np", by_place, by_value)
         return np.where(right, way.counts(gamma), np.nan), slopes
 
     def _settled(self, values: Array) -> tuple[Counting, State, Array, Mask]:

@@ -20,16 +20,16 @@ class Wear(FactorCause):
     name = "wear"
     phrase = "the joints wear"
     physics = (
-        "Asperities are worn off the sliding surfaces and debris collects: fast when they are fresh, ever "
-        "slower then, so that the change is about logarithmic in the way slid. It goes on from session to "
-        "session, and a calibration at a session's beginning ages as it goes on (J. F. Archard, J. Appl. "
-        "Phys. 24:981, 1953)."
+        "What the sliding surfaces lose grows with the way slid (J. F. Archard, J. Appl. Phys. 24:981, "
+        "1953). Fresh ones change fast, worn-in ones ever more slowly, so that the step size follows about "
+        "the logarithm of the steps made. It goes on from session to session, and a calibration at a "
+        "session's beginning ages as the session goes on."
     )
     shows_best = "one configuration before and after as many steps as the joint has made so far"
     columns = ("steps_before",)
     parameters = (
         CauseParameter("k", "%", "change of the step size per e-fold of steps"),
-        CauseParameter("n0", "steps", "steps after which wear has slowed down", lower=1e3, upper=1e8),
+        CauseParameter("n0", "steps", "steps after which wear has slowed down", lower=1e3, upper=1e7),
     )
     absent = (0.0, 1e5)
     scale = (0.005, 1e5)

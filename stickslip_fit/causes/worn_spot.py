@@ -7,16 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.cause import Array, Cause, CauseParameter, FactorCause
-from stickslip_fit.causes.guide_gradient import whole_guide
-from stickslip_fit.laws import State
+from stickslip_fit.causes.along_guide import AlongGuide
+from stickslip_fit.causes.cause import Array, Cause, CauseParameter
 
 WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
 NARROWEST = 0.1e-3
 
 
 @dataclass(frozen=True)
-class WornSpot(FactorCause):
+class WornSpot(AlongGuide):
     """Prismatic: gamma times 1 + A exp(-((q3 - x0) / w)^2 / 2)."""
 
     name = "worn-spot"
@@ -26,8 +25,6 @@ class WornSpot(FactorCause):
         "another there. A traverse of the whole guide always crosses it and cannot tell."
     )
     shows_best = "joint 3 over short stretches, one after the other, along the guide"
-    joints = (3,)
-    columns = ("q1", "q2", "q3", "theta", "psi")
     parameters = (
         CauseParameter("A", "%", "change of the step size at its middle", lower=-0.95),
         CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
@@ -35,12 +32,7 @@ class WornSpot(FactorCause):
     )
     absent = (0.0, 6e-3, 1e-3)
     scale = (0.05, 1e-3, 1e-3)
-    along = True
     widest = 4 * NARROWEST
-
-    def missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
-        return super().missing(rows) or whole_guide(rows)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: spots of three widths, side by side along the guide."""
@@ -56,7 +48,7 @@ class WornSpot(FactorCause):
         """See `Cause.largest`."""
         return tuple(np.array([0.5, x0, 1e-3]) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
 
-    def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
+    def profile(self, position: Array, values: list[Array]) -> Array:
+        """See `AlongGuide.profile`."""
         size, middle, width = values
-        return 1.0 + size * np.exp(-0.5 * ((state.position - middle) / width) ** 2)
+        return 1.0 + size * np.exp(-0.5 * ((position - middle) / width) ** 2)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.refit import Refit, refit
 from stickslip_fit.diagnose.study import Part, Study, study_of
 
@@ -46,7 +47,7 @@ class Bench:
     drive: Indices
     repeatability: Array
     causes: tuple[Any, ...]
-    structures: Callable[[Study], list[Hypothesis]]
+    structures: Callable[[Study], list[Hypothesis | Memory]]
 
     def __len__(self) -> int:
         return len(self.responses)

@@ -22,10 +22,9 @@ def effects(study: Study, version: Any, trials: Array) -> Array:
 def changes(study: Study, version: Any, trials: Array) -> Array:
     """Change of every response; trials (m, q) -> (n, m)."""
     found = np.zeros((len(study), len(trials)))
-    for part in study.parts:
+    for part, table in zip(study.parts, study.tables, strict=True):
         if part.law.joint in version.joints:
-            rows = study.rows.iloc[part.rows]
-            found[part.rows] = version.changes(part.law, rows, part.values, trials)
+            found[part.rows] = version.changes(part.law, table, part.values, trials)
     return found
 
 

@@ -4,38 +4,51 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from stickslip_fit.causes import Cause
+from stickslip_fit.diagnose.alike import alike
 from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from stickslip_fit.diagnose.findings import findings
 from stickslip_fit.diagnose.misfit import UNKNOWN
 from stickslip_fit.diagnose.naming import probabilities
 from stickslip_fit.diagnose.of_log import bench_of
+from stickslip_fit.diagnose.progress import Progress, silent
 from stickslip_fit.diagnose.search import Search, search
 from stickslip_fit.diagnose.testable import untestable
+from stickslip_fit.diagnose.too_small import not_searched, too_small
 from stickslip_fit.logs import Log
 
 # Logs in which nothing is wrong, for each false alarm that may be raised.
 FLIPS_PER_ALARM = 20
-FEWEST = 10  # degrees of freedom
 CERTAIN = 0.99
 
 
 def diagnose(
-    log: Log, *, causes: Iterable[Cause] | None = None, alpha: float = 0.01, seed: int = 0
+    log: Log,
+    *,
+    causes: Iterable[Cause] | None = None,
+    alpha: float = 0.01,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Find out what the published laws get wrong in a log, why, and what knowing it gains.
 
     Parameters, result and errors are those of `decide`.
     """
-    return decide(log, causes=causes, alpha=alpha, seed=seed)
+    return decide(log, causes=causes, alpha=alpha, seed=seed, progress=progress)
 
 
 def decide(
-    log: Log, *, causes: Iterable[Cause] | None = None, alpha: float = 0.01, seed: int = 0
+    log: Log,
+    *,
+    causes: Iterable[Cause] | None = None,
+    alpha: float = 0.01,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Find out what the published laws get wrong in a log, and why; no gain, no next experiment.
 
@@ -47,6 +60,8 @@ def decide(
     alpha : float, optional
         False-alarm rate.
     seed : int, optional
+    progress : callable, optional
+        Is told what begins, and the share of the work that is done.
 
     Returns
     -------
@@ -58,19 +73,22 @@ def decide(
         If the log has no usable traverse.
     """
     began = time.perf_counter()
+    progress("fitting the published law", 0.0)
     given, missing = bench_of(log, causes)
-    unable = missing | untestable(given, given.study())
-    bench = Bench(
-        **{**vars(given), "causes": tuple(each for each in given.causes if each.name not in unable)}
-    )
-    searched = search(bench, alpha, flips(alpha), np.random.default_rng(seed))
+    study = given.study()
+    why = too_small(study)
+    unable = missing | (_all_of(given, why) if why else untestable(given, study))
+    bench = replace(given, causes=tuple(each for each in given.causes if each.name not in unable))
+    progress("searching for causes", 0.05)
+    rng = np.random.default_rng(seed)
+    searched = not_searched(bench) if why else search(bench, alpha, flips(alpha), rng)
     sized = findings(searched, bench, alpha) if searched.p_value < alpha else ()
     return Diagnosis(
         verdict=_verdict(sized),
         findings=sized,
         p_value=searched.p_value,
-        misfit=float(np.sqrt(np.mean((given.study().residual * given.scale) ** 2))),
-        repeatability=float(np.sqrt(np.mean(searched.bench.repeatability[searched.bench.drive] ** 2))),
+        misfit=float(np.sqrt(np.mean((study.residual * given.scale) ** 2))),
+        repeatability=np.nan if why else _pooled(searched.bench),
         inclusion=_inclusion(searched, bench, unable),
         untestable=unable,
         gain=None,
@@ -82,12 +100,21 @@ def decide(
         log_file=log.sources[0][0] if log.sources else "",
         log_sha256=log.sha256,
         search=searched,
+        alike=alike(searched.first),
     )
 
 
 def flips(alpha: float) -> int:
     """Logs in which nothing is wrong that an alarm rate needs; twice, since two looks share it."""
     return int(np.ceil(2 * FLIPS_PER_ALARM / alpha))
+
+
+def _all_of(given: Bench, why: str) -> dict[str, str]:
+    return dict.fromkeys([*(cause.name for cause in given.causes), UNKNOWN], why)
+
+
+def _pooled(bench: Bench) -> float:
+    return float(np.sqrt(np.mean(bench.repeatability[bench.drive] ** 2)))
 
 
 def _verdict(sized: tuple[Finding, ...]) -> Verdict:

@@ -80,6 +80,8 @@ class Finding:
         For ``unknown``: the cause that comes closest, and the share of the structure that it explains.
     carrier : str
         For ``unknown``: what the structure follows.
+    traverses : DataFrame or None
+        For misfires: those traverses, with `departure` (relative) from the law.
     """
 
     cause: str
@@ -93,6 +95,7 @@ class Finding:
     closest: str = ""
     share: float = 0.0
     carrier: str = ""
+    traverses: pd.DataFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -154,6 +157,8 @@ class Diagnosis:
     log_file, log_sha256 : str
     search : Search
         What all this follows from, for pictures.
+    alike : tuple of (str, str)
+        Causes of which the second can do in this log all that the first does, whatever the size.
     """
 
     verdict: Verdict
@@ -172,6 +177,7 @@ class Diagnosis:
     log_file: str
     log_sha256: str
     search: Search
+    alike: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
         from stickslip_fit.diagnose.text import text

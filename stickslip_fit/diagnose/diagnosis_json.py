@@ -42,9 +42,10 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding(each) for each in diagnosis.findings],
         "inclusion": dict(diagnosis.inclusion),
         "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
+        "alike": [list(pair) for pair in diagnosis.alike],
         "gain": _gain(diagnosis.gain) and {"metric": METRIC, **(_gain(diagnosis.gain) or {})},
         "gain_new_session": _gain(diagnosis.gain_new_session),
-        "next_experiment": [_traverse(each) for each in diagnosis.next_experiment],
+        "next_experiment": [traverse_json(each) for each in diagnosis.next_experiment],
         "alpha": diagnosis.alpha,
         "seed": diagnosis.seed,
         "seconds": round(diagnosis.seconds, 2),
@@ -91,7 +92,8 @@ def _gain(gain: Gain | None) -> dict[str, Any] | None:
     }
 
 
-def _traverse(traverse: NextTraverse) -> dict[str, Any]:
+def traverse_json(traverse: NextTraverse) -> dict[str, Any]:
+    """A traverse to make, in the units that people set."""
     ends = "mm" if traverse.joint == 3 else "deg"
     return {
         "session": traverse.session,

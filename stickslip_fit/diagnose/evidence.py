@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.special import logsumexp
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.memory import Memory
 
 Array = npt.NDArray[np.float64]
 
@@ -31,16 +32,21 @@ class Stack:
     Attributes
     ----------
     directions : array, shape (n, m)
-        Of all H hypotheses.
+        Of all hypotheses that have some.
     share : array, shape (m,)
-    first : array of int, shape (H,)
+    first : array of int
         Where each hypothesis's directions begin.
+    memories : tuple of Memory
+    place : array of int, shape (H,)
+        Of each hypothesis, in the order given, among those with directions and then the memories.
     freedom : int
     """
 
     directions: Array
     share: Array
     first: npt.NDArray[np.intp]
+    memories: tuple[Memory, ...]
+    place: npt.NDArray[np.intp]
     freedom: int
 
     def log_evidence(self, residuals: Array) -> Array:
@@ -53,15 +59,23 @@ class Stack:
             explained = np.add.reduceat(along * (signal / (1.0 + signal))[:, None], self.first, axis=0)
             spread = np.add.reduceat(np.log1p(signal), self.first)
             found[index] = -0.5 * spread[:, None] - 0.5 * self.freedom * np.log1p(-explained / total)
-        return logsumexp(found, axis=0) - np.log(len(STRENGTHS))
+        shapes = logsumexp(found, axis=0) - np.log(len(STRENGTHS))
+        carried = [memory.log_evidence(residuals, self.freedom)[None] for memory in self.memories]
+        return np.concatenate([shapes, *carried])[self.place]
 
 
-def stack(hypotheses: Sequence[Hypothesis], freedom: int) -> Stack:
+def stack(hypotheses: Sequence[Hypothesis | Memory], freedom: int) -> Stack:
     """Lay hypotheses side by side."""
-    sizes = [len(each.share) for each in hypotheses]
+    shapes = [each for each in hypotheses if isinstance(each, Hypothesis)]
+    memories = tuple(each for each in hypotheses if isinstance(each, Memory))
+    sizes = [len(each.share) for each in shapes]
+    is_memory = np.array([isinstance(each, Memory) for each in hypotheses])
+    place = np.where(is_memory, len(shapes) + np.cumsum(is_memory) - 1, np.cumsum(~is_memory) - 1)
     return Stack(
-        np.concatenate([each.directions for each in hypotheses], axis=1),
-        np.concatenate([each.share for each in hypotheses]),
+        np.concatenate([each.directions for each in shapes], axis=1),
+        np.concatenate([each.share for each in shapes]),
         np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp),
+        memories,
+        place,
         freedom,
     )

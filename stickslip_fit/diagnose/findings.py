@@ -10,9 +10,11 @@ from scipy.stats import beta
 
 from stickslip_fit.diagnose.amplitude import Interval, strength_interval, threshold_length
 from stickslip_fit.diagnose.bench import Bench
-from stickslip_fit.diagnose.candidates import changes
 from stickslip_fit.diagnose.diagnosis import Finding, SizedParameter
+from stickslip_fit.diagnose.effect import effect_of
 from stickslip_fit.diagnose.evidence import STRENGTHS
+from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfit import UNKNOWN
 from stickslip_fit.diagnose.search import MISFIRE, Found, Search
 from stickslip_fit.diagnose.separability import told_apart
@@ -50,11 +52,9 @@ def findings(searched: Search, given: Bench, alpha: float) -> tuple[Finding, ...
 
 def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: float) -> Finding:
     values, covariance = searched.fit.values[mine], searched.fit.covariance[mine, mine]
-    change = study.project(changes(study, found.version, values[None])[:, 0] / study.scale)
-    length = float(np.linalg.norm(change))
-    other_forms = _beyond(searched, found)
-    strength = _strength(found, np.hypot(length, other_forms), _rank(covariance), study, alpha)
-    per_strength = _rms(change * study.scale) / max(length, 1e-12)
+    effect = effect_of(searched, study, found, mine)
+    strength = _strength(found, effect.length, effect.error, effect.dimensions, study, alpha)
+    per_strength = _rms(effect.rows * study.scale) / max(effect.length, 1e-12)
     looked = found.misfit
     assert looked is not None
     rivals = tuple(
@@ -83,20 +83,18 @@ def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
     looked, study = found.misfit, searched.study
     assert looked is not None
     best = looked.best_of(UNKNOWN)
-    along = best.directions.T @ study.residual
-    strength2 = max(float(along @ along) - len(along), 0.0)
-    taken = best.share * strength2 / (1.0 + best.share * strength2)
-    shape = best.directions @ (taken * along)
+    shape = _structure(best, study.residual)
+    strength2 = float(shape @ shape)
     length = float(np.linalg.norm(shape))
-    strength = _strength(found, np.sqrt(strength2 + 1.0), 1, study, alpha)
+    strength = _strength(found, np.sqrt(strength2 + 1.0), 1.0, 1, study, alpha)
     effect = strength.times(_rms(shape * study.scale) / max(length, 1e-12))
     causes = {cause: value for cause, value in looked.by_cause.items() if cause != UNKNOWN}
     closest = max(causes, key=lambda cause: causes[cause]) if causes else ""
     share = 0.0
     if closest:
         near = looked.best_of(closest)
-        explained = float(np.sum((near.directions.T @ study.residual) ** 2)) - len(near.share)
-        share = min(max(explained / max(strength2, 1e-12), 0.0), 1.0)
+        assert isinstance(near, Hypothesis)
+        share = float(np.sum((near.directions.T @ shape) ** 2)) / max(strength2, 1e-12)
     carrier = best.cause.removeprefix(f"{UNKNOWN}:")
     touched = tuple(
         int(part.law.joint)
@@ -106,9 +104,20 @@ def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
     return Finding(UNKNOWN, None, (), found.p_value, touched, effect, (), None, closest, share, carrier)
 
 
+def _structure(shape: Hypothesis | Memory, residual: Array) -> Array:
+    """What a structure explains of the residuals, shrunk by what noise alone would give it; shape (n,)."""
+    if isinstance(shape, Memory):
+        return shape.shape(residual)
+    along = shape.directions.T @ residual
+    strength2 = max(float(along @ along) - len(along), 0.0)
+    taken = shape.share * strength2 / (1.0 + shape.share * strength2)
+    return np.asarray(shape.directions @ (taken * along))
+
+
 def _misfires(searched: Search, given: Bench, found: Found) -> Finding:
     out, n = searched.misfired, len(given)
-    off = np.abs(_departures(searched, given, out))
+    departure = _departures(searched, given, out)
+    off = np.abs(departure)
     rms = float(np.sqrt(np.sum(off**2) / n))
     spread = TWO_SIDED * rms * float(np.sqrt(np.mean(given.scale[out] ** 2) / np.mean(off**2) / len(out)))
     share = Interval(
@@ -121,6 +130,7 @@ def _misfires(searched: Search, given: Bench, found: Found) -> Finding:
     return Finding(
         MISFIRE, None, (), found.p_value, joints, Interval(rms, max(rms - spread, 0.0), rms + spread),
         (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
+        traverses=given.rows.iloc[out].assign(departure=departure),
     )  # fmt: skip
 
 
@@ -137,21 +147,15 @@ def _departures(searched: Search, given: Bench, out: npt.NDArray[np.intp]) -> Ar
     return off[out]
 
 
-def _strength(found: Found, length: float, dimensions: int, study: Study, alpha: float) -> Interval:
+def _strength(
+    found: Found, length: float, error: float, dimensions: int, study: Study, alpha: float
+) -> Interval:
+    """Strength of an effect seen with this length, known to within `error`, because it raised the alarm."""
     looked = found.misfit
     assert looked is not None
     shapes = sum(each.cause == found.cause for each in looked.hypotheses) or 1
     threshold = threshold_length(looked.critical(alpha / 2), shapes, study.freedom, STRENGTHS)
-    return strength_interval(length, max(dimensions, 1), threshold)
-
-
-def _beyond(searched: Search, found: Found) -> float:
-    """Length of what the cause's other forms explain beyond the one that was fitted; 0 if that is chance."""
-    return 0.0
-
-
-def _rank(covariance: Array) -> int:
-    return int(np.sum(np.diag(covariance) > 0))
+    return strength_interval(length / error, dimensions, threshold / error).times(error)
 
 
 def _rms(values: Array) -> float:

@@ -25,6 +25,7 @@ NEAREST, FARTHEST = 5.5, 120.0  # medians of the noise, between which misfires l
 SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MOST = 0.1  # of a log: more are not looked at
 LARGEST_LEVERAGE = 0.8
+NOTHING = 1e-6  # repeatabilities; rounding noise of what recalibration absorbs
 HARDLY = 0.5  # nats in favour of misfires; noise alone often gives as much, and need not be simulated
 
 
@@ -54,19 +55,26 @@ def misfires(study: Study, residual: Array, drive: Indices, draws: int, rng: np.
     ratio, odds = _likelihood_ratio(off)
     if ratio[0] < HARDLY:
         return Misfires(np.zeros(0, dtype=np.intp), 1.0)
+    rows = np.flatnonzero(odds[0] > 1.0)
+    if not len(rows):
+        return Misfires(rows, 1.0)
     higher = 0
     for freedom in JUDGED:
         null = np.abs(student_t.rvs(freedom, size=(draws, off.shape[1]), random_state=rng))
         higher = max(higher, int(np.sum(_likelihood_ratio(_by_median(null, drive))[0] >= ratio[0])))
-    return Misfires(np.flatnonzero(odds[0] > 1.0), (1 + higher) / (1 + draws))
+    return Misfires(rows, (1 + higher) / (1 + draws))
 
 
 def _by_median(off: Array, drive: Indices) -> Array:
-    """Departures in units of their drive's median, which no few wild ones move; shape (k, n)."""
+    """Departures in units of their drive's median, which no few wild ones move; shape (k, n).
+
+    Where recalibration takes up whatever a drive did, nothing in it departs.
+    """
     found = np.empty_like(off)
     for each in np.unique(drive):
         mine = drive == each
-        found[:, mine] = off[:, mine] / np.median(off[:, mine], axis=1, keepdims=True)
+        median = np.median(off[:, mine], axis=1, keepdims=True)
+        found[:, mine] = off[:, mine] / np.where(median > NOTHING, median, np.inf)
     return found
 
 

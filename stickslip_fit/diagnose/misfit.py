@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit.diagnose.evidence import stack
 from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.study import Study
 
 Array = npt.NDArray[np.float64]
@@ -32,7 +33,7 @@ class Misfit:
 
     Attributes
     ----------
-    hypotheses : tuple of Hypothesis
+    hypotheses : tuple of Hypothesis or Memory
     log_evidence : array, shape (H,)
     by_cause : dict of str to float
         Log evidence of each cause, averaged over its shapes.
@@ -41,7 +42,7 @@ class Misfit:
         Log evidence, over everything, in logs in which nothing is wrong.
     """
 
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[Hypothesis | Memory, ...]
     log_evidence: Array
     by_cause: dict[str, float]
     p_value: float
@@ -51,18 +52,20 @@ class Misfit:
         """Log evidence, over everything, that chance exceeds with probability `level`."""
         return float(np.quantile(self.null, 1.0 - level)) if len(self.null) else np.nan
 
-    def best_of(self, cause: str) -> Hypothesis:
+    def best_of(self, cause: str) -> Hypothesis | Memory:
         """The likeliest shape of a cause."""
         mine = [k for k, each in enumerate(self.hypotheses) if kind_of(each) == cause]
         return self.hypotheses[max(mine, key=lambda k: self.log_evidence[k])]
 
 
-def kind_of(hypothesis: Hypothesis) -> str:
+def kind_of(hypothesis: Hypothesis | Memory) -> str:
     """The cause, or ``unknown`` for any structure."""
     return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
 
 
-def misfit(study: Study, hypotheses: Sequence[Hypothesis], flips: int, rng: np.random.Generator) -> Misfit:
+def misfit(
+    study: Study, hypotheses: Sequence[Hypothesis | Memory], flips: int, rng: np.random.Generator
+) -> Misfit:
     """Judge the residuals of a study.
 
     Parameters
@@ -78,9 +81,11 @@ def misfit(study: Study, hypotheses: Sequence[Hypothesis], flips: int, rng: np.r
     names = list(dict.fromkeys(kinds))
     member = np.array([[kind == name for kind in kinds] for name in names])
 
+    weight = _weights(hypotheses, kinds)
+
     def by_cause(log_evidence: Array) -> Array:
-        sums = [logsumexp(log_evidence[mine], axis=0) - np.log(mine.sum()) for mine in member]
-        return np.stack(sums)
+        weighed = log_evidence + weight[:, None]
+        return np.stack([logsumexp(weighed[mine], axis=0) for mine in member])
 
     own = together.log_evidence(study.residual[:, None])
     found = by_cause(own)[:, 0]
@@ -94,3 +99,19 @@ def misfit(study: Study, hypotheses: Sequence[Hypothesis], flips: int, rng: np.r
     p_value = (1 + int(np.sum(totals >= total))) / (1 + flips) if flips else np.nan
     each = dict(zip(names, map(float, found), strict=True))
     return Misfit(tuple(hypotheses), own[:, 0], each, p_value, totals)
+
+
+def _weights(hypotheses: Sequence[Hypothesis | Memory], kinds: Sequence[str]) -> Array:
+    """Log weight of each hypothesis in its cause: alike for all shapes; first alike for kinds of structure."""
+    families = [
+        each.cause.split(" ")[0].removesuffix(",") if kind == UNKNOWN else kind
+        for each, kind in zip(hypotheses, kinds, strict=True)
+    ]
+    sizes = {family: families.count(family) for family in families}
+    structures = len({family for family in families if family.startswith(f"{UNKNOWN}:")})
+    return -np.array(
+        [
+            np.log(sizes[family]) + (np.log(structures) if kind == UNKNOWN else 0.0)
+            for family, kind in zip(families, kinds, strict=True)
+        ]
+    )

@@ -35,24 +35,32 @@ class Naming:
     probability: dict[str, float]
 
 
-def name(found: Misfit) -> Naming:
+def name(found: Misfit, cause: str | None = None) -> Naming:
     """Name what a misfit shows.
 
     Parameters
     ----------
     found : Misfit
+    cause : str, optional
+        Where something else than this look decides.
     """
     evidence = found.by_cause
     causes = {cause: value for cause, value in evidence.items() if cause != UNKNOWN}
     best = max(causes, key=lambda cause: causes[cause]) if causes else UNKNOWN
     if causes and evidence.get(UNKNOWN, -np.inf) > causes[best] + IN_DOUBT:
         best = UNKNOWN
+    best = cause or best
     rivals: tuple[str, ...] = ()
     if best != UNKNOWN:
         floor = causes[best] - AS_LIKELY
         close = [cause for cause, value in causes.items() if cause != best and value > floor]
         rivals = tuple(sorted(close, key=lambda cause: -causes[cause]))
-    return Naming(best, rivals, probabilities(evidence))
+    probability = probabilities(evidence)
+    if cause is not None:
+        probability = {each: value * (each in (best, *rivals)) for each, value in probability.items()}
+        known = sum(probability.values())
+        probability = {each: value / known if known > 0 else 0.0 for each, value in probability.items()}
+    return Naming(best, rivals, probability)
 
 
 def probabilities(evidence: dict[str, float], nothing: float = PRIOR_NOTHING) -> dict[str, float]:

@@ -10,16 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.diagnose.arrow import minimise_arrow
 from stickslip_fit.diagnose.study import Part
 from stickslip_fit.fit.groups import Groups
-from stickslip_fit.fit.identifiability import known_parameters
-from stickslip_fit.fit.levenberg_marquardt import minimise
-from stickslip_fit.fit.shared import Sharing, minimise_shared
 
 Array = npt.NDArray[np.float64]
-
-# Far below the error of any parameter; blocks with as many rows as parameters never come to rest entirely.
-TOLERANCE, MOST = 1e-4, 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,58 +84,16 @@ def refit(
         scales[of_block, :own] = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
     first[:, widest:] = start
     scales[:, widest:] = [size for cause in causes for size in cause.scale]
-    bounds = [(each.lower, each.upper) for cause in causes for each in cause.parameters]
-    lower, upper = np.full(scales.shape, -np.inf), np.full(scales.shape, np.inf)
-    lower[:, widest:], upper[:, widest:] = [low for low, _ in bounds], [high for _, high in bounds]
-    if not shared:
-        alone = minimise(
-            model,
-            responses,
-            1.0 / scale**2,
-            blocks,
-            first,
-            scales,
-            damping=0.0,
-            tolerance=TOLERANCE,
-            most=MOST,
-        )
-        kept = tuple(
-            Part(
-                part.law,
-                part.rows,
-                part.block,
-                alone.values[blocks.of_row[part.rows], : part.values.shape[1]],
-            )
-            for part in parts
-        )
-        return Refit(kept, start, np.zeros((0, 0)), alone.residual, bool(alone.converged.all()))
-    one_set = Groups(pd.DataFrame({"set": [0]}), np.zeros(len(blocks), dtype=np.intp))
-    mask = np.arange(widest + shared) >= widest
-    found = minimise_shared(
-        model,
-        responses,
-        1.0 / scale**2,
-        blocks,
-        Sharing(mask, one_set),
-        first,
-        scales,
-        lower=lower,
-        upper=upper,
-        tolerance=TOLERANCE,
-        most=MOST,
+    lower, upper = (
+        np.array([getattr(each, side) for cause in causes for each in cause.parameters], dtype=float)
+        for side in ("lower", "upper")
     )
-    _, _, covariance = known_parameters(found.curvature[:1], scales[:1])
+    found = minimise_arrow(model, responses, 1.0 / scale**2, blocks, first, scales, lower, upper)
     taken = tuple(
         Part(law, part.rows, part.block, _columns(found.values[blocks.of_row[part.rows]], part, widest))
         for law, part in zip(extended, parts, strict=True)
     )
-    return Refit(
-        taken,
-        found.values[0, widest:],
-        covariance[0, widest:, widest:],
-        found.residual,
-        bool(found.converged.all()),
-    )
+    return Refit(taken, found.values[0, widest:], found.covariance, found.residual, found.converged)
 
 
 def _extended(law: Any, causes: Sequence[Any]) -> Any:

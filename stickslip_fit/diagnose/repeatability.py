@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit.diagnose.evidence import STRENGTHS
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfit import Misfit
 from stickslip_fit.diagnose.study import Study
 
@@ -24,9 +25,11 @@ FEWEST = 8  # degrees of freedom by which a drive is judged by itself
 def cleared(study: Study, looked: Misfit) -> tuple[Array, float]:
     """The residuals less the likeliest structure in them, shape (n,), and how many directions that took."""
     best = int(np.argmax(looked.log_evidence))
+    shape = looked.hypotheses[best]
     if looked.log_evidence[best] < CERTAIN:
         return study.residual, 0.0
-    shape = looked.hypotheses[best]
+    if isinstance(shape, Memory):
+        return study.residual - shape.shape(study.residual), 1.0
     along = shape.directions.T @ study.residual
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
     kept = strength**2 * shape.share / (1.0 + strength**2 * shape.share)

@@ -25,6 +25,9 @@ Indices = npt.NDArray[np.intp]
 MISFIRE = "end-stop-misfire"
 MOST_CAUSES = 4
 OWN_SHARE, MOST_FORMS = 0.003, 8
+# Nats: by how much a cause that may be one of two must be likelier than nothing, and two causes than
+# structure without a name; and how many first ones are tried.
+FIRST_OF_TWO, PRIOR_OF_TWO, TRIED = 3.0, 3.0, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +119,20 @@ def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> 
     fit = bench.fitted()
     named: list[Found] = []
     while last.p_value < level and len(named) < MOST_CAUSES:
-        named.append(_name(last))
-        if named[-1].cause == UNKNOWN:
+        following = _name(last)
+        if following.cause == UNKNOWN:
+            following = _one_of_two(bench, named, last) or following
+        named.append(following)
+        if following.cause == UNKNOWN:
             break
         bench, fit, study = extended(bench, named)
         last = look(study, bench, flips, rng, without=[each.cause for each in named])
+    causes = [each for each in named if each.version is not None]
+    if len(causes) > 1:
+        again = _reconsidered(bench, causes)
+        if [each.cause for each in again] != [each.cause for each in causes]:
+            bench, fit, study = extended(bench, again)
+        named = [*again, *(each for each in named if each.version is None)]
     return Search(bench, misfired, (*found, *named), first, last, p_value, fit, study)
 
 
@@ -143,6 +155,39 @@ def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]
     return bench, fit, _study(bench, fit, named)
 
 
+def _one_of_two(bench: Bench, named: Sequence[Found], looked: Misfit) -> Found | None:
+    """The first of two causes that together are likelier than structure without a name, if there are two.
+
+    Two causes at once look like neither, and so like nothing known.
+    """
+    evidence = looked.by_cause
+    causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > FIRST_OF_TWO]
+    best, likeliest = None, evidence[UNKNOWN] + PRIOR_OF_TWO
+    for cause in sorted(causes, key=lambda cause: -evidence[cause])[:TRIED]:
+        first = _found(looked, name(looked, cause))
+        trial, _, study = extended(bench, [*named, first])
+        without = [cause, *(each.cause for each in named)]
+        left = look(study, trial, 0, np.random.default_rng(0), without).by_cause
+        second = max((each for each in left if each != UNKNOWN), key=lambda each: left[each], default=UNKNOWN)
+        together = evidence[cause] + left[second]
+        if left[second] > left.get(UNKNOWN, -np.inf) and together > likeliest:
+            best, likeliest = first, together
+    return best
+
+
+def _reconsidered(bench: Bench, causes: Sequence[Found]) -> list[Found]:
+    """Each cause once more, with all the others in the law: it may be another, or have other rivals."""
+    again = list(causes)
+    for place in range(len(again)):
+        others = [each for k, each in enumerate(again) if k != place]
+        trial, _, study = extended(bench, others)
+        looked = look(study, trial, 0, np.random.default_rng(0), [each.cause for each in others])
+        naming = name(looked)
+        if naming.cause != UNKNOWN:
+            again[place] = replace(_found(looked, naming), p_value=causes[place].p_value)
+    return again
+
+
 def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
     """The bench with its repeatability estimated anew; its study, and residuals without structure."""
     study = bench.study()
@@ -154,7 +199,10 @@ def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
 
 
 def _name(looked: Misfit) -> Found:
-    naming = name(looked)
+    return _found(looked, name(looked))
+
+
+def _found(looked: Misfit, naming: Naming) -> Found:
     shape = looked.best_of(naming.cause)
     p_value = min(1.0, 2 * looked.p_value)
     start = np.zeros(0)
@@ -165,7 +213,7 @@ def _name(looked: Misfit) -> Found:
 
 def _study(bench: Bench, fit: Refit, named: Sequence[Found]) -> Study:
     plain = study_of(bench.rows, fit.parts, bench.responses, bench.scale, shared=len(fit.values))
-    own = [_own_forms(plain, each) for each in named if each.version is not None]
+    own = [own_forms(plain, each) for each in named if each.version is not None]
     if not own:
         return plain
     absorbed = np.concatenate(own, axis=1)
@@ -174,14 +222,16 @@ def _study(bench: Bench, fit: Refit, named: Sequence[Found]) -> Study:
     )
 
 
-def _own_forms(study: Study, found: Found) -> Array:
+def own_forms(study: Study, found: Found) -> Array:
     """What a named cause can do in other forms than the one fitted, in units of the noise, shape (n, m).
 
     These are its other shapes, and the square and the cube of its own effect: a bend in whatever it follows.
     """
     looked = found.misfit
     assert looked is not None
-    shapes = [each.directions for each in looked.hypotheses if same(each, found)]
+    shapes = [
+        each.directions for each in looked.hypotheses if isinstance(each, Hypothesis) and same(each, found)
+    ]
     effect = changes(study, found.version, found.start[None])
     bent = np.concatenate([effect**2, effect**3], axis=1) / study.scale[:, None]
     length = np.linalg.norm(bent, axis=0)

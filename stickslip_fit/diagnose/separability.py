@@ -6,13 +6,16 @@ import numpy as np
 from scipy.stats import norm
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfit import Misfit, kind_of
 
 CONFUSED = 0.02  # a rate below which two causes are told apart
 
 
-def likeness(one: Hypothesis, other: Hypothesis) -> float:
+def likeness(one: Hypothesis | Memory, other: Hypothesis | Memory) -> float:
     """Largest cosine between a shape that two hypotheses can have; between 0 and 1."""
+    if isinstance(one, Memory) or isinstance(other, Memory):
+        return 0.0
     return float(np.linalg.svd(one.directions.T @ other.directions, compute_uv=False).max(initial=0.0))
 
 
@@ -27,7 +30,7 @@ def confusion(strength: float, cosine: float) -> float:
     return float(norm.sf(strength * np.sqrt(max(1.0 - cosine, 0.0) / 2.0)))
 
 
-def told_apart(named: Hypothesis, looked: Misfit, rival: str, strength: float) -> bool:
+def told_apart(named: Hypothesis | Memory, looked: Misfit, rival: str, strength: float) -> bool:
     """Whether a design separates a named shape from every shape of a rival, at this strength."""
     shapes = [each for each in looked.hypotheses if kind_of(each) == rival]
     return confusion(strength, max(likeness(named, each) for each in shapes)) < CONFUSED

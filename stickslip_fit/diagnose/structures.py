@@ -12,53 +12,99 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis, hypothesis
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.study import Study
+from stickslip_fit.logs.history import previous
 
 Array = npt.NDArray[np.float64]
 
 WAVES = 6
-PERIODS = 40
+MOST_PERIODS = 150
+FEWEST_PER_PERIOD = 2.5  # traverses
+CARRIED = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
-def structures(study: Study) -> list[Hypothesis]:
+def structures(study: Study) -> list[Hypothesis | Memory]:
     """Every structure that the rows have the columns for."""
-    found = [
+    found: list[Hypothesis | Memory | None] = [
         hypothesis(f"unknown:{name}", None, None, study.project(columns / study.scale[:, None]))
         for name, columns in _shapes(study.rows)
     ]
-    return [each for each in found if each is not None]
+    return [each for each in found if each is not None] + list(_memories(study.rows))
 
 
 def _shapes(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     session = pd.factorize(rows["session"].astype(object))[0]
     seconds = rows["session_seconds"].to_numpy(float)
-    phase = seconds / np.maximum(pd.Series(seconds).groupby(session).transform("max").to_numpy(), 1.0)
     own = np.eye(session.max() + 1)[session]
+    yield from _slow(rows, seconds, session, own)
+    yield from _by_configuration(rows)
+    yield from _harmonics(rows)
+    order = rows.groupby(session).cumcount().to_numpy(float)
+    minutes = "period of {:.1f} min"
+    for name, clock, unit in ((minutes, seconds, 60.0), ("period of {:.1f} traverses", order, 1.0)):
+        for period in _periods(clock):
+            angle = 2 * np.pi * clock / period
+            pair = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            yield name.format(period / unit), (pair[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
+
+
+def _slow(
+    rows: pd.DataFrame, seconds: Array, session: npt.NDArray[np.intp], own: Array
+) -> Iterator[tuple[str, Array]]:
+    """Smooth in time, in each session by itself or alike in all, for all joints or one."""
+    last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
+    phase = seconds / np.maximum(last, 1.0)
     waves = np.stack([np.cos(np.pi * k * phase) / k for k in range(1, WAVES + 1)], axis=-1)
-    yield "time", (waves[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
+    each = (waves[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
+    yield "time", each
     yield "time, the same in each session", waves
     for joint in rows["joint"].unique():
-        mine = (rows["joint"] == joint).to_numpy()
-        yield (
-            f"time, joint {joint}",
-            (waves[:, :, None] * own[:, None, :]).reshape(len(rows), -1) * mine[:, None],
-        )
+        mine = (rows["joint"] == joint).to_numpy()[:, None]
+        yield f"time, joint {joint}", each * mine
+
+
+def _by_configuration(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
+    """A departure of each configuration, where these come back often enough to show it."""
     kinds = configuration(rows)
     if kinds.max() < len(rows) / 3:
         backwards = (rows["direction"] == "-").to_numpy()
         yield "configuration", np.eye(kinds.max() + 1)[kinds]
         yield "configuration and direction", np.eye(2 * kinds.max() + 2)[2 * kinds + backwards]
-    for joint, angle in ((3, "q2"),):
-        mine = (rows["joint"] == joint).to_numpy()
-        q = np.nan_to_num(rows[angle].to_numpy(float))
-        columns = np.stack([f(k * q) for k in (2, 3, 4) for f in (np.cos, np.sin)], axis=-1) * mine[:, None]
-        yield f"harmonics of {angle}, joint {joint}", columns
-    longest = float(seconds.max())
-    shortest = 4 * float(np.median(np.diff(np.unique(seconds))))
-    for period in np.geomspace(shortest, longest / 2, PERIODS):
-        angle = 2 * np.pi * seconds / period
-        pair = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        yield f"period of {period / 60:.1f} min", (pair[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
+
+
+def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
+    """Waves of q2 that joint 3's law has not, one by one and together."""
+    mine = (rows["joint"] == 3).to_numpy()
+    if not mine.any():
+        return
+    q2 = np.nan_to_num(rows["q2"].to_numpy(float))
+    columns = np.stack([f(k * q2) for k in (2, 3, 4) for f in (np.cos, np.sin)], axis=-1) * mine[:, None]
+    yield "harmonics of q2, joint 3", columns
+    for column, name in zip(columns.T, ("cos 2", "sin 2", "cos 3", "sin 3", "cos 4", "sin 4"), strict=True):
+        yield f"{name} q2, joint 3", column[:, None]
+
+
+def _periods(clock: Array) -> Array:
+    """Periods that a session is long enough for and its traverses dense enough, evenly in frequency."""
+    longest, step = (
+        float(clock.max()),
+        float(np.median(np.diff(np.unique(clock)))) if clock.max() > 0 else 0.0,
+    )
+    if step <= 0 or longest < 4 * FEWEST_PER_PERIOD * step:
+        return np.zeros(0)
+    slowest, fastest = 2.0 / longest, 1.0 / (FEWEST_PER_PERIOD * step)
+    number = min(MOST_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
+    return np.asarray(1.0 / np.linspace(slowest, fastest, number))
+
+
+def _memories(rows: pd.DataFrame) -> Iterator[Memory]:
+    session = pd.factorize(rows["session"].astype(object))[0]
+    joint = rows["joint"].to_numpy()
+    for name, group in (("", session), (" of each joint", 10 * session + joint)):
+        before = previous(group.astype(np.int64)).astype(np.intp)
+        for carried in CARRIED:
+            yield Memory(f"unknown:memory{name}", before, carried)
 
 
 def configuration(rows: pd.DataFrame) -> npt.NDArray[np.intp]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,12 @@ class Study:
 
     def __len__(self) -> int:
         return len(self.residual)
+
+    @cached_property
+    def tables(self) -> tuple[dict[str, npt.NDArray[Any]], ...]:
+        """Columns of each part's rows, as arrays: what is asked for again and again."""
+        columns = {str(name): self.rows[name].to_numpy() for name in self.rows}
+        return tuple({name: values[part.rows] for name, values in columns.items()} for part in self.parts)
 
     @property
     def freedom(self) -> int:

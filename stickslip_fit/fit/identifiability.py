@@ -107,7 +107,7 @@ def _root(curvature: Array, scales: Array) -> Array:
 def configuration_rows(
     configurations: tuple[Configuration, ...], joint: int, direction: str, machine: Machine
 ) -> pd.DataFrame:
-    """Full traverses of a joint at the given configurations, in a log's columns."""
+    """Full traverses of a joint at the given configurations, first thing in a session, in a log's columns."""
     low, high = machine.ranges[joint]
     start, stop = (low, high) if direction == "+" else (high, low)
     return pd.DataFrame(
@@ -120,6 +120,9 @@ def configuration_rows(
             },
             "start": start,
             "stop": stop,
+            "session": "",
+            "session_seconds": 0.0,
+            "steps_before": 0,
         }
     )
 

@@ -1,4 +1,4 @@
-"""One joint's traverses laid out for least squares."""
+"""Traverses laid out for least squares."""
 
 from __future__ import annotations
 
@@ -19,37 +19,27 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """What is minimised for one joint: n rows in g groups with p parameters each.
+class System:
+    """What is minimised: n responses in g groups with p parameters each.
 
     Attributes
     ----------
-    law : StepLaw
-    rows : DataFrame
     groups : Groups
     sharing : Sharing
-    y, rounding : array, shape (n,)
-        log(steps) and the variance that rounding adds.
+    y : array, shape (n,)
+        log(steps).
     model : Model
     start, scales, lower, upper : array, shape (g, p)
     """
 
-    law: StepLaw
-    rows: pd.DataFrame
     groups: Groups
     sharing: Sharing
     y: Array
-    rounding: Array
     model: Model
     start: Array
     scales: Array
     lower: Array
     upper: Array
-
-    @property
-    def ways(self) -> npt.NDArray[np.object_]:
-        """Direction of each group, shape (g,)."""
-        return self.groups.table["direction"].to_numpy(dtype=object)
 
     def minimise(self, weight: Array, start: Array) -> Minimum:
         """Where the sum of weight (y - model)^2 is least."""
@@ -76,6 +66,28 @@ class Problem:
         return fall
 
 
+@dataclass(frozen=True, eq=False)
+class Problem(System):
+    """What is minimised for one joint.
+
+    Attributes
+    ----------
+    law : StepLaw
+    rows : DataFrame
+    rounding : array, shape (n,)
+        The variance that rounding adds.
+    """
+
+    law: StepLaw
+    rows: pd.DataFrame
+    rounding: Array
+
+    @property
+    def ways(self) -> npt.NDArray[np.object_]:
+        """Direction of each group, shape (g,)."""
+        return self.groups.table["direction"].to_numpy(dtype=object)
+
+
 def lay_out(law: StepLaw, rows: pd.DataFrame, terms: Terms) -> Problem:
     """Lay out one joint's rows."""
     groups = group_rows(rows)
@@ -84,6 +96,6 @@ def lay_out(law: StepLaw, rows: pd.DataFrame, terms: Terms) -> Problem:
     names = tuple(parameter.name for parameter in law.parameters)
     lower, upper = terms.bounds_of(law, groups)
     return Problem(
-        law, rows, groups, share_by_direction(names, terms.shared, groups), y, rounding, law.model(rows),
-        law.start_values(mean_step), law.scales(mean_step), lower, upper,
+        groups, share_by_direction(names, terms.shared, groups), y, law.model(rows),
+        law.start_values(mean_step), law.scales(mean_step), lower, upper, law, rows, rounding,
     )  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.intervals import quantile
 from stickslip_fit.fit.provenance import Provenance
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
+EVERYWHERE = 0  # in place of a joint, where something is said of all of them
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,12 @@ class JointFit:
     interval: Array
     repeatability: dict[str, Repeatability]
     shared: tuple[str, ...] = ()
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Parameters of causes, with one value for the whole campaign; it stands in each group."""
+        law = self.law
+        return tuple(each.name for each in law.common) if isinstance(law, ExtendedLaw) else ()
 
     def group_of(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
         """Index of each row's group; -1 where the fit has none for its session and direction."""
@@ -125,11 +133,16 @@ class Result:
     def parameters(self) -> pd.DataFrame:
         """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
 
-        That is standard_error, low, high and flags; session is None for one that all sessions share. Numbers
-        are SI; unit is the one people read them in. low and high bound 95 %; estimate and what follows are
-        NaN where the log does not know them, and standard_error is where a bound holds the parameter.
+        That is standard_error, low, high and flags; session is None for one that all sessions share. A
+        cause's parameter, one for the whole campaign, comes last, with joint 0 and an empty direction.
+        Numbers are SI; unit is the one people read them in. low and high bound 95 %; estimate and what
+        follows are NaN where the log does not know them, and standard_error is where a bound holds the
+        parameter.
         """
-        return pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
+        table = pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
+        common = table["joint"] == EVERYWHERE
+        once = table[common].drop_duplicates("name")
+        return pd.concat([table[~common], once], ignore_index=True) if len(once) else table
 
     def _joint_table(self, fit: JointFit) -> pd.DataFrame:
         parameters = fit.law.parameters
@@ -149,17 +162,20 @@ class Result:
         table["flags"] = self._flags(fit, names)
         common = table["name"].isin(fit.shared)
         table["session"] = table["session"].astype(object).mask(common, None)
-        return table[~(common & table.duplicated(["name", "direction"]))]
+        everywhere = table["name"].isin(fit.common)
+        table.loc[everywhere, ["joint", "direction", "session"]] = [EVERYWHERE, "", None]
+        return table[~((common | everywhere) & table.duplicated(["name", "direction"]))]
 
     def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
         """What is wrong with each parameter; a shared one has the flags of all its sessions."""
         raised: dict[tuple[str, str, str], list[str]] = {}
         for remark in self.remarks:
-            if remark.joint == fit.law.joint:
+            if remark.joint in (fit.law.joint, EVERYWHERE):
                 for name in remark.parameters:
                     everywhere = not remark.session or name in fit.shared
                     for session in fit.groups["session"].unique() if everywhere else [remark.session]:
-                        raised.setdefault((session, remark.direction, name), []).append(remark.flag)
+                        for way in remark.direction or "+-":
+                            raised.setdefault((session, way, name), []).append(remark.flag)
         return [
             tuple(dict.fromkeys(raised.get((session, direction, name), ())))
             for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)

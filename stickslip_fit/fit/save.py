@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import Cause, describe, restore
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.files import write_atomically
 from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import JointFit, Result
-from stickslip_fit.laws import describe_law, restore_law
 from stickslip_fit.machine import Link, Machine
 from stickslip_fit.units import from_si
 
@@ -28,14 +29,21 @@ def save_result(result: Result, path: str | Path) -> None:
     """Write a result as JSON; nothing is left half-written.
 
     Beside what `load_result` needs, the file holds ``parameters``: a list of name, joint, direction,
-    session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units.
+    session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint, direction
+    and session are null where a parameter is the same for all of them.
     """
     text = json.dumps(_to_json(result), indent=1, ensure_ascii=False, allow_nan=False)
     write_atomically(path, text + "\n")
 
 
-def load_result(path: str | Path) -> Result:
+def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
     """Read a result that `save_result` wrote.
+
+    Parameters
+    ----------
+    path : path
+    causes : sequence of Cause, optional
+        Of your own, where they are in the result's laws; see `stickslip_fit.causes.restore`.
 
     Raises
     ------
@@ -51,7 +59,7 @@ def load_result(path: str | Path) -> Result:
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError(Problem(f"is no saved result of the form {SCHEMA}; fit the log again", str(path)))
     try:
-        return _from_json(content)
+        return _from_json(content, causes)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(Problem(f"is a damaged result ({error!r}); fit the log again", str(path))) from None
 
@@ -79,8 +87,8 @@ def _parameters(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [
         {
             "name": row.name,
-            "joint": int(row.joint),
-            "direction": str(row.direction),
+            "joint": int(row.joint) or None,
+            "direction": str(row.direction) or None,
             "session": None if row.session is None else str(row.session),
             "unit": row.unit,
             **{number: _number(from_si(getattr(row, number), row.unit)) for number in numbers},
@@ -92,7 +100,7 @@ def _parameters(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def _joint_to_json(fit: JointFit) -> dict[str, Any]:
     return {
-        "law": describe_law(fit.law),
+        "law": describe(fit.law),
         "sessions": [str(session) for session in fit.groups["session"]],
         "directions": [str(direction) for direction in fit.groups["direction"]],
         "shared": list(fit.shared),
@@ -106,9 +114,9 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
     }
 
 
-def _from_json(content: dict[str, Any]) -> Result:
+def _from_json(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
     machine = _machine(content["machine"])
-    fits = [_joint_from_json(item, machine) for item in content["joints"]]
+    fits = [_joint_from_json(item, machine, causes) for item in content["joints"]]
     residuals = content["residuals"]
     source = content["provenance"]
     return Result(
@@ -130,9 +138,9 @@ def _from_json(content: dict[str, Any]) -> Result:
     )
 
 
-def _joint_from_json(item: dict[str, Any], machine: Machine) -> JointFit:
+def _joint_from_json(item: dict[str, Any], machine: Machine, causes: Sequence[Cause]) -> JointFit:
     return JointFit(
-        law=restore_law(item["law"], machine),
+        law=restore(item["law"], machine, causes),
         groups=pd.DataFrame(
             {
                 "session": np.array(item["sessions"], dtype=object),

@@ -21,6 +21,7 @@ from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -89,23 +90,29 @@ def minimise_shared(
     -------
     Minimum
         As of `minimise`; shared values stand in each of their groups, `curvature` is that of
-        `shared_curvature`, and the rank of the shared ones counts in the first group of a set.
+        `shared_curvature`, and the rank of the shared ones is dealt out over the groups of a set.
     """
     common, own = sharing.parameters, ~sharing.parameters
     set_of_row = sharing.sets.of_row[groups.of_row]
     border = Groups(sharing.sets.table, set_of_row)
 
+    latest = start[:, own]
+
     def blocks(shared: Array) -> Minimum:
         """Every block at its best for the shared values of each row, shape (n, q)."""
+        nonlocal latest
 
         def alone(values: Array) -> tuple[Array, Array]:
             predicted, slopes = model(sharing.merged(values, shared))
             return predicted, slopes[:, own]
 
-        return minimise(
-            alone, y, weight, groups, start[:, own], scales[:, own],
+        found = minimise(
+            alone, y, weight, groups, latest, scales[:, own],
             lower=lower[:, own], upper=upper[:, own], damping=0.0, tolerance=tolerance, most=most,
         )  # fmt: skip
+        # The best for other shared values is not far from here.
+        latest = np.where(found.converged[:, None], found.values, latest)
+        return found
 
     def profiled(shared: Array) -> tuple[Array, Array]:
         found = blocks(shared)
@@ -124,14 +131,12 @@ def minimise_shared(
     inner = blocks(outer.values[set_of_row])
     each = sharing.sets.of_row
     values = sharing.merged(inner.values, outer.values[each])
-    rank = inner.rank.copy()
-    np.add.at(rank, np.unique(each, return_index=True)[1], outer.rank)
     return Minimum(
         values=values,
         curvature=shared_curvature(model(values[groups.of_row])[1], weight, groups, sharing, scales),
         residual=inner.residual,
         converged=inner.converged & outer.converged[each],
-        rank=rank,
+        rank=inner.rank + _dealt_out(outer.rank, sharing.sets, groups.sizes),
         at_bound=sharing.merged(inner.at_bound, outer.at_bound[each]),
         iterations=outer.iterations,
     )
@@ -165,6 +170,16 @@ def shared_curvature(slopes: Array, weight: Array, groups: Groups, sharing: Shar
     # A set's curvature beside this group's own share of it, which its rows keep uneliminated.
     products[border] += total[sharing.sets.of_row] - reduced
     return products
+
+
+def _dealt_out(rank: Indices, sets: Groups, sizes: Indices) -> Indices:
+    """The rank of each set in whole numbers for its groups, as nearly by their rows as may be."""
+    dealt = np.zeros(len(sizes), dtype=np.intp)
+    for number, whole in enumerate(rank):
+        mine = np.flatnonzero(sets.of_row == number)
+        due = np.round(np.cumsum(sizes[mine]) / sizes[mine].sum() * whole)
+        dealt[mine] = np.diff(due, prepend=0.0)
+    return dealt
 
 
 def _seen(reduced: Array, effects: Array, weight: Array, border: Groups, scales: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from stickslip_fit.fit.repeatability import Repeatability
-from stickslip_fit.fit.result import JointFit, Result
+from stickslip_fit.fit.result import EVERYWHERE, JointFit, Result
 from stickslip_fit.units import format_uncertain, format_value, from_si, text_table
 
 # A season of sessions does not fit a screen; the JSON and the report hold them all.
@@ -18,6 +18,8 @@ def summary(result: Result) -> str:
     parts = [f"{result.method} fit of {', '.join(result.provenance.log_files)}"]
     for joint, fit in result.joints.items():
         parts.append(_joint(fit, table[table["joint"] == joint]))
+    if (table["joint"] == EVERYWHERE).any():
+        parts.append(_causes(table[table["joint"] == EVERYWHERE]))
     if result.remarks:
         parts.append("\n".join(f"! {message}" for message in unique_messages(result)))
     return "\n\n".join(parts)
@@ -31,7 +33,8 @@ def unique_messages(result: Result) -> list[str]:
 def _joint(fit: JointFit, table: pd.DataFrame) -> str:
     sessions = list(dict.fromkeys(fit.groups["session"]))
     shown = table[table["session"].isin(sessions[-MOST_SESSIONS:])]
-    names = [parameter.name for parameter in fit.law.parameters if parameter.name not in fit.shared]
+    apart = (*fit.shared, *fit.common)
+    names = [parameter.name for parameter in fit.law.parameters if parameter.name not in apart]
     rows = []
     for (session, direction), group in shown.groupby(["session", "direction"], sort=False):
         cells = [format_uncertain(row.estimate, row.standard_error, row.unit) for row in group.itertuples()]
@@ -56,6 +59,16 @@ def _joint(fit: JointFit, table: pd.DataFrame) -> str:
         ]
         parts.append(f"the same in all sessions: {', '.join(cells)}")
     return "\n".join(parts)
+
+
+def _causes(table: pd.DataFrame) -> str:
+    """What departs from the published laws, the same in the whole campaign."""
+    rows = [
+        [row.name, format_uncertain(row.estimate, row.standard_error, row.unit)] for row in table.itertuples()
+    ]
+    return (
+        f"departures from the published laws, one number for the whole campaign\n{text_table(['', ''], rows)}"
+    )
 
 
 def _source(found: Repeatability) -> str:

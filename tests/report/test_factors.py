@@ -36,8 +36,9 @@ def drawn(axis):
 def test_the_table_is_the_analysis(turned, found):
     caption = "Factors of joint 3 (prismatic)"
     names = turned.page.column(caption, "question")
-    seen = turned.page.column(caption, "differencenm")
-    expected = [f"{each.effect.difference * 1e9:.1f}" for each in found.answers]
+    seen = turned.page.column(caption, "difference (95 %)nm")
+    sizes = [(each.effect.difference, each.effect.low, each.effect.high) for each in found.answers]
+    expected = ["{:.1f} ({:.1f} to {:.1f})".format(*(1e9 * size for size in each)) for each in sizes]
     assert [cell.replace("−", "-") for cell in seen] == expected
     assert names.count("day +") == names.count("day −") == 1
     assert names.count("direction") == 4

@@ -1,0 +1,176 @@
+"""What an extension of the laws is worth: errors on traverses that took no part in choosing or fitting it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.diagnose.amplitude import threshold_length
+from stickslip_fit.diagnose.candidates import changes
+from stickslip_fit.diagnose.diagnosis import Finding, Gain
+from stickslip_fit.diagnose.evidence import STRENGTHS
+from stickslip_fit.diagnose.folds import Split
+from stickslip_fit.diagnose.held_out import Seek, errors
+from stickslip_fit.diagnose.replicates import LARGEST_LEVERAGE, Campaign, left_over, spread
+from stickslip_fit.diagnose.search import Found, Search
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+def gain(
+    searched: Search,
+    findings: Sequence[Finding],
+    splits: Sequence[Split],
+    seek: Seek,
+    *,
+    alpha: float,
+    seed: int = 0,
+    workers: int = -1,
+    progress: Progress | None = None,
+) -> tuple[Gain, tuple[Finding, ...]]:
+    """Repeat the search in each split and see how much better it predicts what was held out.
+
+    Parameters
+    ----------
+    searched : Search
+        Of the whole log; what it called misfires takes no part.
+    findings : sequence of Finding
+        Of the whole log. Those that extend no law gain nothing.
+    splits : sequence of Split
+        Of the rows of `searched.bench`; at least one.
+    seek : callable
+        The search, from a bench and a generator.
+    alpha : float
+        Of that search.
+    seed : int, optional
+    workers : int, optional
+        Processes; all cores without it. The answer is the same.
+    progress : callable, optional
+        Told how many splits are done, and of how many.
+
+    Returns
+    -------
+    gain : Gain
+    findings : tuple of Finding
+        The same, each with its own gain.
+    """
+    bench, held = searched.bench, np.concatenate([split.held for split in splits])
+    extending = [each for each in findings if each.version is not None]
+    if extending:
+        off = _all_errors(searched, extending, splits, seek, seed, workers, progress)
+    else:
+        off = _baseline_errors(searched, splits)[None]
+    rms = np.sqrt(np.mean(off**2, axis=1))
+    limits = np.zeros((2, len(extending) + 1))
+    if extending:
+        found = [_found(searched, each) for each in extending]
+        limits = spread(_campaign(searched, found, alpha), splits, rms, np.random.default_rng([seed, 1]))
+    floor = float(np.sqrt(np.mean(bench.scale[held] ** 2)))
+    session = bench.rows["session"].to_numpy(object)[held]
+
+    def between(before: int, after: int, limit: int) -> Gain:
+        low, high = map(float, limits[:, limit])
+        table = _by_session(session, off[before], off[after])
+        return Gain(float(rms[before]), float(rms[after]), floor, low, high, table)
+
+    step, own = 0, []
+    for each in findings:
+        after = step + (each.version is not None)
+        one = (
+            between(step, after, step)
+            if after > step
+            else replace(between(step, step, -1), low=0.0, high=0.0)
+        )
+        own.append(replace(each, gain=one))
+        step = after
+    return between(0, len(extending), -1), tuple(own)
+
+
+def _all_errors(
+    searched: Search,
+    findings: Sequence[Finding],
+    splits: Sequence[Split],
+    seek: Seek,
+    seed: int,
+    workers: int,
+    progress: Progress | None,
+) -> Array:
+    from joblib import Parallel, delayed
+
+    # Evidence and null simulations are big, and no fold needs them.
+    light = [replace(each, gain=None) for each in findings]
+    tasks = (
+        delayed(errors)(searched.bench, split, light, seek, (seed, number))
+        for number, split in enumerate(splits)
+    )
+    done = []
+    for each in Parallel(n_jobs=workers, return_as="generator")(tasks):
+        done.append(each)
+        if progress is not None:
+            progress(len(done), len(splits))
+    return np.concatenate(done, axis=1)
+
+
+def _baseline_errors(searched: Search, splits: Sequence[Split]) -> Array:
+    """By linear algebra: no fold is searched where there is nothing to extend."""
+    study = searched.bench.study()
+    residual = study.residual[:, None]
+    off = [left_over(study.basis, each.calibrating, each.held, residual)[:, 0] for each in splits]
+    return np.concatenate(off) * study.scale[np.concatenate([each.held for each in splits])]
+
+
+def _campaign(searched: Search, found: Sequence[Found], alpha: float) -> Campaign:
+    study, fit = searched.bench.study(), searched.fit
+    sizes = np.cumsum([0, *(len(each.start) for each in _named(searched))])
+    place = {id(each): number for number, each in enumerate(_named(searched))}
+    own = [slice(sizes[place[id(each)]], sizes[place[id(each)] + 1]) for each in found]
+    effects = [
+        changes(study, each.version, fit.values[None, mine]) for each, mine in zip(found, own, strict=True)
+    ]
+    slopes = _slopes(searched)
+    leverage = np.minimum(searched.study.leverage, LARGEST_LEVERAGE)
+    return Campaign(
+        study.basis,
+        study.scale,
+        searched.study.residual / np.sqrt(1.0 - leverage),
+        np.concatenate(effects, axis=1) / study.scale[:, None],
+        tuple(slopes[:, mine] / study.scale[:, None] for mine in own),
+        np.array([_threshold(each, study.freedom, alpha) for each in found]),
+    )
+
+
+def _named(searched: Search) -> list[Found]:
+    return [each for each in searched.found if each.version is not None]
+
+
+def _found(searched: Search, finding: Finding) -> Found:
+    return next(each for each in _named(searched) if each.cause == finding.cause)
+
+
+def _slopes(searched: Search) -> Array:
+    """Change of every response with each parameter of the causes found, shape (n, q)."""
+    bench, shared = searched.bench, len(searched.fit.values)
+    slopes = np.zeros((len(bench), shared))
+    for part in searched.fit.parts:
+        slopes[part.rows] = part.law.jacobian(bench.rows.iloc[part.rows], part.values)[:, -shared:]
+    return slopes
+
+
+def _threshold(found: Found, freedom: int, alpha: float) -> float:
+    looked = found.misfit
+    assert looked is not None
+    shapes = sum(each.cause == found.cause for each in looked.hypotheses)
+    critical = looked.critical(min(alpha / 2, 1.0))
+    return threshold_length(critical, shapes, freedom, STRENGTHS)
+
+
+def _by_session(session: npt.NDArray[np.object_], before: Array, after: Array) -> pd.DataFrame:
+    squares = pd.DataFrame({"session": session, "baseline": before**2, "extended": after**2})
+    grouped = squares.groupby("session", sort=False)
+    table = np.sqrt(grouped[["baseline", "extended"]].mean()).reset_index()
+    return table.assign(traverses=grouped.size().to_numpy())

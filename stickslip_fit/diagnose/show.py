@@ -1,0 +1,169 @@
+"""What a law leaves over, against whatever varied: structure here is what the law lacks.
+
+Residuals are those of a study: whatever recalibration could have absorbed is taken out. The envelope is what
+noise alone gives: signs flipped at random, recalibrated, put into the same classes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit.diagnose.misfit import LARGEST_LEVERAGE
+from stickslip_fit.diagnose.search import Found, Search
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+FLIPS = 200
+INSIDE = 0.95
+MOST_CLASSES, A_CLASS = 12, 12  # classes; rows that each should have
+AS_GOOD = 0.85  # of the share that the best column explains; the first that has it is taken
+ONLY_CHANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """Residuals by classes of one quantity; K classes.
+
+    Attributes
+    ----------
+    place : array, shape (K,)
+        Mean of the quantity in each.
+    mean, error : array, shape (K,)
+        Of the residuals, relative; the error is one standard error by the envelope's noise.
+    envelope : array, shape (K,)
+        All K means of noise alone lie within plus and minus this in 95 of 100 logs.
+    """
+
+    place: Array
+    mean: Array
+    error: Array
+    envelope: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is left of a log's counts; all relative.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        n rows; those that misfired are not among them.
+    before, after : array, shape (n,)
+        Under the published law, and with all that was found in it.
+    chance_before, chance_after : array, shape (n, flips)
+        What noise alone would have left.
+    """
+
+    rows: pd.DataFrame
+    before: Array
+    after: Array
+    chance_before: Array
+    chance_after: Array
+
+
+def shown(searched: Search, seed: int) -> Shown:
+    """The residuals of a search, before and after, and what noise alone would have left.
+
+    Parameters
+    ----------
+    searched : Search
+    seed : int
+    """
+    first, last = searched.bench.study(), searched.study
+    flips = np.random.default_rng(seed).choice([-1.0, 1.0], (len(last), FLIPS))
+    raw = (last.residual / np.sqrt(1.0 - np.minimum(last.leverage, LARGEST_LEVERAGE)))[:, None]
+    return Shown(
+        searched.bench.rows,
+        first.residual * first.scale,
+        last.residual * last.scale,
+        first.project(flips * raw) * first.scale[:, None],
+        last.project(flips * raw) * last.scale[:, None],
+    )
+
+
+def shape_of(found: Found, searched: Search) -> Array:
+    """What was found does to each row, relative, shape (n,); zeros for what has no shape."""
+    study = searched.bench.study()
+    if found.misfit is None:
+        return np.zeros(len(study))
+    directions = found.misfit.best_of(found.cause).directions
+    return directions @ (directions.T @ study.residual) * study.scale
+
+
+def classes_of(values: Array) -> Indices:
+    """The class of each value: values that come again and again are classes of their own, shape (n,).
+
+    Values that are not known (NaN) are in class -1.
+    """
+    known = np.isfinite(values)
+    found = np.full(len(values), -1)
+    if not known.any():
+        return found
+    single, place = np.unique(values[known].round(9), return_inverse=True)
+    if len(single) > MOST_CLASSES:
+        number = int(np.clip(known.sum() // A_CLASS, 2, MOST_CLASSES))
+        edges = np.unique(np.quantile(values[known], np.linspace(0, 1, number + 1)[1:-1]))
+        place = np.searchsorted(edges, values[known], side="right")
+    found[known] = place
+    return found
+
+
+def by_class(
+    residual: Array, chance: Array, values: Array, place: Indices, mine: npt.NDArray[np.bool_]
+) -> Classes:
+    """Means of some rows' residuals by class.
+
+    Parameters
+    ----------
+    residual : array, shape (n,)
+    chance : array, shape (n, flips)
+        Residuals of noise alone.
+    values : array, shape (n,)
+    place : array of int, shape (n,)
+        As of `classes_of`.
+    mine : array of bool, shape (n,)
+        Which rows.
+    """
+    kept = mine & (place >= 0)
+    kinds, where = np.unique(place[kept], return_inverse=True)
+    number = np.bincount(where, minlength=len(kinds))
+    share = (np.arange(len(kinds))[:, None] == where) / number[:, None]
+    by_chance = share @ chance[kept]
+    error = np.sqrt(np.mean(by_chance**2, axis=1))
+    farthest = np.max(np.abs(by_chance) / np.maximum(error, ONLY_CHANCE)[:, None], axis=0, initial=0.0)
+    envelope = error * (np.quantile(farthest, INSIDE) if farthest.size else 0.0)
+    return Classes(share @ values[kept], share @ residual[kept], error, envelope)
+
+
+def carrier(shape: Array, columns: Mapping[str, Array], groups: Indices) -> str:
+    """The column along which a shape runs: the first one that explains nearly as much of it as any.
+
+    Parameters
+    ----------
+    shape : array, shape (n,)
+        Any effect, recalibration taken out.
+    columns : mapping of str to array, shape (n,)
+        In order of preference.
+    groups : array of int, shape (n,)
+        Rows in which it may run differently.
+    """
+    shares = {name: explained(shape, values, groups) for name, values in columns.items()}
+    best = max(shares.values())
+    return next(name for name, share in shares.items() if share >= AS_GOOD * best)
+
+
+def explained(shape: Array, values: Array, groups: Indices) -> float:
+    """Share of a shape's square that classes of a column explain, for as many classes as it takes."""
+    cells = pd.Series(shape).groupby([groups, classes_of(values)])
+    means, number = cells.transform("mean").to_numpy(), cells.ngroups
+    total = float(shape @ shape)
+    if total == 0.0 or number >= len(shape):
+        return 0.0
+    left = float(np.sum((shape - means) ** 2)) / total
+    return max(1.0 - left * len(shape) / (len(shape) - number), 0.0)

@@ -1,0 +1,210 @@
+"""Residuals against what matters: of each finding before and after, and of the whole log against everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stickslip_fit.diagnose.diagnosis import Finding
+from stickslip_fit.diagnose.search import Found
+from stickslip_fit.diagnose.show import Shown, by_class, carrier, classes_of
+from stickslip_fit.report.figures.picture import Picture, picture
+from stickslip_fit.report.figures.style import (
+    DIRECTION_COLOURS,
+    GREY,
+    INK,
+    LEGEND_LINE,
+    TITLE_LINE,
+    angle_ticks,
+    canvas,
+    key_line,
+    legend,
+    look,
+)
+from stickslip_fit.report.quantities import quantities
+from stickslip_fit.report.wording import joint_name, percent, way
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+POINTS = 500  # a panel
+QUANTILE, ZOOM = 0.98, 1.35
+BAND = "#dcdcd8"
+TWO_SIDED = 1.96
+ACROSS = 4  # panels side by side
+
+
+def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) -> Picture:
+    """What one finding explains, before and after, over the quantity that carries it.
+
+    Parameters
+    ----------
+    finding : Finding
+    found : Found
+        The same in the search.
+    shape : array, shape (n,)
+        What it does to each row.
+    shown : Shown
+    """
+    joints = [joint for joint in finding.joints if (shown.rows["joint"] == joint).any()]
+    mine = shown.rows["joint"].isin(joints).to_numpy()
+    columns = {label: values for label, values in quantities(shown.rows).items() if _known(values[mine])}
+    groups = 2 * shown.rows["joint"].to_numpy() + (shown.rows["direction"] == "-").to_numpy()
+    where = carrier(shape[mine], {label: values[mine] for label, values in columns.items()}, groups[mine])
+    is_named = found.version is not None
+    sides = [("before", shown.before, shown.chance_before)] if is_named else []
+    sides.append(("after" if is_named else "left", shown.after, shown.chance_after))
+    title = f"{finding.cause}: what is left over {'before and after' if is_named else ''}".strip()
+    figure = draw_finding(joints, where, columns[where], sides, shown)
+    return picture(f"finding-{finding.cause.replace(':', '-')}", title, _caption(where, is_named, shown), figure)
+
+
+def draw_finding(
+    joints: Sequence[int],
+    label: str,
+    values: Array,
+    sides: Sequence[tuple[str, Array, Array]],
+    shown: Shown,
+) -> Figure:
+    """Joints side by side, before above after."""
+    with look():
+        figure, axes = canvas([1.5] * len(sides), len(joints), top=LEGEND_LINE + TITLE_LINE + 0.14)
+        limit = _limit(np.concatenate([side for _, side, _ in sides]))
+        for column, joint in enumerate(joints):
+            mine = (shown.rows["joint"] == joint).to_numpy() & np.isfinite(values)
+            axes[0, column].set_title(joint_name(joint))
+            axes[-1, column].set_xlabel(label)
+            for axis, (_, residual, chance) in zip(axes[:, column], sides, strict=True):
+                _points(axis, values, residual, mine, limit, shown)
+                _means(axis, values, residual, chance, mine, shown)
+            _ticks(axes[-1, column], label, values[mine], 7 if len(joints) < 3 else 4)
+        for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
+            axis.set_ylim(-limit, limit)
+            axis.set_ylabel(f"{name}: count less law (%)")
+        legend(figure, _entries())
+    return figure
+
+
+def everything_picture(joint: int, shown: Shown) -> Picture:
+    """What is left of a joint's counts against all that varied."""
+    found = bool(np.any(shown.before != shown.after))
+    title = f"What is left against everything, {joint_name(joint)}"
+    rms = percent(float(np.sqrt(np.mean(shown.after[(shown.rows["joint"] == joint).to_numpy()] ** 2))))
+    before = " Dotted: the means under the published law." if found else ""
+    caption = (
+        f"Means of the counts less the law{' with all that was found in it' if found else ''}, by classes "
+        f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which nothing "
+        f"is wrong.{before}"
+    )
+    return picture(f"everything-{joint}", title, caption, draw_everything(joint, shown))
+
+
+def draw_everything(joint: int, shown: Shown) -> Figure:
+    """A panel for each quantity."""
+    mine = (shown.rows["joint"] == joint).to_numpy()
+    columns = {label: values for label, values in quantities(shown.rows).items() if _known(values[mine])}
+    rows = -(-len(columns) // ACROSS)
+    with look():
+        figure, axes = canvas([1.15] * rows, ACROSS, top=LEGEND_LINE + 0.12, down=0.55, share_x="none", share_y="all")
+        limit = 0.0
+        for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):
+            kept = mine & np.isfinite(values)
+            limit = max(limit, _means(axis, values, shown.after, shown.chance_after, kept, shown))
+            if np.any(shown.before != shown.after):
+                limit = max(limit, _dotted(axis, values, shown.before, kept, shown))
+            axis.set_xlabel(label)
+            _ticks(axis, label, values[kept], 4)
+        for axis in axes.ravel()[len(columns) :]:
+            axis.set_axis_off()
+        axes[0, 0].set_ylim(-1.1 * limit, 1.1 * limit)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("count less law (%)")
+        legend(figure, [each for each in _entries() if each.get_label() != POINT])
+    return figure
+
+
+POINT = "traverse"
+
+
+def _entries() -> list:
+    means = [
+        key_line(f"mean, direction {way(sign)}", colour, marker="o", line="-")
+        for sign, colour in DIRECTION_COLOURS.items()
+    ]
+    band = key_line("95 % of logs with nothing wrong", BAND, line="-")
+    band.set_linewidth(6)
+    return [key_line(POINT, GREY, marker="."), *means, band]
+
+
+def _points(axis: Axes, values: Array, residual: Array, mine: Mask, limit: float, shown: Shown) -> None:
+    for sign, colour in DIRECTION_COLOURS.items():
+        rows = np.flatnonzero(mine & (shown.rows["direction"] == sign).to_numpy())
+        if len(rows) > POINTS:
+            rows = np.sort(np.random.default_rng(0).choice(rows, POINTS, replace=False))
+        y = np.clip(100 * residual[rows], -limit, limit)
+        axis.plot(values[rows], y, ls="", marker="o", ms=1.8, mew=0, alpha=0.35, color=colour)
+
+
+def _means(axis: Axes, values: Array, residual: Array, chance: Array, mine: Mask, shown: Shown) -> float:
+    """Means by class with their errors over the envelope; how far up any of it reaches, %."""
+    place = classes_of(np.where(mine, values, np.nan))
+    axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
+    reach, bands = 0.0, []
+    for sign, colour in DIRECTION_COLOURS.items():
+        rows = mine & (shown.rows["direction"] == sign).to_numpy()
+        if not rows.any():
+            continue
+        found = by_class(residual, chance, values, place, rows)
+        axis.errorbar(
+            found.place, 100 * found.mean, yerr=100 * TWO_SIDED * found.error, color=colour, marker="o", ms=3.0,
+            lw=0.9, elinewidth=0.8,
+        )  # fmt: skip
+        bands.append((found.place, 100 * found.envelope))
+        reach = max(reach, float(np.max(100 * np.maximum(np.abs(found.mean), found.envelope))))
+    for x, band in bands:
+        axis.fill_between(x, -band, band, color=BAND, lw=0, zorder=0.5)
+    return reach
+
+
+def _dotted(axis: Axes, values: Array, residual: Array, mine: Mask, shown: Shown) -> float:
+    place, reach = classes_of(np.where(mine, values, np.nan)), 0.0
+    nothing = np.zeros((len(residual), 0))
+    for sign, colour in DIRECTION_COLOURS.items():
+        rows = mine & (shown.rows["direction"] == sign).to_numpy()
+        if rows.any():
+            found = by_class(residual, nothing, values, place, rows)
+            axis.plot(found.place, 100 * found.mean, color=colour, ls=":", lw=0.9)
+            reach = max(reach, float(np.max(100 * np.abs(found.mean))))
+    return reach
+
+
+def _caption(where: str, is_named: bool, shown: Shown) -> str:
+    before, after = (percent(float(np.sqrt(np.mean(side**2)))) for side in (shown.before, shown.after))
+    seen = f"Over {where}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
+    if is_named:
+        return (
+            f"{seen}Above under the published law ({before} rms), below with all that was found in it "
+            f"({after} rms): the lines should lie within the grey band, where noise alone would keep them."
+        )
+    return f"{seen}{after} rms; noise alone would keep the lines within the grey band."
+
+
+def _limit(residual: Array) -> float:
+    sizes = 100 * np.abs(residual)
+    return max(min(1.05 * float(sizes.max()), ZOOM * float(np.quantile(sizes, QUANTILE))), 0.05)
+
+
+def _known(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and float(np.ptp(known)) > 0
+
+
+def _ticks(axis: Axes, label: str, values: Array, most: int) -> None:
+    if "°)" in label:
+        angle_ticks(axis, float(values.min()), float(values.max()), most)
+    else:
+        axis.locator_params(axis="x", nbins=most)

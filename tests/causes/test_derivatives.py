@@ -1,0 +1,121 @@
+"""What follows from the equations: changes of the response, and derivatives by every parameter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stickslip_fit.causes import SessionJump, extend
+from tests.causes.by_hand import ROWS, SECOND
+from tests.causes.table import CASES
+from tests.causes.test_equations import LAWS, MACHINE, NAMED, own_values
+
+LABELS = [case.label for case in CASES]
+# What a cause may find at work when it is looked for as a second one.
+BEFORE = ((), ("theta-offset",), ("end-stop-latency", "payload-change recorded"), ("guide-gradient",))
+
+
+def law_with(labels, joint):
+    """A law with causes in it, and values of its parameters for each row of its joint."""
+    law, values = LAWS[joint], own_values(ROWS[ROWS["joint"] == joint])
+    for label in labels:
+        law = extend(law, NAMED[label].cause)
+        values = np.concatenate([values, np.tile(NAMED[label].values[0], (len(values), 1))], axis=1)
+    return law, values
+
+
+@pytest.mark.parametrize("before", BEFORE, ids=lambda before: " + ".join(before) or "published")
+@pytest.mark.parametrize("label", LABELS)
+def test_changes_are_the_extended_prediction_less_the_law_s(label, before):
+    cause, trials = NAMED[label].cause, np.array(NAMED[label].values)
+    for joint in cause.joints:
+        law, values = law_with(before, joint)
+        rows = ROWS[ROWS["joint"] == joint]
+        wanted = [
+            extend(law, cause).predict(rows, np.concatenate([values, np.tile(trial, (len(rows), 1))], axis=1))
+            - law.predict(rows, values)
+            for trial in trials
+        ]
+        found = cause.changes(law, rows, values, trials)
+        np.testing.assert_allclose(found, np.transpose(wanted), atol=2e-11)
+
+
+def test_a_jump_acts_in_its_own_session_from_its_moment_on():
+    rows = ROWS[ROWS["joint"] == 2]
+    law, values = law_with((), 2)
+    moments = np.array([[0.05, 8999.0], [0.05, 9000.0], [0.05, 9001.0]])
+    late = (rows["session"] == SECOND).to_numpy()
+    found = SessionJump(session=SECOND).changes(law, rows, values, moments)
+    np.testing.assert_allclose(found, -np.log(1.05) * np.outer(late, [1, 1, 0]), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [*((label,) for label in LABELS), ("psi-offset", "load-nonlinearity tanh", "worn-spot", "reversal-loss")],
+    ids=" + ".join,
+)
+def test_derivatives_agree_with_differences_of_the_counts(labels):
+    causes = [NAMED[label].cause for label in labels]
+    for joint in {joint for cause in causes for joint in cause.joints}:
+        law, values = law_with(labels, joint)
+        rows = ROWS[ROWS["joint"] == joint]
+        scales = law.scales(values[:, 0])
+        scales[:, : len(LAWS[joint].parameters)] = np.abs(values[:, : len(LAWS[joint].parameters)])
+        slopes = law.jacobian(rows, values) * scales
+        for k in range(values.shape[1]):
+            step = 1e-4 * scales[:, k]
+
+            def response(by, k=k, step=step, law=law, rows=rows, values=values):
+                moved = values.copy()
+                moved[:, k] += by * step
+                return law.predict(rows, moved)
+
+            # Richardson's five points, coarse enough to stay clear of rounding.
+            difference = (8 * (response(1) - response(-1)) - (response(2) - response(-2))) / 12e-4
+            np.testing.assert_allclose(slopes[:, k], difference, atol=3e-9, err_msg=law.parameters[k].name)
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_the_law_s_own_derivatives_stay_what_they_were(joint):
+    rows = ROWS[ROWS["joint"] == joint]
+    law, values = law_with(("q1-gravity", "drift"), joint)
+    law, values = law, np.concatenate([values[:, :-2], np.zeros((len(values), 2))], axis=1)
+    own = len(LAWS[joint].parameters)
+    wanted = LAWS[joint].jacobian(rows, values[:, :own])
+    size = np.abs(wanted).max(axis=0)
+    np.testing.assert_allclose(law.jacobian(rows, values)[:, :own] / size, wanted / size, atol=1e-11)
+
+
+def test_parameters_carry_their_bounds_and_have_names_of_their_own():
+    law = extend(extend(LAWS[3], NAMED["load-nonlinearity cube"].cause), SessionJump(session="Monday"))
+    law = extend(extend(law, SessionJump(session=SECOND)), NAMED["worn-spot"].cause)
+    names = [parameter.name for parameter in law.parameters]
+    assert len(set(names)) == len(names) == 3 + 6 + 2 + 2 + 3
+    assert {"load-nonlinearity.k[3+]", "session-jump.A[Monday]", "worn-spot.w"} <= set(names)
+    bounds = {parameter.name: (parameter.lower, parameter.upper) for parameter in law.parameters}
+    assert bounds["worn-spot.w"] == (1e-4, 6e-3)
+    assert bounds["a"] == (0.0, np.inf)
+
+
+def test_a_law_says_which_columns_it_needs_and_asks_for_those_that_nothing_can_stand_in_for():
+    from stickslip_fit.errors import InputError
+
+    law = extend(extend(LAWS[3], NAMED["drift"].cause), NAMED["temperature"].cause)
+    assert {"session_seconds", "temperature", "q1"} <= set(law.columns)
+    bare = ROWS[ROWS["joint"] == 3].drop(columns=["session_seconds", "temperature"])
+    values = np.array([976e-9, 0.3, 438e-9, 0.0, 0.01])
+    with pytest.raises(InputError, match="time since the session's first traverse"):
+        law.counts(bare, values)
+    warm = bare.assign(session_seconds=0.0)
+    np.testing.assert_allclose(law.counts(warm, values)[0], LAWS[3].counts(warm, values[:3])[0])
+
+
+def test_means_and_ranges_come_from_the_log():
+    bound = {each: NAMED[each].cause.bound(ROWS, MACHINE) for each in ("temperature curved", "step-rate")}
+    assert bound["temperature curved"].mean == pytest.approx(ROWS["temperature"].mean())
+    assert bound["temperature curved"].half == pytest.approx(5.5)
+    assert bound["step-rate"].median == pytest.approx(0.010)
+    column = NAMED["covariate:pressure"].cause.bound(ROWS, MACHINE)
+    assert (column.low, column.high) == (985.0, 1030.0)
+    cable = NAMED["cable-torque"].cause.bound(ROWS, MACHINE)
+    assert dict(cable.middle) == pytest.approx({1: 0.0, 2: -np.pi / 2})

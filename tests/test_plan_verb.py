@@ -1,0 +1,140 @@
+"""The verb `plan`: after a log, and before any."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from stickslip_fit import cli
+from tests.hidden.generate import hide
+
+PLAN = """
+name = "three loads"
+replicates = 3
+order = "random"
+[sessions]
+dates = [2012-03-05]
+{noise}
+[[sweep]]
+joint = {joint}
+q2_deg = -90
+psi_deg = [-60, 0, 60]
+[[sweep]]
+joint = 3
+q2_deg = 0
+theta_deg = [-90, 0]
+"""
+NOISE = "[noise]\nrepeatability_pct = 0.3"
+LAW = """
+[[law]]
+joint = 3
+direction = "+"
+a_nm = 976
+b = 0.3
+c_nm = 438
+[[law]]
+joint = 3
+direction = "-"
+a_nm = 903
+b = 0.3
+c_nm = -405
+"""
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; status, what it printed, what it complained."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+@pytest.fixture
+def plan(tmp_path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN.format(noise=NOISE, joint=3), "utf-8")
+    return path
+
+
+@pytest.fixture
+def log(tmp_path) -> Path:
+    path = tmp_path / "log.csv"
+    hide("session", (), seed=3).write(path)
+    return path
+
+
+def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_path):
+    saved, chart = tmp_path / "out.json", tmp_path / "out.png"
+    status, out, _ = run("plan", plan, "--alpha", 0.05, "--json", saved, "--chart", chart)
+    assert status == 0
+    answer, *tables = out.split("\n\n")
+    assert answer.startswith("three loads: 30 traverses in 1 session could show ")
+    assert "drift" in tables[1]
+    assert "wear" in tables[1]
+    assert "every prismatic traverse runs the whole guide" in out
+    assert chart.read_bytes().startswith(b"\x89PNG")
+    content = json.loads(saved.read_text("utf-8"))
+    told = {frozenset(pair["causes"]): pair for pair in content["pairs"]}
+    hard = told[frozenset(["drift", "wear"])]
+    assert hard["confusion"] > 0.3
+    assert not hard["told_apart"]
+    assert "temperature" in {each["cause"] for each in content["untestable"]}
+    drift = next(each for each in content["causes"] if each["cause"] == "drift")
+    assert drift["unit"] == "%/h"
+    assert drift["smallest_found"] == pytest.approx(drift["strength_found"] / drift["strength_of_size_1"])
+
+
+def test_a_law_of_ones_own_serves_as_well(run, plan, tmp_path):
+    law = tmp_path / "law.toml"
+    law.write_text(LAW, "utf-8")
+    status, out, _ = run("plan", plan, "--law", law, "--alpha", 0.05)
+    assert status == 0
+    assert out.startswith("three loads")
+
+
+def test_a_log_in_which_nothing_is_wrong_is_told_what_it_could_not_have_seen(run, log, tmp_path):
+    saved = tmp_path / "next.json"
+    status, out, _ = run("plan", log, "--alpha", 0.01, "--json", saved)
+    assert status == 0
+    assert out.startswith("Nothing is wrong that this log could show.")
+    content = json.loads(saved.read_text("utf-8"))
+    assert content["verdict"] == "nothing wrong"
+    assert content["next_experiment"] == []
+    missed = {each["cause"]: each for each in content["untestable"]}
+    turned = missed["q1-gravity"]["traverse"]
+    assert turned["q1_deg"] == pytest.approx(90.0)
+    assert turned["session"] == "new"
+    assert (missed["worn-spot"]["traverse"]["from"] is None) == (missed["worn-spot"]["traverse"]["to"] is None)
+    assert missed["humidity"]["traverse"] is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--law", "law.toml"), "--law belongs to a plan"),
+        (("--chart", "out.png"), "--chart belongs to a plan"),
+        (("--json", "nowhere/out.json"), "nowhere"),
+    ],
+)
+def test_options_that_do_not_go_with_a_log_are_refused_before_any_work(run, log, options, message):
+    status, out, complained = run("plan", log, *options)
+    assert (status, out) == (2, "")
+    assert message in complained
+
+
+def test_a_plan_is_refused_where_it_leaves_out_what_is_needed(run, plan, tmp_path):
+    assert run("plan", plan, "--since", "2012-01-01")[0] == 2
+    assert "png" in run("plan", plan, "--chart", tmp_path / "out.txt")[2]
+    plan.write_text(PLAN.format(noise="", joint=3), "utf-8")
+    status, _, complained = run("plan", plan)
+    assert status == 2
+    assert "[noise]" in complained
