@@ -45,6 +45,7 @@ from stickslip_fit.options import (
 )
 
 if TYPE_CHECKING:
+    from stickslip_fit.diagnose import Diagnosis
     from stickslip_fit.logs import Log
 
 app = typer.Typer(
@@ -185,17 +186,46 @@ def anova(
 
 
 @app.command()
+def diagnose(
+    log: LogPath,
+    json: Json = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Also show it as one HTML page here, with figures.")
+    ] = None,
+    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    seed: Annotated[int, typer.Option(min=0, help="Of the logs in which nothing is wrong.")] = 0,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+) -> None:
+    """Say what the laws get wrong in a log, why, and what knowing it gains."""
+    from stickslip_fit import diagnosing
+
+    diagnosing.refuse(json, report)
+    found = diagnosing.diagnosed(log_of(log, machine, since, until), alpha, seed)
+    print(found)
+    if saved := diagnosing.save(found, json, report):
+        print("\n" + "\n".join(saved))
+
+
+@app.command()
 def report(
     log: LogPath,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
+    diagnosis: Annotated[
+        bool, typer.Option("--diagnosis", help="With what the laws get wrong, and why; takes longer.")
+    ] = False,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
 ) -> None:
     """Write the accuracy report of a log: one HTML page."""
+    from stickslip_fit.diagnosing import diagnosed
+
     wanted = output or default_output(log)
     check_folder(wanted)
-    written = _write_report(log_of(log, machine, since, until), wanted)
+    campaign = log_of(log, machine, since, until)
+    written = _write_report(campaign, wanted, diagnosed(campaign) if diagnosis else None)
     print(f"report written to {written}")
 
 
@@ -410,7 +440,7 @@ def _fit(
         print("\n" + "\n".join(saved))
 
 
-def _write_report(log: Log, output: Path) -> Path:
+def _write_report(log: Log, output: Path, diagnosis: Diagnosis | None = None) -> Path:
     from stickslip_fit.files import write_atomically
     from stickslip_fit.fit import closed_form, constant_step, least_squares
     from stickslip_fit.report import report_html
@@ -418,5 +448,6 @@ def _write_report(log: Log, output: Path) -> Path:
     calibration = closed_form(log, command=command())
     constant = constant_step(log, calibration)
     best = least_squares(log, command=command())
-    write_atomically(output, report_html(log, calibration, constant, best, command=command()))
+    page = report_html(log, calibration, constant, best, diagnosis=diagnosis, command=command())
+    write_atomically(output, page)
     return output

@@ -19,7 +19,7 @@ order = "random"
 dates = [2012-03-05]
 {noise}
 [[sweep]]
-joint = {joint}
+joint = 3
 q2_deg = -90
 psi_deg = [-60, 0, 60]
 [[sweep]]
@@ -61,7 +61,7 @@ def run(monkeypatch, capsys):
 @pytest.fixture
 def plan(tmp_path) -> Path:
     path = tmp_path / "plan.toml"
-    path.write_text(PLAN.format(noise=NOISE, joint=3), "utf-8")
+    path.write_text(PLAN.format(noise=NOISE), "utf-8")
     return path
 
 
@@ -113,8 +113,32 @@ def test_a_log_in_which_nothing_is_wrong_is_told_what_it_could_not_have_seen(run
     turned = missed["q1-gravity"]["traverse"]
     assert turned["q1_deg"] == pytest.approx(90.0)
     assert turned["session"] == "new"
-    assert (missed["worn-spot"]["traverse"]["from"] is None) == (missed["worn-spot"]["traverse"]["to"] is None)
+    assert (missed["worn-spot"]["traverse"]["from"] is None) == (
+        missed["worn-spot"]["traverse"]["to"] is None
+    )
     assert missed["humidity"]["traverse"] is None
+
+
+def test_a_log_that_is_too_small_is_told_what_would_do(run, tmp_path):
+    path = tmp_path / "few.csv"
+    hide("session", (), seed=3).table.head(6).to_csv(path, index=False)
+    status, out, _ = run("plan", path)
+    assert status == 0
+    assert out.startswith("This log can show nothing: too few traverses")
+
+
+def test_causes_that_a_log_confuses_come_with_the_traverses_that_tell_them_apart(run, tmp_path):
+    table = hide("session", ("drift",), strength=10, seed=5).table
+    path, saved = tmp_path / "one_way.csv", tmp_path / "next.json"
+    table[table["direction"] == "+"].to_csv(path, index=False)
+    status, out, _ = run("plan", path, "--json", saved)
+    content = json.loads(saved.read_text("utf-8"))
+    assert status == 0
+    assert content["verdict"] == "cannot tell apart"
+    assert "to tell apart, in a new session" in out
+    assert "drift" in content["next_experiment"][0]["tells_apart"]
+    assert content["next_experiment"][0]["repeats"] >= 1
+    assert content["out_of_reach"] == []
 
 
 @pytest.mark.parametrize(
@@ -134,7 +158,7 @@ def test_options_that_do_not_go_with_a_log_are_refused_before_any_work(run, log,
 def test_a_plan_is_refused_where_it_leaves_out_what_is_needed(run, plan, tmp_path):
     assert run("plan", plan, "--since", "2012-01-01")[0] == 2
     assert "png" in run("plan", plan, "--chart", tmp_path / "out.txt")[2]
-    plan.write_text(PLAN.format(noise="", joint=3), "utf-8")
+    plan.write_text(PLAN.format(noise=""), "utf-8")
     status, _, complained = run("plan", plan)
     assert status == 2
     assert "[noise]" in complained

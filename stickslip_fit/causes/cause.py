@@ -72,6 +72,8 @@ class Cause(ABC):
         Whether it changes along a traverse beyond what the law itself does.
     joined : bool
         Whether a version's trials act in any combination, and not one at a time.
+    of_stop : bool
+        Whether it is in hearing the stop, and not in the motion on the way there.
     most : float
         Where `largest` is empty: how many times as large as in its trials the first parameter may be.
     widest : float
@@ -89,7 +91,8 @@ class Cause(ABC):
     scale: tuple[float, ...]
     along: ClassVar[bool] = False
     joined: ClassVar[bool] = False
-    most: ClassVar[float] = 1.0
+    of_stop: ClassVar[bool] = False
+    most: ClassVar[float] = 10.0
     widest: float = np.inf
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -103,9 +106,16 @@ class Cause(ABC):
         """
         return [(self, np.array([self.scale]))]
 
-    @abstractmethod
+    def panel(self, values: Array) -> float:
+        """As `widest`, for given values, shape (n, q)."""
+        return self.widest
+
     def largest(self) -> tuple[Array, ...]:
-        """The largest plausible sizes, each shape (q,): if not even they show in a log, it is untestable."""
+        """The largest plausible sizes, each shape (q,): if not even they show in a log, it is untestable.
+
+        Empty where they are those of `trials`, `most` times as large.
+        """
+        return ()
 
     def extend(self, law: StepLaw) -> ExtendedLaw:
         """`law` with this cause in it."""

@@ -25,6 +25,7 @@ class EndStopLatency(CountCause):
     parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
     absent = (0.0,)
     scale = (20.0,)
+    of_stop = True
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""

@@ -27,18 +27,21 @@ class EndStopMisfire(Cause):
     )
     absent = (0.0, 0.0)
     scale = (0.01, 0.05)
+    of_stop = True
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: no direction in which counts depart together."""
         return []
 
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return ()
+    def departures(self, values: Array, luck: Array) -> Array:
+        """Log steps that misfires add to counts, shape (n,).
 
-    def departures(self, number: int, values: Array, rng: np.random.Generator) -> Array:
-        """Log steps that misfires add to so many counts, shape (n,)."""
-        share, size = values
-        hit = rng.uniform(size=number) < share
-        spread = rng.uniform(0.7, 1.3, number) * rng.choice([-1.0, 1.0], number)
-        return np.where(hit, size * spread, 0.0)
+        Parameters
+        ----------
+        values : array, shape (n, 2)
+        luck : array, shape (n, 3)
+            Uniform between 0 and 1: whether there is one, how large it is, and which way.
+        """
+        hit, spread, way = luck.T
+        size = values[:, 1] * (0.7 + 0.6 * spread) * np.where(way < 0.5, -1.0, 1.0)
+        return np.where(hit < values[:, 0], size, 0.0)

@@ -87,10 +87,6 @@ class PayloadChange(StateCause):
         """See `Cause.bound`."""
         return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
 
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return ()
-
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a traverse is changed by the whole or not at all."""
         if self.session == "":

@@ -32,7 +32,6 @@ class SessionJump(FactorCause):
     )
     shows_best = "the configurations of before the jump once more, after it"
     columns = ("session", "session_seconds")
-    most = 10.0
     absent = (0.0, 0.0)
     scale = (0.01, 600.0)
 
@@ -55,10 +54,6 @@ class SessionJump(FactorCause):
             for session, when in moments(rows)
             if self.session in ("", session)
         ]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return ()
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`."""

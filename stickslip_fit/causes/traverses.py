@@ -19,9 +19,8 @@ class Stepping(Protocol):
 
     joint: int
 
-    @property
-    def widest(self) -> float:
-        """See `StepLaw.widest`."""
+    def panel(self, values: Array) -> float:
+        """Widest panel, rad or m, that still sees every feature of the step size along a traverse."""
 
     @property
     def along(self) -> bool:
@@ -47,8 +46,11 @@ class Traverses:
     def __init__(self, law: Stepping, known: dict[str, Any]) -> None:
         self.law = law
         self.known = known
-        self._level = 0
-        self._prepared: dict[int, tuple[Counting, State]] = {}
+        self._prepared: dict[tuple[Any, ...], tuple[Counting, State]] = {}
+        self._simple: list[type[Counting]] = [Even]
+        if law.joint != PRISMATIC and not law.along:
+            self._simple.append(Swinging)
+        self._halved = 0
 
     @cached_property
     def here(self) -> State:
@@ -70,29 +72,24 @@ class Traverses:
 
     def _settled(self, values: Array) -> tuple[Counting, State, Array, Mask]:
         """A way of counting that is right, the step size where it needs it, and for which rows it is."""
-        level, ways = self._level, self._simplest_first
-        while True:
-            way, state = self._at(level)
-            gamma = self.law.gamma(state, values)
-            right = way.fits(gamma)
-            if right.all():
-                self._level = level  # Other values are likely to need it, too.
-                return way, state, gamma, right
-            level += 1
-            if level == len(ways):
-                return way, state, gamma, right
+        while self._simple:
+            found = self._tried(values, self._simple[0])
+            if found[-1].all():
+                return found
+            self._simple.pop(0)  # Other values are likely to need more, too.
+        longest = np.abs(self.known["stop"] - self.known["start"]).max(initial=0.0)
+        fewest = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
+        for halved in range(self._halved, FINEST):
+            found = self._tried(values, Panels, 2 ** (fewest + halved))
+            if found[-1].all():
+                self._halved = halved
+                break
+        return found
 
-    def _at(self, level: int) -> tuple[Counting, State]:
-        if level not in self._prepared:
-            kind, *arguments = self._simplest_first[level]
+    def _tried(self, values: Array, kind: Any, *arguments: int) -> tuple[Counting, State, Array, Mask]:
+        if (kind, *arguments) not in self._prepared:
             way = kind(self.known["start"], self.known["stop"], *arguments)
-            self._prepared[level] = way, state_at(self.law.joint, self.known, way.positions)
-        return self._prepared[level]
-
-    @cached_property
-    def _simplest_first(self) -> list[tuple[Any, ...]]:
-        """Ways of counting with their arguments."""
-        longest = float(np.abs(self.known["stop"] - self.known["start"]).max(initial=0.0))
-        fewest = max(int(np.ceil(longest / self.law.widest)), 1)
-        swinging = [(Swinging,)] if self.law.joint != PRISMATIC and not self.law.along else []
-        return [(Even,), *swinging, *((Panels, fewest * 2**halved) for halved in range(FINEST))]
+            self._prepared[kind, *arguments] = way, state_at(self.law.joint, self.known, way.positions)
+        way, state = self._prepared[kind, *arguments]
+        gamma = self.law.gamma(state, values)
+        return way, state, gamma, way.fits(gamma)

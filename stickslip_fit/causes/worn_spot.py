@@ -12,6 +12,7 @@ from stickslip_fit.causes.cause import Array, Cause, CauseParameter
 
 WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
 NARROWEST = 0.1e-3
+PANEL = 4  # widths of a spot that a panel may span
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class WornSpot(AlongGuide):
     )
     absent = (0.0, 6e-3, 1e-3)
     scale = (0.05, 1e-3, 1e-3)
-    widest = 4 * NARROWEST
+    widest = PANEL * NARROWEST
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: spots of three widths, side by side along the guide."""
@@ -47,6 +48,10 @@ class WornSpot(AlongGuide):
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
         return tuple(np.array([0.5, x0, 1e-3]) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
+
+    def panel(self, values: Array) -> float:
+        """See `Cause.panel`."""
+        return PANEL * max(float(values[:, 2].min()), NARROWEST)
 
     def profile(self, position: Array, values: list[Array]) -> Array:
         """See `AlongGuide.profile`."""

@@ -43,7 +43,14 @@ class Arrow:
 
 
 def minimise_arrow(
-    model: Model, y: Array, weight: Array, blocks: Groups, start: Array, scales: Array, lower: Array, upper: Array
+    model: Model,
+    y: Array,
+    weight: Array,
+    blocks: Groups,
+    start: Array,
+    scales: Array,
+    lower: Array,
+    upper: Array,
 ) -> Arrow:
     """Minimise the sum of weight (y - model)^2.
 

@@ -20,6 +20,7 @@ from stickslip_fit.diagnose.progress import Progress, silent
 from stickslip_fit.diagnose.search import Search, search
 from stickslip_fit.diagnose.testable import untestable
 from stickslip_fit.diagnose.too_small import not_searched, too_small
+from stickslip_fit.diagnose.with_gain import with_gain
 from stickslip_fit.logs import Log
 
 # Logs in which nothing is wrong, for each false alarm that may be raised.
@@ -39,7 +40,15 @@ def diagnose(
 
     Parameters, result and errors are those of `decide`.
     """
-    return decide(log, causes=causes, alpha=alpha, seed=seed, progress=progress)
+    decided = decide(log, causes=causes, alpha=alpha, seed=seed, progress=progress)
+    if any(finding.equivalent for finding in decided.findings):
+        from stickslip_fit.diagnose.ahead import ahead
+        from stickslip_fit.diagnose.next_experiment import next_experiment
+
+        forecasts = ahead(decided.search.bench, log.machine)
+        wanted = next_experiment(decided.search, decided.findings, forecasts)
+        decided = replace(decided, next_experiment=wanted)
+    return with_gain(decided, log.machine, progress=progress)
 
 
 def decide(

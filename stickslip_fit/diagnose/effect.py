@@ -60,7 +60,7 @@ def effect_of(searched: Search, study: Study, found: Found, mine: slice) -> Effe
     length = max(float(np.linalg.norm(form)), 1e-12)
     slopes = (scaled[:, 1:] - form[:, None]) / steps
     along = slopes.T @ form / length
-    error = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+    error = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
     dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
     return Effect(form + _beyond(searched, found), max(error, 1.0), dimensions)
 

@@ -126,21 +126,20 @@ def _baseline_errors(searched: Search, splits: Sequence[Split]) -> Array:
 
 def _campaign(searched: Search, found: Sequence[Found], alpha: float) -> Campaign:
     study, fit = searched.bench.study(), searched.fit
-    sizes = np.cumsum([0, *(len(each.start) for each in _named(searched))])
-    place = {id(each): number for number, each in enumerate(_named(searched))}
-    own = [slice(sizes[place[id(each)]], sizes[place[id(each)] + 1]) for each in found]
-    effects = [
-        changes(study, each.version, fit.values[None, mine]) for each, mine in zip(found, own, strict=True)
-    ]
-    slopes = _slopes(searched)
+    sizes = [len(each.start) for each in _named(searched)]
+    places = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+    own = [places[[each is one for one in _named(searched)].index(True)] for each in found]
+    made = [changes(study, each.version, fit.values[None, at]) for each, at in zip(found, own, strict=True)]
+    effects, slopes = np.concatenate(made, axis=1) / study.scale[:, None], _slopes(searched)
+    lengths = np.linalg.norm(study.project(effects), axis=0)
     leverage = np.minimum(searched.study.leverage, LARGEST_LEVERAGE)
     return Campaign(
         study.basis,
         study.scale,
         searched.study.residual / np.sqrt(1.0 - leverage),
-        np.concatenate(effects, axis=1) / study.scale[:, None],
-        tuple(slopes[:, mine] / study.scale[:, None] for mine in own),
-        np.array([_threshold(each, study.freedom, alpha) for each in found]),
+        effects,
+        tuple(slopes[:, at] / study.scale[:, None] for at in own),
+        np.array([_threshold(searched, *each, alpha) for each in zip(found, lengths, strict=True)]),
     )
 
 
@@ -161,12 +160,22 @@ def _slopes(searched: Search) -> Array:
     return slopes
 
 
-def _threshold(found: Found, freedom: int, alpha: float) -> float:
+def _threshold(searched: Search, found: Found, length: float, alpha: float) -> float:
+    """Length of an effect that makes the search find it.
+
+    Flipped signs turn an effect into noise, so that what it has to exceed grows with the square of its
+    length: from what the rest of the log asks for to what was asked of this one.
+    """
     looked = found.misfit
     assert looked is not None
-    shapes = sum(each.cause == found.cause for each in looked.hypotheses)
-    critical = looked.critical(min(alpha / 2, 1.0))
-    return threshold_length(critical, shapes, freedom, STRENGTHS)
+    shapes = max(sum(each.cause == found.cause for each in looked.hypotheses), 1)
+    freedom, level = searched.bench.study().freedom, min(alpha / 2, 1.0)
+    quiet, asked = (
+        threshold_length(one.critical(level), shapes, freedom, STRENGTHS)
+        for one in (searched.last, searched.first)
+    )
+    grown = max(asked**2 - quiet**2, 0.0)
+    return float(quiet * length / np.sqrt(max(length**2 - grown, quiet**2, 1e-12)))
 
 
 def _by_session(session: npt.NDArray[np.object_], before: Array, after: Array) -> pd.DataFrame:

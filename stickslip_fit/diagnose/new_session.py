@@ -1,4 +1,4 @@
-"""What a user has in a new session: the laws calibrated by its calibration traverses, causes known from before."""
+"""What a user has in a new session: its calibration traverses for the laws, causes known from before."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def new_sessions(bench: Bench, machine: Machine) -> list[Split]:
 
 
 def _calibration(bench: Bench, machine: Machine) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Which rows are calibration traverses, and which belong to a session and direction that has all of them."""
+    """Which rows are calibration traverses, and which are of a session and direction that has them all."""
     calibrating, calibrated = np.zeros(len(bench), dtype=bool), np.zeros(len(bench), dtype=bool)
     for part in bench.parts:
         rows = bench.rows.iloc[part.rows]

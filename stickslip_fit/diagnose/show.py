@@ -15,6 +15,7 @@ import pandas as pd
 
 from stickslip_fit.diagnose.misfit import LARGEST_LEVERAGE
 from stickslip_fit.diagnose.search import Found, Search
+from stickslip_fit.diagnose.study import Study
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -77,7 +78,8 @@ def shown(searched: Search, seed: int) -> Shown:
     """
     first, last = searched.bench.study(), searched.study
     flips = np.random.default_rng(seed).choice([-1.0, 1.0], (len(last), FLIPS))
-    raw = (last.residual / np.sqrt(1.0 - np.minimum(last.leverage, LARGEST_LEVERAGE)))[:, None]
+    noise = last.residual - sum(shape_of(each, last) for each in searched.found if each.version is None)
+    raw = (noise / np.sqrt(1.0 - np.minimum(last.leverage, LARGEST_LEVERAGE)))[:, None]
     return Shown(
         searched.bench.rows,
         first.residual * first.scale,
@@ -87,13 +89,12 @@ def shown(searched: Search, seed: int) -> Shown:
     )
 
 
-def shape_of(found: Found, searched: Search) -> Array:
-    """What was found does to each row, relative, shape (n,); zeros for what has no shape."""
-    study = searched.bench.study()
+def shape_of(found: Found, study: Study) -> Array:
+    """What was found makes of a study's residuals, shape (n,); zeros for what has no shape."""
     if found.misfit is None:
         return np.zeros(len(study))
     directions = found.misfit.best_of(found.cause).directions
-    return directions @ (directions.T @ study.residual) * study.scale
+    return directions @ (directions.T @ study.residual)
 
 
 def classes_of(values: Array) -> Indices:
@@ -107,11 +108,22 @@ def classes_of(values: Array) -> Indices:
         return found
     single, place = np.unique(values[known].round(9), return_inverse=True)
     if len(single) > MOST_CLASSES:
-        number = int(np.clip(known.sum() // A_CLASS, 2, MOST_CLASSES))
-        edges = np.unique(np.quantile(values[known], np.linspace(0, 1, number + 1)[1:-1]))
-        place = np.searchsorted(edges, values[known], side="right")
+        place = np.searchsorted(_edges(single, place), single)[place]
     found[known] = place
     return found
+
+
+def _edges(single: Array, place: Indices) -> Array:
+    """Where to cut many values into classes of about as many rows: in the widest gap about there."""
+    below = np.cumsum(np.bincount(place))[:-1]
+    number = int(np.clip(len(place) // A_CLASS, 2, MOST_CLASSES))
+    size, gaps = len(place) / number, np.diff(single)
+    cuts = set()
+    for edge in range(1, number):
+        near = np.flatnonzero(np.abs(below - edge * size) <= size / 2)
+        if len(near):
+            cuts.add(int(near[np.argmax(gaps[near])]))
+    return np.array([single[cut] + gaps[cut] / 2 for cut in sorted(cuts)])
 
 
 def by_class(

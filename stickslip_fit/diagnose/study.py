@@ -84,7 +84,11 @@ class Study:
 
     def project(self, columns: Array) -> Array:
         """Take out of each column what recalibration would absorb, shape (n,) or (n, m)."""
-        return columns - self.basis @ (self.basis.T @ columns)
+        return columns - self.basis @ (self._across @ columns)
+
+    @cached_property
+    def _across(self) -> csr_array:
+        return csr_array(self.basis.T)
 
 
 def study_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.errors import InputError, Problem
@@ -10,6 +11,7 @@ from stickslip_fit.fit.bayes.posterior import Posterior
 from stickslip_fit.fit.result import Result
 from stickslip_fit.laws import seen_count
 from stickslip_fit.logs.plan import Plan
+from stickslip_fit.simulate.driven import HISTORY, drive_through, looks_back
 
 TRAVERSE = ["joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
 NEW_SESSION = ""  # no session of a log has this name
@@ -41,9 +43,10 @@ def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = N
         For a joint, direction or session that was not fitted, one whose parameters are not all known, or
         a traverse in which the joint would stall.
     """
-    rows = plan.rows()
+    rows = _with_history(fitted, plan, session)
     # A plan comes back to the same traverses; each is worked out once.
-    which = rows.groupby(TRAVERSE, dropna=False, sort=False).ngroup().to_numpy()
+    alike = [name for name in (*TRAVERSE, *HISTORY) if name in rows]
+    which = rows.groupby(alike, dropna=False, sort=False, observed=True).ngroup().to_numpy()
     _, first = np.unique(which, return_index=True)
     distinct = rows.iloc[first].reset_index(drop=True)
     distinct["session"] = _calibrations(fitted, distinct, session)
@@ -54,6 +57,22 @@ def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = N
     for name in ("steps", "low", "high"):
         found[name] = _noted(found[name], rows["check_every"])
     return found[["calibration", "steps", "low", "high", "step_size"]]
+
+
+def _with_history(fitted: Result | Posterior, plan: Plan, session: str | None) -> pd.DataFrame:
+    """The plan's rows; where a law looks back, with their history as it will be on average."""
+    result = fitted.result if isinstance(fitted, Posterior) else fitted
+    laws, rows = [fit.law for fit in result.joints.values()], plan.rows()
+    if not any(map(looks_back, laws)):
+        return rows
+
+    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
+        made = known.drop(columns="steps_before")  # How many the joints have made by then nobody knows.
+        steps = fitted.predict(made.assign(session=_calibrations(fitted, made, session)))["steps"]
+        return seen_count(np.nan_to_num(steps), known["check_every"])
+
+    driven = drive_through(plan, rows, np.full(len(rows), 0.5), seen, laws)
+    return driven.drop(columns=["steps_before", "steps", "time"])
 
 
 def _calibrations(fitted: Result | Posterior, rows: pd.DataFrame, session: str | None) -> list[str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import StepLaw
@@ -53,12 +56,17 @@ class Calibrated:
     session : str
     theta, psi : float
         Orientation of the base, rad.
+    conditions : mapping of str to object
+        What a law with causes in it needs to know of a drive besides, by the log's columns, SI: e.g.
+        ``session_seconds``, how long the drive has been running. What is not given has no effect, as for a
+        joint's first drive under mean conditions; what has no such value is asked for.
     """
 
     result: Result
     session: str
     theta: float = 0.0
     psi: float = 0.0
+    conditions: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
@@ -74,7 +82,7 @@ class Calibrated:
                 "q1": [q[0]], "q2": [q[1]], "q3": [q[2]], "theta": [self.theta], "psi": [self.psi],
                 "start": [q[joint - 1]], "stop": [stop],
             }
-        )  # fmt: skip
+        ).assign(**self.conditions)  # fmt: skip
 
     def traverse(self, q: Array, joint: int, stop: float) -> Traverse:
         """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.
@@ -96,7 +104,9 @@ class Calibrated:
         return Traverse(row, law, values, float(counts[0]), relative, spread)
 
     def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
-        """The law of a joint, its parameters, their covariance, and the repeatability.
+        """The law of a joint in motion, its parameters, their covariance, and the repeatability.
+
+        Steps that are lost in hearing the stop are left out: a drive that ends before it hears none.
 
         Raises
         ------
@@ -119,13 +129,22 @@ class Calibrated:
                 if (remark.joint, remark.session, remark.direction) == (joint, self.session, direction)
             ]
             raise InputError(reasons)
-        return fit.law, fit.values[index], fit.covariance[index], fit.repeatability[direction].value
+        values, covariance = fit.values[index], fit.covariance[index]
+        if isinstance(fit.law, ExtendedLaw):
+            moving = fit.law.in_motion(np.stack([values, np.full_like(values, np.nan)]))
+            values, counts = moving[0], np.isnan(moving[1])
+            covariance = covariance * np.outer(counts, counts)
+        return fit.law, values, covariance, fit.repeatability[direction].value
 
 
 def calibrated(
-    result: Result, session: str | None = None, theta: float = 0.0, psi: float = 0.0
+    result: Result,
+    session: str | None = None,
+    theta: float = 0.0,
+    psi: float = 0.0,
+    conditions: Mapping[str, Any] | None = None,
 ) -> Calibrated:
-    """The calibration of a session, the latest unless named.
+    """The calibration of a session, the latest unless named; see `Calibrated` for the others.
 
     Raises
     ------
@@ -138,4 +157,4 @@ def calibrated(
         session = next(name for name in reversed(sessions) if name in latest)
     if session not in sessions:
         raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
-    return Calibrated(result, session, theta, psi)
+    return Calibrated(result, session, theta, psi, conditions or {})

@@ -35,6 +35,9 @@ def next_traverses_text(
     unseen : sequence of Unseen
     machine : Machine
     """
+    if UNKNOWN in diagnosis.untestable:
+        told = f"This log can show nothing: {diagnosis.untestable[UNKNOWN]}."
+        return fill(told, WIDTH, break_on_hyphens=False)
     parts = [fill(_answer(diagnosis, traverses, beyond), WIDTH, break_on_hyphens=False)]
     if traverses:
         parts.append(f"to tell apart, in a new session\n{_table(traverses, machine)}")
@@ -54,7 +57,10 @@ def _answer(
     told = [_state(diagnosis)]
     if traverses:
         number = sum(each.repeats for each in traverses)
-        told.append(f"{count(number, 'traverse')} would tell apart what this log cannot.")
+        told.append(
+            f"{count(number, 'traverse')}, and the calibration that goes with them, would tell apart what "
+            "this log cannot."
+        )
     for one, other in beyond:
         told.append(f"No traverse within reach separates {one} from {other}.")
     if diagnosis.findings and not traverses and not beyond:

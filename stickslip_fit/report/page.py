@@ -9,6 +9,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip_fit.anova import analyse
+from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.fit import Result
 from stickslip_fit.fit import errors as errors_of
 from stickslip_fit.logs import Log
@@ -16,6 +17,7 @@ from stickslip_fit.report import accuracy, calibrated, measured
 from stickslip_fit.report.answer import answer, answer_table
 from stickslip_fit.report.claims import claims_table
 from stickslip_fit.report.d_table import d_table
+from stickslip_fit.report.diagnosis import diagnosed
 from stickslip_fit.report.factors import cautions, factors
 from stickslip_fit.report.gallery import gallery
 from stickslip_fit.report.load_coefficient import load_coefficients
@@ -24,7 +26,15 @@ from stickslip_fit.report.table import Table
 from stickslip_fit.report.wording import joint_name
 
 
-def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *, command: str = "") -> str:
+def report_html(
+    log: Log,
+    calibration: Result,
+    constant: Result,
+    fit: Result,
+    *,
+    diagnosis: Diagnosis | None = None,
+    command: str = "",
+) -> str:
     """The accuracy report of a log.
 
     Parameters
@@ -36,6 +46,8 @@ def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *,
         The constant step of each session and direction.
     fit : Result
         Least squares.
+    diagnosis : Diagnosis, optional
+        For a section on what the laws get wrong.
     command : str, optional
         As typed; where empty, the fit's own.
 
@@ -64,6 +76,7 @@ def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *,
         accuracy=_accuracy(errors, log),
         claims=claims_table(errors) if len(errors) else None,
         factors=factors(variance),
+        diagnosed=diagnosed(diagnosis) if diagnosis else None,
         cautions=cautions(variance),
         remarks=remarks(calibration, fit),
         provenance=_provenance(log, fit, command),

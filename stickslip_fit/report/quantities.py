@@ -18,6 +18,9 @@ COVARIATE = "covariate:"
 BETWEEN = 0.04  # of all hours, between two sessions drawn one after the other
 ONE_AFTER_THE_OTHER = "hours, sessions in a row"
 HOURS = "hours in session"
+OWN_STEPS = "own steps so far (millions)"
+LOAD_BEFORE = "load of the traverse before"
+REVERSED = "after a reversal (1) or not (0)"
 CONDITIONS = {
     "temperature (°C)": ("temperature", "°C"),
     "humidity (%)": ("humidity", "%"),
@@ -25,6 +28,19 @@ CONDITIONS = {
     "step period (ms)": ("step_period", "ms"),
     "payload (g)": ("payload", "g"),
 }
+
+HISTORY = {
+    "session_seconds": HOURS,
+    "steps_before": OWN_STEPS,
+    "before_load": LOAD_BEFORE,
+    "before_direction": REVERSED,
+}
+
+
+def label_of(column: str) -> str:
+    """The axis that shows a column of the log best, if it is one that a cause follows by itself."""
+    conditions = {name: label for label, (name, _) in CONDITIONS.items()}
+    return HISTORY.get(column) or conditions.get(column) or column.removeprefix(COVARIATE)
 
 
 def quantities(rows: pd.DataFrame) -> dict[str, Array]:
@@ -56,14 +72,14 @@ def _all(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     yield "theta (°)", from_si(rows["theta"].to_numpy(float), "deg")
     yield "psi (°)", from_si(rows["psi"].to_numpy(float), "deg")
     yield "steps (thousands)", rows["steps"].to_numpy(float) / 1e3
-    yield "load of the traverse before", rows["before_load"].to_numpy(float)
+    yield LOAD_BEFORE, rows["before_load"].to_numpy(float)
     turned = reversed_before(rows["before_direction"], rows["direction"])
-    yield "after a reversal (1) or not (0)", turned.astype(float)
+    yield REVERSED, turned.astype(float)
     for column in rows.columns:
         if column.startswith(COVARIATE):
             yield column.removeprefix(COVARIATE), rows[column].to_numpy(float)
-    yield "own steps so far (millions)", rows["steps_before"].to_numpy(float) / 1e6
     yield ONE_AFTER_THE_OTHER, in_a_row(rows)
+    yield OWN_STEPS, rows["steps_before"].to_numpy(float) / 1e6
 
 
 def in_a_row(rows: pd.DataFrame) -> Array:

@@ -26,11 +26,14 @@ class Chance:
         Departures of log(steps); mean 0, standard deviation 1.
     wait : array, shape (n,)
         How long a person takes before each traverse, uniform between 0 and 1.
+    luck : array, shape (n, 3)
+        Whether a stop is missed or imagined, and by how much, uniform between 0 and 1.
     """
 
     day: Array
     noise: Array
     wait: Array
+    luck: Array
 
 
 def draw_chance(seed: int, sessions: int, traverses: int, groups: int, kind: NoiseKind) -> Chance:
@@ -51,15 +54,16 @@ def draw_chance(seed: int, sessions: int, traverses: int, groups: int, kind: Noi
     """
     streams = np.random.SeedSequence(seed).spawn(sessions)
     draws = [_draw_session(stream, traverses, groups, kind) for stream in streams]
-    days, noises, waits = zip(*draws, strict=True)
-    return Chance(np.stack(days), np.concatenate(noises), np.concatenate(waits))
+    days, *others = zip(*draws, strict=True)
+    return Chance(np.stack(days), *map(np.concatenate, others))
 
 
 def _draw_session(
     stream: np.random.SeedSequence, traverses: int, groups: int, kind: NoiseKind
-) -> tuple[Array, Array, Array]:
-    day, noise, wait = (np.random.default_rng(child) for child in stream.spawn(3))
-    return day.standard_normal(groups), draw_noise(kind, traverses, noise), wait.random(traverses)
+) -> tuple[Array, Array, Array, Array]:
+    day, noise, wait, luck = (np.random.default_rng(child) for child in stream.spawn(4))
+    departures = draw_noise(kind, traverses, noise)
+    return day.standard_normal(groups), departures, wait.random(traverses), luck.random((traverses, 3))
 
 
 def draw_noise(kind: NoiseKind, size: int, rng: np.random.Generator) -> Array:

@@ -24,7 +24,8 @@ def expected_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
     counts, _ = law.counts(rows, values)
     if not np.all(np.isfinite(counts)):
         first = int(np.argmin(np.isfinite(counts)))
-        place = ", ".join(f"{name} = {float(np.asarray(rows[name])[first]):.4g}" for name in law.columns)
+        row = {name: np.asarray(rows[name]) for name in law.columns if name in rows}
+        place = ", ".join(f"{name} = {of[first]:.4g}" for name, of in row.items() if of.dtype.kind in "fiu")
         raise InputError(
             f"joint {law.joint} comes to a halt (step size 0 or less) with {place} (rad, m); "
             "change the law's parameters or leave that traverse out of the plan"

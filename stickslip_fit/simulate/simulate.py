@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import seen_count
 from stickslip_fit.logs import Log
@@ -17,8 +18,8 @@ from stickslip_fit.logs.history import add_history
 from stickslip_fit.logs.plan import Noise, Plan
 from stickslip_fit.machine import JOINTS, Machine
 from stickslip_fit.simulate.chance import draw_chance
-from stickslip_fit.simulate.clock import begin_times
 from stickslip_fit.simulate.counts import expected_counts
+from stickslip_fit.simulate.driven import drive_through
 from stickslip_fit.simulate.law_values import LawValues
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +42,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     ----------
     plan : Plan
     truth : LawValues
+        A law may have causes in it; steps are counted from the plan's first traverse on.
     machine : Machine
         The one that `plan` and `truth` were made for.
     seed : int, optional
@@ -71,11 +73,23 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
         plan.noise.kind,
     )
     day = np.array([truth.day_to_day.get(each, 0.0) for each in GROUPS])
-    counts = _counts(rows, truth, 1.0 + day[group] * chance.day[session, group])
-    departure = _repeatability(plan.noise, group) * chance.noise
-    rows["steps"] = seen_count(counts * np.exp(departure), rows["check_every"])
-    rows["time"] = begin_times(plan, rows, chance.wait).astype("datetime64[ns]")
-    return _log(rows, machine)
+    factor = 1.0 + day[group] * chance.day[session, group]
+    departure = _repeatability(plan.noise, group) * chance.noise + _misfires(rows, truth, chance.luck)
+
+    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
+        return seen_count(_counts(known, truth, factor) * np.exp(departure), rows["check_every"])
+
+    return _log(drive_through(plan, rows, chance.wait, seen, truth.laws.values()), machine)
+
+
+def _misfires(rows: pd.DataFrame, truth: LawValues, luck: Array) -> Array:
+    """Log steps by which a stop that is missed or imagined puts counts off, shape (n,)."""
+    off = np.zeros(len(rows))
+    for joint, law in truth.laws.items():
+        mine = (rows["joint"] == joint).to_numpy()
+        if isinstance(law, ExtendedLaw) and mine.any():
+            off[mine] = law.misfires(truth.of_rows(rows[mine], joint)[0], luck[mine])
+    return off
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
@@ -102,8 +116,10 @@ def _counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
     for joint in rows["joint"].unique():
         mine = (rows["joint"] == joint).to_numpy()
         values, shared = truth.of_rows(rows[mine], joint)
-        expected = expected_counts(truth.laws[joint], rows[mine], values)
-        counts[mine] = expected / np.where(shared, factor[mine], 1.0)
+        law = truth.laws[joint]
+        expected = expected_counts(law, rows[mine], values)
+        added = law.added(rows[mine], values) if isinstance(law, ExtendedLaw) else 0.0
+        counts[mine] = (expected - added) / np.where(shared, factor[mine], 1.0) + added
     return counts
 
 

@@ -42,7 +42,7 @@ def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int6
     array([12296])
     """
     position, stop = column(rows, "start").copy(), column(rows, "stop")
-    arrays = {name: column(rows, name) for name in law.columns}
+    arrays = {name: rows[name] for name in (*law.columns, "start", "stop") if name in rows}
     values = np.broadcast_to(values, (len(position), len(law.parameters)))
     way = np.sign(stop - position)
     steps = np.zeros(len(position), np.int64)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cos, exp, log, pi, sqrt, tanh
 
+import numpy as np
+import pandas as pd
+
 from stickslip_fit.causes import (
     BearingRunout,
     CableTorque,
@@ -34,10 +37,20 @@ from stickslip_fit.causes import (
     Wear,
     WornSpot,
 )
-from tests.causes.by_hand import DEG, FIRST, MM, SECOND, Effect, full_load
+from stickslip_fit.laws import published_law
+from stickslip_fit.machine import load_machine
+from tests.causes.by_hand import DEG, FIRST, MM, ROWS, SECOND, VALUES, Effect, full_load
 
+MACHINE = load_machine()
+LAWS = {joint: published_law(joint, ROWS[ROWS["joint"] == joint], MACHINE) for joint in (1, 2, 3)}
 MIDDLE = {1: 0.0, 2: -pi / 2}
 WAYS = [(joint, way) for joint in (1, 2, 3) for way in (1, -1)]
+
+
+def own_values(rows: pd.DataFrame) -> np.ndarray:
+    """The published parameters of each row."""
+    keys = zip(rows["joint"], rows["direction"], strict=True)
+    return np.array([VALUES[key] for key in keys])
 
 
 @dataclass(frozen=True)
@@ -189,3 +202,5 @@ CASES = (
         ((0.02, 0.0, 0.0), (-0.01, 0.02, 0.01)),
     ),
 )
+
+NAMED = {case.label: case for case in CASES}

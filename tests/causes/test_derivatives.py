@@ -7,8 +7,7 @@ import pytest
 
 from stickslip_fit.causes import SessionJump, extend
 from tests.causes.by_hand import ROWS, SECOND
-from tests.causes.table import CASES
-from tests.causes.test_equations import LAWS, MACHINE, NAMED, own_values
+from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
 
 LABELS = [case.label for case in CASES]
 # What a cause may find at work when it is looked for as a second one.

@@ -7,18 +7,9 @@ import pytest
 
 from stickslip_fit.causes import covariates, extend, library
 from stickslip_fit.causes.extended import ExtendedLaw
-from stickslip_fit.laws import StepLaw, published_law
-from stickslip_fit.machine import load_machine
-from tests.causes.by_hand import ROWS, VALUES, steps
-from tests.causes.table import CASES
-
-MACHINE = load_machine()
-LAWS = {joint: published_law(joint, ROWS[ROWS["joint"] == joint], MACHINE) for joint in (1, 2, 3)}
-
-
-def own_values(rows):
-    keys = zip(rows["joint"], rows["direction"], strict=True)
-    return np.array([VALUES[key] for key in keys])
+from stickslip_fit.laws import StepLaw
+from tests.causes.by_hand import ROWS, steps
+from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
 
 
 def counted(causes, sizes, rows=ROWS):
@@ -65,9 +56,6 @@ def test_absent_values_are_the_published_law_exactly(case):
         [LAWS[j].counts(ROWS[ROWS["joint"] == j], own_values(ROWS[ROWS["joint"] == j]))[0] for j in (3, 2, 1)]
     )
     np.testing.assert_allclose(counted([case.cause], [case.cause.absent]), baseline, rtol=1e-13)
-
-
-NAMED = {case.label: case for case in CASES}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -12,7 +13,7 @@ from stickslip_fit.causes import covariates, library
 from stickslip_fit.causes.moments import moments
 from stickslip_fit.logs import Log, read_log
 from stickslip_fit.units import UNITS
-from tests.causes.test_equations import LAWS, MACHINE, own_values
+from tests.causes.table import LAWS, MACHINE, NAMED, own_values
 
 
 @pytest.fixture(scope="module")
@@ -169,9 +170,24 @@ def test_a_version_of_a_session_is_tried_in_that_session_only(log):
 
 
 def test_misfires_are_as_frequent_and_as_large_as_their_parameters_say():
-    cause = named("end-stop-misfire", pd.DataFrame())
-    found = cause.departures(200_000, np.array([0.02, 0.05]), np.random.default_rng(1))
+    cause, n = named("end-stop-misfire", pd.DataFrame()), 200_000
+    found = cause.departures(np.array([[0.02, 0.05]] * n), np.random.default_rng(1).random((n, 3)))
     hit = found != 0
     assert hit.mean() == pytest.approx(0.02, rel=0.05)
     assert np.abs(found[hit]).mean() == pytest.approx(0.05, rel=0.01)
     assert (found[hit] > 0).mean() == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("named", ["a cause", "its class"])
+def test_an_installed_package_adds_its_causes_by_entry_point(named, monkeypatch):
+    class Point:
+        def load(self):
+            return NAMED["drift"].cause if named == "a cause" else type(NAMED["drift"].cause)
+
+    def entry_points(group):
+        assert group == "stickslip_fit.causes"
+        return [Point()]
+
+    monkeypatch.setattr(sys.modules["stickslip_fit.causes.library"], "entry_points", entry_points)
+    assert [cause.name for cause in library()][-1] == "drift"
+    assert len(library()) == 27

@@ -47,7 +47,9 @@ def log_of(design: str, effect: str, strength: float):
 def diagnosis_of(design: str, effect: str, strength: float):
     """What is said of a log that hides an effect, when all but a few causes are out of the question."""
     known = [cause for cause in library() if cause.name in (effect, *RIVALS[effect])]
-    return decide(log_of(design, effect, strength), causes=[*known, Twin()] if effect == "drift" else known, alpha=ALPHA)
+    return decide(
+        log_of(design, effect, strength), causes=[*known, Twin()] if effect == "drift" else known, alpha=ALPHA
+    )
 
 
 RIVALS = {
@@ -82,8 +84,10 @@ def rows_of(choices, traverse):
             value = getattr(traverse, name)
             whole = np.isnan(value)
             span = (rows["stop"] - rows["start"]).abs()
-            at &= (span > span.max() * 0.999) if whole and name in ("start", "stop") else (
-                rows[name].isna() if whole else np.isclose(rows[name], value)
+            at &= (
+                (span > span.max() * 0.999)
+                if whole and name in ("start", "stop")
+                else (rows[name].isna() if whole else np.isclose(rows[name], value))
             )
         if at.any():
             return each, rows[at].iloc[:1]
@@ -114,7 +118,8 @@ class Rival:
     def slopes(values, f):
         steps = 1e-6 * np.maximum(np.abs(values), 1e-9)
         return np.stack(
-            [(f(values + e) - f(values - e)) / (2 * s) for e, s in zip(np.diag(steps), steps, strict=True)], axis=1
+            [(f(values + e) - f(values - e)) / (2 * s) for e, s in zip(np.diag(steps), steps, strict=True)],
+            axis=1,
         )
 
     def misfit(self, readings, variance):
@@ -152,7 +157,9 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
     assert set(traverse.tells_apart) == {effect, rival}
     forecast, row = rows_of(choices, traverse)
     rivals = [Rival(fit_with(diagnosis, effect, each), forecast, row) for each in (effect, rival)]
-    drive = bench.drive[(bench.rows["joint"] == traverse.joint) & (bench.rows["direction"] == traverse.direction)]
+    drive = bench.drive[
+        (bench.rows["joint"] == traverse.joint) & (bench.rows["direction"] == traverse.direction)
+    ]
     repeatability = bench.repeatability[drive[0]]
     rng = np.random.default_rng(7)
     variance = np.full(len(rivals[0].middle), repeatability**2 / traverse.repeats)
@@ -177,7 +184,9 @@ def test_no_more_readings_are_asked_for_than_it_takes():
     # The distance of the two, along all that the session's own parameters leave, in standard deviations.
     apart = one.free.T @ (one.middle - other.middle)
     bench = diagnosis.search.bench
-    drive = bench.drive[(bench.rows["joint"] == traverse.joint) & (bench.rows["direction"] == traverse.direction)]
+    drive = bench.drive[
+        (bench.rows["joint"] == traverse.joint) & (bench.rows["direction"] == traverse.direction)
+    ]
     noise = bench.repeatability[drive[0]] ** 2
 
     def confused(readings: int) -> float:
@@ -231,7 +240,7 @@ def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibrati
         rest = after[after["note"].str.contains("at rest")]
         busy = after[after["note"].str.contains("to and fro")]
         assert (rest["steps_before"] < after["steps_before"].max()).all()
-        # Driven all the while, a joint makes as many steps as its traverses, each with its pause, have time for.
+        # Driven all the while, a joint makes the steps that traverses, each with its pause, have time for.
         pace = rest["steps"].to_numpy() / rest["seconds"].to_numpy()
         hours = (rest["session_seconds"] - after["session_seconds"].min()).to_numpy()
         more = busy["steps_before"].to_numpy() - rest["steps_before"].to_numpy()

@@ -157,7 +157,8 @@ def report(kind: str, scores: list[Score]) -> None:
             f"{kind:8s} {strength:5.1f}  n {n:4d}  alarm {alarm / n:.3f}  named {first / n:.3f}  "
             f"in set {in_set / n:.3f}  all {both / n:.3f}  more {more / n:.3f}  rivals {rivals:.2f}  "
             f"Brier {np.mean([each.brier for each in mine]):.3f}  "
-            f"interval {np.mean(known) if known else np.nan:.3f}  s {np.mean([each.seconds for each in mine]):.2f}",
+            f"interval {np.mean(known) if known else np.nan:.3f}  "
+            f"s {np.mean([each.seconds for each in mine]):.2f}",
             flush=True,
         )
 

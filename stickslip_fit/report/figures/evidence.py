@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from stickslip_fit.diagnose.diagnosis import Finding
 from stickslip_fit.diagnose.search import Found
@@ -25,7 +26,7 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.quantities import quantities
+from stickslip_fit.report.quantities import label_of, quantities
 from stickslip_fit.report.wording import joint_name, percent, way
 
 Array = npt.NDArray[np.float64]
@@ -36,6 +37,8 @@ QUANTILE, ZOOM = 0.98, 1.35
 BAND = "#dcdcd8"
 TWO_SIDED = 1.96
 ACROSS = 4  # panels side by side
+FURTHEST = 3.0  # times what is left: the scale cuts what was there before
+POINT = "traverse"
 
 
 def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) -> Picture:
@@ -47,12 +50,14 @@ def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) 
     found : Found
         The same in the search.
     shape : array, shape (n,)
-        What it does to each row.
+        What it does to each row, in any unit.
     shown : Shown
     """
     joints = [joint for joint in finding.joints if (shown.rows["joint"] == joint).any()]
     mine = shown.rows["joint"].isin(joints).to_numpy()
-    columns = {label: values for label, values in quantities(shown.rows).items() if _known(values[mine])}
+    columns = _columns(shown, mine)
+    own = [label_of(column) for column in getattr(found.version, "columns", ())]
+    columns = {label: columns[label] for label in own if label in columns} | columns
     groups = 2 * shown.rows["joint"].to_numpy() + (shown.rows["direction"] == "-").to_numpy()
     where = carrier(shape[mine], {label: values[mine] for label, values in columns.items()}, groups[mine])
     is_named = found.version is not None
@@ -74,14 +79,16 @@ def draw_finding(
     with look():
         figure, axes = canvas([1.5] * len(sides), len(joints), top=LEGEND_LINE + TITLE_LINE + 0.14)
         limit = _limit(np.concatenate([side for _, side, _ in sides]))
-        for column, joint in enumerate(joints):
-            mine = (shown.rows["joint"] == joint).to_numpy() & np.isfinite(values)
+        masks = [(shown.rows["joint"] == joint).to_numpy() & np.isfinite(values) for joint in joints]
+        for column, (joint, mine) in enumerate(zip(joints, masks, strict=True)):
             axes[0, column].set_title(joint_name(joint))
             axes[-1, column].set_xlabel(label)
-            for axis, (_, residual, chance) in zip(axes[:, column], sides, strict=True):
-                _points(axis, values, residual, mine, limit, shown)
-                _means(axis, values, residual, chance, mine, shown)
             _ticks(axes[-1, column], label, values[mine], 7 if len(joints) < 3 else 4)
+            for axis, (_, residual, chance) in zip(axes[:, column], sides, strict=True):
+                limit = max(limit, 1.1 * _means(axis, values, residual, chance, mine, shown))
+        for axes_of_joint, mine in zip(axes.T, masks, strict=True):
+            for axis, (_, residual, _) in zip(axes_of_joint, sides, strict=True):
+                _points(axis, values, residual, mine, limit, shown)
         for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
             axis.set_ylim(-limit, limit)
             axis.set_ylabel(f"{name}: count less law (%)")
@@ -106,31 +113,29 @@ def everything_picture(joint: int, shown: Shown) -> Picture:
 def draw_everything(joint: int, shown: Shown) -> Figure:
     """A panel for each quantity."""
     mine = (shown.rows["joint"] == joint).to_numpy()
-    columns = {label: values for label, values in quantities(shown.rows).items() if _known(values[mine])}
+    columns = _columns(shown, mine)
     rows = -(-len(columns) // ACROSS)
     with look():
         figure, axes = canvas([1.15] * rows, ACROSS, top=LEGEND_LINE + 0.12, down=0.55, share_x="none", share_y="all")
-        limit = 0.0
+        reach, before = 0.0, 0.0
         for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):
             kept = mine & np.isfinite(values)
-            limit = max(limit, _means(axis, values, shown.after, shown.chance_after, kept, shown))
+            reach = max(reach, _means(axis, values, shown.after, shown.chance_after, kept, shown))
             if np.any(shown.before != shown.after):
-                limit = max(limit, _dotted(axis, values, shown.before, kept, shown))
+                before = max(before, _dotted(axis, values, shown.before, kept, shown))
             axis.set_xlabel(label)
             _ticks(axis, label, values[kept], 4)
         for axis in axes.ravel()[len(columns) :]:
             axis.set_axis_off()
-        axes[0, 0].set_ylim(-1.1 * limit, 1.1 * limit)
+        limit = 1.1 * max(reach, min(before, FURTHEST * reach))
+        axes[0, 0].set_ylim(-limit, limit)
         for axis in axes[:, 0]:
             axis.set_ylabel("count less law (%)")
         legend(figure, [each for each in _entries() if each.get_label() != POINT])
     return figure
 
 
-POINT = "traverse"
-
-
-def _entries() -> list:
+def _entries() -> list[Line2D]:
     means = [
         key_line(f"mean, direction {way(sign)}", colour, marker="o", line="-")
         for sign, colour in DIRECTION_COLOURS.items()
@@ -198,9 +203,10 @@ def _limit(residual: Array) -> float:
     return max(min(1.05 * float(sizes.max()), ZOOM * float(np.quantile(sizes, QUANTILE))), 0.05)
 
 
-def _known(values: Array) -> bool:
-    known = values[np.isfinite(values)]
-    return len(known) > 1 and float(np.ptp(known)) > 0
+def _columns(shown: Shown, mine: Mask) -> dict[str, Array]:
+    """What varied among some of the rows."""
+    there = quantities(shown.rows[mine])
+    return {label: values for label, values in quantities(shown.rows).items() if label in there}
 
 
 def _ticks(axis: Axes, label: str, values: Array, most: int) -> None:

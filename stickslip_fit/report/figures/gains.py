@@ -1,0 +1,69 @@
+"""Errors on held-out traverses by session, before and after the law is extended."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
+from stickslip_fit.errors import shorten
+from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
+from stickslip_fit.report.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    LEGEND_LINE,
+    VERMILLION,
+    canvas,
+    key_line,
+    legend,
+    look,
+)
+from stickslip_fit.report.wording import count, percent
+
+MOST_SESSIONS = 30
+CROWDED, LABELS = 6, 12  # session names: side by side; and that there is room for
+FLOOR = "repeatability and rounding"
+
+
+def gain_picture(diagnosis: Diagnosis) -> Picture:
+    """What the extended law gains in each session."""
+    key, title, gain = "gain", "Errors on held-out traverses, by session", diagnosis.gain
+    if gain is None or gain.by_session.empty or not diagnosis.findings:
+        return not_drawn(key, title, "It would need a named cause, and traverses beside those it takes to fit it.")
+    sessions = len(gain.by_session)
+    latest = f"The latest {MOST_SESSIONS} of {count(sessions, 'session')}. " if sessions > MOST_SESSIONS else ""
+    caption = (
+        f"{latest}Each traverse predicted by laws to which it contributed nothing, the search for causes "
+        f"included: {percent(gain.baseline)} rms by the published law, {percent(gain.extended)} by the extended "
+        f"one, over all sessions. No law can be better than the line, {percent(gain.noise_floor)}."
+    )
+    return picture(key, title, caption, draw_gain(gain))
+
+
+def draw_gain(gain: Gain) -> Figure:
+    """A pair of points for each session."""
+    shown = gain.by_session.tail(MOST_SESSIONS)
+    place, crowded = np.arange(len(shown)), len(shown) > CROWDED
+    before, after = (100 * shown[name].to_numpy(float) for name in ("baseline", "extended"))
+    with look():
+        figure, axes = canvas([1.6], 1, top=LEGEND_LINE + 0.12, bottom=0.9 if crowded else 0.3)
+        axis = axes[0, 0]
+        axis.vlines(place, after, before, color=GREY, lw=0.9)
+        axis.plot(place, before, ls="", marker="s", ms=4.5, color=VERMILLION)
+        axis.plot(place, after, ls="", marker="o", ms=4.5, color=BLUE)
+        axis.axhline(100 * gain.noise_floor, color=INK, lw=0.8, ls="--")
+        every = -(-len(shown) // LABELS)
+        names = [shorten(str(name), 14) for name in shown["session"]]
+        axis.set_xticks(place[::every], names[::every], rotation=90 if crowded else 0)
+        axis.set_xlim(-0.5, len(shown) - 0.5)
+        axis.set_ylim(0.0, 1.1 * max(float(before.max()), float(after.max())))
+        axis.set_ylabel("rms error (%)")
+        axis.grid(visible=False, axis="x")
+        entries = [
+            key_line("published law", VERMILLION, marker="s"),
+            key_line("extended law", BLUE, marker="o"),
+            key_line(FLOOR, INK, line="--"),
+        ]
+        legend(figure, entries)
+    return figure

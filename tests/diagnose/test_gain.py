@@ -1,0 +1,281 @@
+"""What an extension gains: on rows that took no part, with intervals for a fresh replicate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from stickslip_fit.causes import library
+from stickslip_fit.diagnose.findings import findings
+from stickslip_fit.diagnose.folds import Split, folds
+from stickslip_fit.diagnose.gain import gain
+from stickslip_fit.diagnose.held_out import errors
+from stickslip_fit.diagnose.hypothesis import hypothesis
+from stickslip_fit.diagnose.misfit import UNKNOWN
+from stickslip_fit.diagnose.naming import name
+from stickslip_fit.diagnose.new_session import new_sessions
+from stickslip_fit.diagnose.of_log import bench_of
+from stickslip_fit.diagnose.replicates import Campaign, predicted_off
+from stickslip_fit.diagnose.search import Found, Search, extended, look, search
+from stickslip_fit.diagnose.structures import structures
+from stickslip_fit.diagnose.with_gain import configurations, seek
+from stickslip_fit.logs import read_log
+from stickslip_fit.machine import load_machine
+from tests.hidden.generate import hide
+
+ALPHA, FLIPS = 0.01, 1000
+FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "recoil-axis", "end-stop-latency")
+SEEK = partial(seek, alpha=ALPHA)
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory):
+    """A hidden log on the bench, with a few causes and one structure to choose from, to be quick."""
+
+    def made(hidden):
+        path = tmp_path_factory.mktemp("gain") / "log.csv"
+        hidden.write(path)
+        laid, _ = bench_of(read_log(path), [cause for cause in library() if cause.name in FEW])
+        return replace(laid, structures=waves)
+
+    return made
+
+
+def waves(study):
+    hours = study.rows["session_seconds"].to_numpy(float) / 3600
+    columns = np.stack([np.cos(np.pi * k * hours / hours.max()) for k in range(1, 5)], axis=-1)
+    return [hypothesis("unknown:time", None, None, study.project(columns / study.scale[:, None]))]
+
+
+def splits_of(searched):
+    rows, rng = searched.bench.rows, np.random.default_rng(0)
+    return folds(searched.bench.study(), configurations(rows), rng)
+
+
+def measured(bench, workers=1, seek=SEEK, alpha=ALPHA):
+    searched = search(bench, alpha, FLIPS, np.random.default_rng(0))
+    found = findings(searched, bench, alpha) if searched.p_value < alpha else ()
+    whole, _ = gain(searched, found, splits_of(searched), seek, alpha=alpha, workers=workers)
+    return whole, searched
+
+
+def gained(whole):
+    return whole.baseline - whole.extended
+
+
+@pytest.mark.parametrize("design", ["session", "thesis", "many"])
+def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_stays_known(bench, design):
+    laid = bench(hide(design, seed=3))
+    kinds, splits = configurations(laid.rows), folds(laid.study(), configurations(laid.rows), _rng())
+    held = np.concatenate([split.held for split in splits])
+    assert len(np.unique(held)) == len(held) > 0.85 * len(laid)
+    assert len(splits) == 10
+    for split in splits:
+        assert not set(kinds[split.held]) & set(kinds[split.training])
+        np.testing.assert_array_equal(np.sort(np.r_[split.held, split.training]), np.arange(len(laid)))
+    for part in laid.parts:
+        slopes = part.law.jacobian(laid.rows.iloc[part.rows], part.values)
+        slopes = slopes / np.linalg.norm(slopes, axis=0)
+        for block in np.unique(part.block):
+            mine = part.block == block
+            known = np.linalg.matrix_rank(slopes[mine], 1e-6)
+            for split in splits:
+                left = mine & np.isin(part.rows, split.training)
+                assert np.linalg.matrix_rank(slopes[left], 1e-6) == known
+
+
+def test_what_is_held_out_has_no_part_in_its_own_prediction(bench):
+    hidden = hide("session", ("drift",), 14, seed=3)
+    searched = search(bench(hidden), ALPHA, FLIPS, np.random.default_rng(0))
+    found = findings(searched, searched.bench, ALPHA)
+    split = splits_of(searched)[0]
+    wrong = 0.3 * np.isin(np.arange(len(searched.bench)), split.held)
+    disturbed = replace(searched.bench, responses=searched.bench.responses + wrong)
+    before, after = (errors(each, split, found, SEEK, (0, 0)) for each in (searched.bench, disturbed))
+    assert np.sqrt(np.mean(before[1] ** 2)) < np.sqrt(np.mean(before[0] ** 2))
+    np.testing.assert_allclose(after, before + 0.3, atol=1e-9)
+
+
+def test_a_new_session_is_predicted_by_its_calibration_and_causes_from_the_other_sessions(bench):
+    hidden = hide("thesis", seed=3)
+    laid = bench(hidden)
+    splits = new_sessions(laid, load_machine())
+    session = laid.rows["session"].to_numpy(object)
+    assert len(splits) == 3
+    for split in splits:
+        assert len(set(session[split.held]) | set(session[split.calibrating])) == 1
+        assert not set(session[split.training]) & set(session[split.held])
+        assert not set(split.calibrating) & set(split.held)
+        parameters = 2 * sum(len(part.law.parameters) for part in laid.parts)
+        assert len(split.calibrating) == parameters
+        assert len(split.held) + parameters == np.sum(session == session[split.held[0]])
+
+
+def test_a_log_of_two_sessions_has_no_new_one(bench):
+    laid = bench(hide("thesis", seed=3))
+    assert new_sessions(laid.without(np.flatnonzero(laid.rows["session"] == laid.rows["session"][0])),
+                        load_machine()) == []  # fmt: skip
+
+
+def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
+    rng = _rng()
+    laws = np.zeros((60, 6))
+    laws[:30, :3], laws[30:, 3:] = rng.standard_normal((30, 3)), rng.standard_normal((30, 3))
+    slopes, responses = rng.standard_normal((60, 2)), rng.standard_normal((60, 4))
+    basis = csr_array(np.linalg.qr(laws)[0] * (np.abs(np.linalg.qr(laws)[0]) > 1e-12))
+    ones = np.ones(60)
+    campaign = Campaign(basis, ones, ones, slopes[:, :1], (slopes,), np.zeros(1))
+    held = np.arange(0, 60, 7)
+    rest = np.setdiff1d(np.arange(60), held)
+    for chosen, columns in ((np.array([False]), laws), (np.array([True]), np.c_[laws, slopes])):
+        fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
+        found = predicted_off(campaign, Split(rest, rest, held), chosen, responses)
+        np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
+
+
+def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(bench):
+    def never(laid, rng):
+        raise AssertionError
+
+    whole, searched = measured(bench(hide("session", seed=8)), seek=never)
+    assert searched.p_value > ALPHA
+    assert whole.extended == whole.baseline
+    assert (whole.low, whole.high) == (0.0, 0.0)
+    assert whole.noise_floor < whole.baseline < 2 * whole.noise_floor
+
+
+def test_the_number_of_processes_makes_no_difference(bench):
+    laid = replace(bench(hide("session", ("drift",), 12, seed=3)), structures=structures)
+    one, two = (measured(laid, workers=workers)[0] for workers in (1, 2))
+    assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
+
+
+def test_each_finding_gains_its_step_and_steps_add_up(bench):
+    laid = bench(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    searched = search(laid, ALPHA, FLIPS, _rng())
+    found = findings(searched, laid, ALPHA)
+    whole, own = gain(searched, found, splits_of(searched), SEEK, alpha=ALPHA, workers=1)
+    assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
+    assert own[0].gain.baseline == whole.baseline
+    assert own[-1].gain.extended == whole.extended
+    for one, following in pairwise(own):
+        assert following.gain.baseline == one.gain.extended
+        assert one.gain.low < gained(one.gain) < one.gain.high
+    assert whole.by_session["traverses"].sum() > 0.85 * len(laid)
+
+
+def oracle(hidden, searched):
+    """Held-out rms errors without and with the true effect, its size fitted: plain linear algebra."""
+    bench, blocks = searched.bench, []
+    for part in bench.parts:
+        slopes = part.law.jacobian(bench.rows.iloc[part.rows], part.values)
+        for block in np.unique(part.block):
+            columns = np.zeros((len(bench), slopes.shape[1]))
+            mine = part.block == block
+            columns[part.rows[mine]] = slopes[mine] / np.abs(slopes).max(axis=0)
+            blocks.append(columns)
+    effect = hidden.effect(hidden.acts[0].name)[:, None]
+    predicted = np.zeros(len(bench))
+    for part in bench.parts:
+        predicted[part.rows] = part.law.predict(bench.rows.iloc[part.rows], part.values)
+    left, weight, squares = bench.responses - predicted, 1 / bench.scale, []
+    for columns in (np.concatenate(blocks, axis=1), np.concatenate([*blocks, effect], axis=1)):
+        off = []
+        for split in splits_of(searched):
+            rest = split.training
+            fitted = np.linalg.lstsq(columns[rest] * weight[rest, None], left[rest] * weight[rest])[0]
+            off.append(left[split.held] - columns[split.held] @ fitted)
+        squares.append(np.mean(np.concatenate(off) ** 2))
+    return np.sqrt(squares)
+
+
+def share_of_the_oracle(bench, seeds, strength):
+    mine, its = [], []
+    for seed in seeds:
+        hidden = hide("session", (FEW[seed % len(FEW)],), strength, seed=seed)
+        whole, searched = measured(bench(hidden))
+        baseline, extended = oracle(hidden, searched)
+        assert whole.baseline == pytest.approx(baseline, rel=0.01)
+        mine.append(gained(whole))
+        its.append(baseline - extended)
+    return np.sum(mine) / np.sum(its)
+
+
+def covered(bench, seeds, strength):
+    inside = []
+    for seed in seeds:
+        both = [
+            hide("session", (FEW[seed % len(FEW)],), strength, seed=seed, replicate=replicate)
+            for replicate in (0, 1)
+        ]
+        whole, searched = measured(bench(both[0]))
+        if searched.p_value < ALPHA:
+            fresh = gained(measured(bench(both[1]))[0])
+            inside.append(whole.low <= fresh <= whole.high)
+    return np.array(inside)
+
+
+def forced(laid, rng):
+    """The best cause in the law, whether or not anything is wrong."""
+    study = laid.study()
+    looked = look(study, laid, 100, rng)
+    naming = name(looked)
+    if naming.cause == UNKNOWN:
+        best = max((cause for cause in looked.by_cause if cause != UNKNOWN), key=looked.by_cause.get)
+        naming = replace(naming, cause=best)
+    shape = looked.best_of(naming.cause)
+    start = np.array(shape.version.absent) if shape.values is None else shape.values
+    found = Found(naming.cause, shape.version, start, naming, looked, 1.0)
+    bench, fit, left = extended(laid, [found])
+    return Search(bench, np.zeros(0, np.intp), (found,), looked, looked, 1.0, fit, left)
+
+
+def above_zero(bench, seeds):
+    above = []
+    for seed in seeds:
+        laid = bench(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
+        searched = forced(laid, _rng())
+        found = findings(searched, laid, 2.0)
+        whole, _ = gain(searched, found, splits_of(searched), forced, alpha=2.0, workers=1)
+        above.append(whole.low > 0)
+    return np.array(above)
+
+
+def test_held_out_gain_is_nearly_that_of_knowing_the_effect(bench):
+    assert share_of_the_oracle(bench, range(3), 12) > 0.9
+
+
+def test_the_interval_covers_the_gain_of_a_fresh_replicate(bench):
+    assert covered(bench, range(6), 12).sum() >= 5
+
+
+def test_a_cause_forced_upon_a_log_in_which_nothing_is_wrong_gains_nothing(bench):
+    assert above_zero(bench, range(8)).sum() <= 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("strength", [8, 12, 25])
+def test_held_out_gain_is_nearly_that_of_knowing_the_effect_in_many_logs(bench, strength):
+    assert share_of_the_oracle(bench, range(40), strength) > 0.9
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("strength", [6, 8, 12, 25])
+def test_the_interval_covers_the_gain_of_a_fresh_replicate_in_many_logs(bench, strength):
+    inside = covered(bench, range(60), strength)
+    assert inside.mean() > 0.95 - 3 * np.sqrt(0.05 * 0.95 / len(inside))
+
+
+@pytest.mark.nightly
+def test_a_cause_forced_upon_many_logs_in_which_nothing_is_wrong_gains_nothing(bench):
+    above = above_zero(bench, range(150))
+    assert above.mean() < 0.05 + 2 * np.sqrt(0.05 * 0.95 / len(above))
+
+
+def _rng():
+    return np.random.default_rng(0)
