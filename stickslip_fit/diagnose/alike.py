@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import permutations
 
 import numpy as np
 
-from stickslip_fit.diagnose.misfit import Misfit, kind_of
+from stickslip_fit.diagnose.hypothesis import Hypothesis
+from stickslip_fit.diagnose.misfit import UNKNOWN, Misfit, kind_of
 
-SAME = 1e-9  # what a shape may lack, as a share of its square
+SAME = 1e-3  # what a shape may lack, as a share of its square; no log has the strength to show that
+FEW = 4  # shapes; with many to choose from a cause may look like another by chance
 
 
 def alike(looked: Misfit) -> tuple[tuple[str, str], ...]:
     """Pairs of causes of which the second can do in this log all that the first does.
 
-    Each pair stands once, also where either can do all that the other does. Causes with several shapes to
-    choose from are left out: one of them may look like something else by chance.
+    Each pair stands once, also where either can do all that the other does.
 
     Parameters
     ----------
     looked : Misfit
     """
-    shapes = Counter(map(kind_of, looked.hypotheses))
-    single = [each for each in looked.hypotheses if each.version is not None and shapes[each.cause] == 1]
+    shapes: dict[str, list[Hypothesis]] = {}
+    for each in looked.hypotheses:
+        if isinstance(each, Hypothesis) and kind_of(each) != UNKNOWN:
+            shapes.setdefault(each.cause, []).append(each)
+    few = [cause for cause, mine in shapes.items() if len(mine) <= FEW]
     found: dict[frozenset[str], tuple[str, str]] = {}
-    for one, other in permutations(single, 2):
-        lacking = one.directions - other.directions @ (other.directions.T @ one.directions)
-        if np.all(np.sum(lacking**2, axis=0) < SAME):
-            found.setdefault(frozenset((one.cause, other.cause)), (one.cause, other.cause))
+    for one, other in permutations(few, 2):
+        if all(any(_within(shape, wider) for wider in shapes[other]) for shape in shapes[one]):
+            found.setdefault(frozenset((one, other)), (one, other))
     return tuple(found.values())
+
+
+def _within(shape: Hypothesis, wider: Hypothesis) -> bool:
+    lacking = shape.directions - wider.directions @ (wider.directions.T @ shape.directions)
+    return bool(np.all(np.sum(lacking**2, axis=0) < SAME))

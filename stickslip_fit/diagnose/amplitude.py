@@ -60,9 +60,9 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
 
     def below(strength: float) -> float:
         """Chance of less than `z`, given the alarm."""
-        least, all_of_it = ncx2.cdf(threshold**2, dimensions, strength**2), 1.0
-        alarm = max(all_of_it - least, 1e-300)
-        return float((ncx2.cdf(z**2, dimensions, strength**2) - least) / alarm)
+        # Upper tails: far below the threshold an alarm is so rare that 1 less the lower one would be 0.
+        alarm = max(float(ncx2.sf(threshold**2, dimensions, strength**2)), 1e-300)
+        return 1.0 - float(ncx2.sf(z**2, dimensions, strength**2)) / alarm
 
     def where(chance: float) -> float:
         if below(1e-6) < chance:

@@ -8,6 +8,7 @@ import numpy as np
 
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Gain
 from stickslip_fit.diagnose.misfit import UNKNOWN
+from stickslip_fit.diagnose.search import MISFIRE
 from stickslip_fit.diagnose.told import what_happens, what_to_do
 from stickslip_fit.diagnose.wording import begun_large, listed, percent, probability
 
@@ -50,6 +51,9 @@ def follows(carrier: str) -> str:
     """
     if carrier.startswith("period"):
         return f"comes and goes with a {carrier}"
+    if carrier.startswith("memory"):
+        whose = carrier.removeprefix("memory").strip() or "of any joint"
+        return f"carries over from one traverse {whose} to the next"
     if carrier.startswith("time, joint"):
         return f"changes slowly with time, in {carrier.removeprefix('time, ')}"
     return FOLLOWS.get(carrier, f"follows {carrier}")
@@ -84,7 +88,7 @@ def _told(finding: Finding, diagnosis: Diagnosis) -> str:
     if not finding.equivalent:
         return told
     either = listed([phrase(each, diagnosis) for each in (finding.cause, *finding.equivalent)], "or")
-    return f"Something is wrong and this log cannot tell what: {either}. If it is the first: {_begun_small(told)}"
+    return f"This log cannot tell what is wrong: {either}. If it is the first: {_begun_small(told)}"
 
 
 def _shape(finding: Finding) -> str:
@@ -106,7 +110,8 @@ def _worth(finding: Finding, diagnosis: Diagnosis) -> str:
             f"{percent(diagnosis.misfit)}, where a traverse repeats to {percent(diagnosis.repeatability)}."
         )
     cure = what_to_do(finding.cause) if not finding.equivalent else ""
-    what = begun_large(f"{cure}, or the extended law," if cure else "the extended law")
+    law = "" if finding.cause == MISFIRE else "the extended law"
+    what = begun_large(f"{cure}, or {law}," if cure and law else cure or law)
     rest = _cut(diagnosis.gain, finding, diagnosis.repeatability)
     return f"{what} {rest}{_tell(diagnosis)}"
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
 from stickslip_fit.diagnose.amplitude import Interval
 from stickslip_fit.diagnose.search import Search
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -188,3 +191,21 @@ class Diagnosis:
         from stickslip_fit.report.diagnosis import diagnosis_html
 
         return diagnosis_html(self)
+
+    def plot_residuals(self, finding: int = 0) -> Figure:
+        """What a finding explains: counts less the law before and after, over what carries it."""
+        from stickslip_fit.report.diagnosis import plot_residuals
+
+        return plot_residuals(self, finding)
+
+    def plot_ranking(self) -> Figure:
+        """How likely each cause is, at each look at the residuals."""
+        from stickslip_fit.report.figures.ranking import plot_ranking
+
+        return plot_ranking(self)
+
+    def plot_gain(self) -> Figure:
+        """Errors on held-out traverses by session, before and after."""
+        from stickslip_fit.report.figures.gains import plot_gain
+
+        return plot_gain(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -59,36 +60,21 @@ def gain(
     findings : tuple of Finding
         The same, each with its own gain.
     """
-    bench, held = searched.bench, np.concatenate([split.held for split in splits])
     extending = [each for each in findings if each.version is not None]
     if extending:
         off = _all_errors(searched, extending, splits, seek, seed, workers, progress)
-    else:
-        off = _baseline_errors(searched, splits)[None]
-    rms = np.sqrt(np.mean(off**2, axis=1))
-    limits = np.zeros((2, len(extending) + 1))
-    if extending:
         found = [_found(searched, each) for each in extending]
-        limits = spread(_campaign(searched, found, alpha), splits, rms, np.random.default_rng([seed, 1]))
-    floor = float(np.sqrt(np.mean(bench.scale[held] ** 2)))
-    session = bench.rows["session"].to_numpy(object)[held]
-
-    def between(before: int, after: int, limit: int) -> Gain:
-        low, high = map(float, limits[:, limit])
-        table = _by_session(session, off[before], off[after])
-        return Gain(float(rms[before]), float(rms[after]), floor, low, high, table)
-
-    step, own = 0, []
-    for each in findings:
-        after = step + (each.version is not None)
-        one = (
-            between(step, after, step)
-            if after > step
-            else replace(between(step, step, -1), low=0.0, high=0.0)
-        )
-        own.append(replace(each, gain=one))
-        step = after
-    return between(0, len(extending), -1), tuple(own)
+        rms, rng = np.sqrt(np.mean(off**2, axis=1)), np.random.default_rng([seed, 1])
+        limits = spread(_campaign(searched, found, alpha), splits, rms, rng)
+    else:
+        off, limits = _baseline_errors(searched, splits)[None], np.zeros((2, 1))
+    steps = np.cumsum([0, *(each.version is not None for each in findings)])
+    gains = [
+        _between(searched, splits, off[[before, after]], (after > before) * limits[:, before])
+        for before, after in pairwise(steps)
+    ]
+    own = tuple(replace(each, gain=one) for each, one in zip(findings, gains, strict=True))
+    return _between(searched, splits, off[[0, -1]], limits[:, -1]), own
 
 
 def _all_errors(
@@ -102,10 +88,8 @@ def _all_errors(
 ) -> Array:
     from joblib import Parallel, delayed
 
-    # Evidence and null simulations are big, and no fold needs them.
-    light = [replace(each, gain=None) for each in findings]
     tasks = (
-        delayed(errors)(searched.bench, split, light, seek, (seed, number))
+        delayed(errors)(searched.bench, split, findings, seek, (seed, number))
         for number, split in enumerate(splits)
     )
     done = []
@@ -178,8 +162,14 @@ def _threshold(searched: Search, found: Found, length: float, alpha: float) -> f
     return float(quiet * length / np.sqrt(max(length**2 - grown, quiet**2, 1e-12)))
 
 
-def _by_session(session: npt.NDArray[np.object_], before: Array, after: Array) -> pd.DataFrame:
-    squares = pd.DataFrame({"session": session, "baseline": before**2, "extended": after**2})
+def _between(searched: Search, splits: Sequence[Split], off: Array, limits: Array) -> Gain:
+    """From the errors before to those after, shape (2, number held out)."""
+    held = np.concatenate([split.held for split in splits])
+    before, after = np.sqrt(np.mean(off**2, axis=1))
+    floor = np.sqrt(np.mean(searched.bench.scale[held] ** 2))
+    session = searched.bench.rows["session"].to_numpy(object)[held]
+    squares = pd.DataFrame({"session": session, "baseline": off[0] ** 2, "extended": off[1] ** 2})
     grouped = squares.groupby("session", sort=False)
     table = np.sqrt(grouped[["baseline", "extended"]].mean()).reset_index()
-    return table.assign(traverses=grouped.size().to_numpy())
+    table = table.assign(traverses=grouped.size().to_numpy())
+    return Gain(float(before), float(after), float(floor), float(limits[0]), float(limits[1]), table)

@@ -102,7 +102,7 @@ def misfit(
 
 
 def _weights(hypotheses: Sequence[Hypothesis | Memory], kinds: Sequence[str]) -> Array:
-    """Log weight of each hypothesis in its cause: alike for all shapes; first alike for kinds of structure."""
+    """Log weight of each hypothesis in its cause: alike for all shapes, structures kind by kind."""
     families = [
         each.cause.split(" ")[0].removesuffix(",") if kind == UNKNOWN else kind
         for each, kind in zip(hypotheses, kinds, strict=True)

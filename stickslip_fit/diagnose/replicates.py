@@ -107,7 +107,8 @@ def _two_replicates(
         both.append([_rms(campaign, splits, truth + _noise(campaign, number, rng)) for _ in range(2)])
     first, second = (np.concatenate([pair[which] for pair in both]) for which in range(2))
     shown = np.isfinite(first[:, 0])
-    return first[shown], np.where(np.isfinite(second[shown]), second[shown], 0.0)
+    kept = shown if shown.any() else ~shown
+    return np.nan_to_num(first[kept]), np.nan_to_num(second[kept])
 
 
 def _noise(campaign: Campaign, number: int, rng: np.random.Generator) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfit import LARGEST_LEVERAGE
 from stickslip_fit.diagnose.search import Found, Search
 from stickslip_fit.diagnose.study import Study
@@ -24,7 +25,7 @@ FLIPS = 200
 INSIDE = 0.95
 MOST_CLASSES, A_CLASS = 12, 12  # classes; rows that each should have
 AS_GOOD = 0.85  # of the share that the best column explains; the first that has it is taken
-ONLY_CHANCE = 1e-9
+NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +94,10 @@ def shape_of(found: Found, study: Study) -> Array:
     """What was found makes of a study's residuals, shape (n,); zeros for what has no shape."""
     if found.misfit is None:
         return np.zeros(len(study))
-    directions = found.misfit.best_of(found.cause).directions
-    return directions @ (directions.T @ study.residual)
+    best = found.misfit.best_of(found.cause)
+    if isinstance(best, Memory):
+        return best.shape(study.residual)
+    return best.directions @ (best.directions.T @ study.residual)
 
 
 def classes_of(values: Array) -> Indices:
@@ -148,8 +151,8 @@ def by_class(
     share = (np.arange(len(kinds))[:, None] == where) / number[:, None]
     by_chance = share @ chance[kept]
     error = np.sqrt(np.mean(by_chance**2, axis=1))
-    farthest = np.max(np.abs(by_chance) / np.maximum(error, ONLY_CHANCE)[:, None], axis=0, initial=0.0)
-    envelope = error * (np.quantile(farthest, INSIDE) if farthest.size else 0.0)
+    farthest = np.max(np.abs(by_chance) / np.maximum(error, NOTHING)[:, None], axis=0, initial=0.0)
+    envelope = error * np.quantile(farthest, INSIDE)
     return Classes(share @ values[kept], share @ residual[kept], error, envelope)
 
 

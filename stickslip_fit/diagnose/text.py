@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from textwrap import fill
 from typing import Any
 
@@ -27,11 +28,14 @@ INDENTED: dict[str, Any] = {
 }  # fmt: skip
 LIKELY_ENOUGH, MOST_RANKED = 0.015, 8
 POWER_OF_TEN = np.log(10.0)
+NO_BREAK = "\N{NO-BREAK SPACE}"
+_SPACED = re.compile(r"(?<=\d) (?=[%a-zµ])")  # between a number and its unit
 
 
 def text(diagnosis: Diagnosis) -> str:
     """The answer, findings with sizes, the ranking of causes, the gain, and what cannot be told."""
-    said = fill(" ".join(answer(diagnosis)), WIDTH, break_on_hyphens=False)
+    said = _SPACED.sub(NO_BREAK, " ".join(answer(diagnosis)))
+    said = fill(said, WIDTH, break_on_hyphens=False).replace(NO_BREAK, " ")
     parts = [
         said,
         findings_text(diagnosis),

@@ -25,8 +25,8 @@ def too_small(study: Study) -> str | None:
     rows, parameters = len(study), study.basis.shape[1]
     return (
         f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {FEWEST} more "
-        f"than those are needed; add {FEWEST - study.freedom} in the same sessions and directions, replicates "
-        "or new configurations"
+        f"than those are needed; add {FEWEST - study.freedom} in the same sessions and directions, "
+        "replicates or new configurations"
     )
 
 

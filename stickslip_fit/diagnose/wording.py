@@ -42,12 +42,12 @@ def probability(value: float) -> str:
     return f"{value:.{2 if value >= 0.095 else 3 if value >= 0.00995 else 4}f}"
 
 
-def decimals(interval: Interval, unit: str) -> int:
-    """Decimals of an estimate in a sentence: down to the first digit of its uncertainty."""
+def decimals(interval: Interval, unit: str, further: int = 0) -> int:
+    """Decimals of an estimate in a sentence: down to the first digit of its uncertainty, or further."""
     half = abs(_shown(interval.high, unit) - _shown(interval.low, unit)) / 2
     if not isfinite(half) or half <= 0:
         return 2
-    return min(max(0, -floor(log10(half))), MOST_DECIMALS)
+    return min(max(0, further - floor(log10(half))), MOST_DECIMALS)
 
 
 def amount(interval: Interval, unit: str, *, signed: bool = False) -> str:
@@ -64,7 +64,7 @@ def amount(interval: Interval, unit: str, *, signed: bool = False) -> str:
 
 def spread(interval: Interval, unit: str, further: int = 0) -> str:
     """An interval without its unit, to the digits of its estimate in a table."""
-    digits = min(decimals(interval, unit) + further, MOST_DECIMALS)
+    digits = decimals(interval, unit, further)
     return f"{number(interval.low, unit, digits)} to {number(interval.high, unit, digits)}"
 
 

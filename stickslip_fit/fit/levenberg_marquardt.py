@@ -68,6 +68,7 @@ def minimise(
     upper: Array | float = np.inf,
     damping: float = FIRST,
     smallest: float = SMALLEST,
+    rest: float = 0.0,
     tolerance: float = 1e-8,
     most: int = 2000,
 ) -> Minimum:
@@ -88,6 +89,8 @@ def minimise(
         To begin with; 0 where the model is nearly linear and undamped steps can be trusted from the start.
     smallest : float, optional
         Directions with a smaller share of the largest effect are left alone as not identified.
+    rest : float, optional
+        Relative offset, about the distance to the minimum in standard errors, at which a group may rest.
     tolerance : float, optional
         A group has converged when its undamped step is below this share of the scales.
     most : int, optional
@@ -109,10 +112,11 @@ def minimise(
         held = _held(here, values, lower, upper)
         local = factorise(here.without(held, groups), groups, scales, seen, smallest)
         full = local.step(np.zeros(len(groups)))
-        near = local.offset(here.cost, groups.sizes) < NEARLY_THERE
+        offset = local.offset(here.cost, groups.sizes)
+        near = offset < NEARLY_THERE
         size = np.max(np.abs(full), axis=1, initial=0.0)
         # Steps that no longer shrink, so near the minimum, are rounding noise.
-        close = (size < tolerance) | (near & (size >= before))
+        close = (size < tolerance) | (near & (size >= before)) | (offset < rest)
         before = np.where(near, size, np.inf)
         step = np.where((near | close)[:, None], full, local.step(damped))
         trial = np.clip(values + step * scales, lower, upper)

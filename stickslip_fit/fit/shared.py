@@ -23,6 +23,9 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
+# The cost carries the rounding of every block's own search, and so cannot tell much smaller offsets apart.
+REST = 1e-5
+
 
 @dataclass(frozen=True)
 class Sharing:
@@ -126,7 +129,8 @@ def minimise_shared(
 
     outer = minimise(
         profiled, y, weight, border, sharing.mean(start), sharing.mean(scales),
-        lower=sharing.mean(lower), upper=sharing.mean(upper), damping=0.0, tolerance=tolerance, most=most,
+        lower=sharing.mean(lower), upper=sharing.mean(upper), damping=0.0, rest=REST,
+        tolerance=tolerance, most=most,
     )  # fmt: skip
     inner = blocks(outer.values[set_of_row])
     each = sharing.sets.of_row

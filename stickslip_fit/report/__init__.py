@@ -5,14 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from stickslip_fit.diagnose import Diagnosis
     from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
 
 __all__ = ["report_html"]
 
 
-def report_html(log: Log, calibration: Result, constant: Result, fit: Result, *, command: str = "") -> str:
+def report_html(
+    log: Log,
+    calibration: Result,
+    constant: Result,
+    fit: Result,
+    *,
+    diagnosis: Diagnosis | None = None,
+    command: str = "",
+) -> str:
     """The accuracy report of a log; see `page.report_html`."""
     from stickslip_fit.report.page import report_html as build
 
-    return build(log, calibration, constant, fit, command=command)
+    return build(log, calibration, constant, fit, diagnosis=diagnosis, command=command)

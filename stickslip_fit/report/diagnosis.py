@@ -1,4 +1,4 @@
-"""What the simulation gets wrong: a diagnosis as a page, as a section of a report, and as a notebook has it."""
+"""What the simulation gets wrong: as a page, as a section of a report, as a notebook has it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.answer import answer
@@ -14,8 +15,10 @@ from stickslip_fit.diagnose.misfit import UNKNOWN
 from stickslip_fit.diagnose.next_experiment import out_of_reach
 from stickslip_fit.diagnose.show import shape_of, shown
 from stickslip_fit.diagnose.text import unseen, untestable_text
+from stickslip_fit.errors import InputError
 from stickslip_fit.report import diagnosis_tables as tables
-from stickslip_fit.report.figures.evidence import everything_picture, finding_picture
+from stickslip_fit.report.figures.drawing import on_white
+from stickslip_fit.report.figures.evidence import draw_finding, everything_picture, finding_picture
 from stickslip_fit.report.figures.gains import gain_picture
 from stickslip_fit.report.figures.likeness import likeness_picture
 from stickslip_fit.report.figures.picture import Picture
@@ -99,6 +102,25 @@ def diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         _unseen(diagnosis),
         _remarks(diagnosis),
     )
+
+
+def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
+    """One finding's residuals before and after.
+
+    Raises
+    ------
+    InputError
+        If there is no such finding, or it has no shape.
+    """
+    found = {each.cause: each for each in diagnosis.search.found}
+    if not 0 <= finding < len(diagnosis.findings):
+        raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
+    chosen = diagnosis.findings[finding]
+    if found[chosen.cause].misfit is None:
+        raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
+    shape = shape_of(found[chosen.cause], diagnosis.search.bench.study())
+    left = shown(diagnosis.search, diagnosis.seed)
+    return on_white(draw_finding(chosen, found[chosen.cause], shape, left)[1])
 
 
 def _unseen(diagnosis: Diagnosis) -> list[tuple[str, str]]:

@@ -49,8 +49,8 @@ def findings_tables(diagnosis: Diagnosis) -> list[Table]:
         for finding in diagnosis.findings
     )
     note = (
-        "Effect: rms over all rows of what the cause does to the count, beyond what recalibration absorbs. p: "
-        "the chance of anything as far off, anywhere that was searched, if nothing were wrong."
+        "Effect: rms over all rows of what the cause does to the count, beyond what recalibration absorbs. "
+        "p: the chance of anything as far off, anywhere that was searched, if nothing were wrong."
     )
     found = [Table("What is wrong", columns, rows, note=note)]
     parameters = _parameters(diagnosis)
@@ -88,7 +88,11 @@ def gain_tables(diagnosis: Diagnosis) -> list[Table]:
 def further(diagnosis: Diagnosis) -> list[Table]:
     """The ranking of causes, and the traverses that would tell."""
     ranked = [each for each in ranking(diagnosis) if each[1] >= LIKELY_ENOUGH][:MOST_RANKED]
-    columns = (Column("cause", text=True), Column("probability", "%"), Column("odds against chance", "powers of ten"))
+    columns = (
+        Column("cause", text=True),
+        Column("probability", "%"),
+        Column("odds against chance", "powers of ten"),
+    )
     rows = tuple(
         (
             cause,
@@ -135,7 +139,8 @@ def _wild(traverses: pd.DataFrame) -> Table:
         Column("steps"),
         Column("count less law", "%"),
     )
-    shown = traverses.loc[traverses["departure"].abs().sort_values(ascending=False).index].head(MOST_TRAVERSES)
+    order = traverses["departure"].abs().sort_values(ascending=False).index
+    shown = traverses.loc[order].head(MOST_TRAVERSES)
     rows = tuple(
         (
             str(row["session"]),
@@ -146,7 +151,8 @@ def _wild(traverses: pd.DataFrame) -> Table:
         )
         for _, row in shown.iterrows()
     )
-    note = f"The {MOST_TRAVERSES} furthest off of {count(len(traverses), 'count')}." if len(shown) < len(traverses) else ""
+    left_out = len(shown) < len(traverses)
+    note = f"The {MOST_TRAVERSES} furthest off of {count(len(traverses), 'count')}." if left_out else ""
     return Table("Counts that are wildly off", columns, rows, note=note)
 
 
@@ -177,7 +183,9 @@ def _traverse(each: NextTraverse) -> tuple[str, ...]:
     ends = length if each.joint == 3 else angle
     stands = [(name, getattr(each, name)) for name in ("q1", "q2", "q3", "theta", "psi")]
     places = [
-        NONE if not np.isfinite(value) or name == f"q{each.joint}" else (length if name == "q3" else angle)(value)
+        (length if name == "q3" else angle)(value)
+        if np.isfinite(value) and name != f"q{each.joint}"
+        else NONE
         for name, value in stands
     ]
     limits = [ends(value) if np.isfinite(value) else "stop" for value in (each.start, each.stop)]
@@ -189,4 +197,3 @@ def _traverse(each: NextTraverse) -> tuple[str, ...]:
         *limits,
         each.note,
     )
-

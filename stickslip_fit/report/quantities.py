@@ -87,7 +87,8 @@ def in_a_row(rows: pd.DataFrame) -> Array:
     hours = from_si(rows["session_seconds"].to_numpy(float), "h")
     lasts = pd.Series(hours).groupby(rows["session"].astype(object).to_numpy(), sort=False).max()
     begins = np.r_[0.0, np.cumsum(lasts.to_numpy() + BETWEEN * lasts.sum())[:-1]]
-    return hours + rows["session"].astype(object).map(dict(zip(lasts.index, begins, strict=True))).to_numpy(float)
+    begun = rows["session"].astype(object).map(dict(zip(lasts.index, begins, strict=True)))
+    return hours + begun.to_numpy(float)
 
 
 def _load(rows: pd.DataFrame) -> Array:

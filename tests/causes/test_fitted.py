@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -277,3 +278,14 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
         load_result(tmp_path / "fit.json")
     back = load_result(tmp_path / "fit.json", causes=(Humming(),))
     pd.testing.assert_frame_equal(back.predict(log.usable), found.predict(log.usable))
+
+
+def test_a_search_comes_to_rest_though_the_time_constant_of_nothing_is_next_to_unknown():
+    log = read_log(Path(__file__).parents[2] / "data" / "reference" / "campaign.csv")
+    found = least_squares(log, causes=(WARM_UP, LATENCY))
+    assert not [remark for remark in found.remarks if remark.flag == "not_converged"]
+    table = causes_of(found)
+    assert table.loc["thermal-warm-up.tau", "standard_error"] > table.loc["thermal-warm-up.tau", "estimate"]
+    assert (
+        abs(table.loc["thermal-warm-up.A", "estimate"]) < 2 * table.loc["thermal-warm-up.A", "standard_error"]
+    )

@@ -20,6 +20,7 @@ from stickslip_fit.causes import (
 )
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit import least_squares
+from stickslip_fit.fit.predict import predict_plan
 from stickslip_fit.logs.read_plan import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import Drive, calibrated, steps_for_move, where_after
@@ -152,3 +153,19 @@ def test_following_the_steps_of_a_move_leads_to_its_target(result):
 def test_a_law_that_knows_the_clock_asks_for_the_time(result):
     with pytest.raises(InputError, match="time since the session's first traverse"):
         steps_for_move(calibrated(result), START, TARGET)
+
+
+def test_a_plan_is_predicted_with_the_clock_that_it_will_have(plan, result, arm_log):
+    found = predict_plan(result, plan, session=str(arm_log.rows["session"].iloc[0]))
+    rows = arm_log.rows
+    first = (rows["session"] == rows["session"].iloc[0]).to_numpy()
+    # The pauses of a person are known on average only: some minutes by the end of a session.
+    np.testing.assert_allclose(found["steps"][first], rows["steps"][first], rtol=4e-3)
+    cold = found["steps"].to_numpy()[first][0] / rows["steps"].to_numpy()[first][0]
+    assert cold == pytest.approx(1.0, abs=2e-4)
+
+
+def test_a_notebook_shows_the_causes_once_in_a_table_of_their_own(result):
+    html = result._repr_html_()
+    assert html.count("thermal-warm-up.A") == 1
+    assert html.index("Departures from the published laws") < html.index("thermal-warm-up.A")

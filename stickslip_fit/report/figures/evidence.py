@@ -1,8 +1,6 @@
-"""Residuals against what matters: of each finding before and after, and of the whole log against everything."""
+"""Residuals against what matters to each finding, before and after; and against everything."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip_fit.diagnose.diagnosis import Finding
+from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.search import Found
 from stickslip_fit.diagnose.show import Shown, by_class, carrier, classes_of
 from stickslip_fit.report.figures.picture import Picture, picture
@@ -39,6 +38,7 @@ TWO_SIDED = 1.96
 ACROSS = 4  # panels side by side
 FURTHEST = 3.0  # times what is left: the scale cuts what was there before
 POINT = "traverse"
+BEFORE = "count less law of the traverse before (%)"
 
 
 def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) -> Picture:
@@ -48,34 +48,25 @@ def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) 
     ----------
     finding : Finding
     found : Found
-        The same in the search.
+        The same in the search; not of misfires, which have no shape.
     shape : array, shape (n,)
         What it does to each row, in any unit.
     shown : Shown
     """
-    joints = [joint for joint in finding.joints if (shown.rows["joint"] == joint).any()]
-    mine = shown.rows["joint"].isin(joints).to_numpy()
-    columns = _columns(shown, mine)
-    own = [label_of(column) for column in getattr(found.version, "columns", ())]
-    columns = {label: columns[label] for label in own if label in columns} | columns
-    groups = 2 * shown.rows["joint"].to_numpy() + (shown.rows["direction"] == "-").to_numpy()
-    where = carrier(shape[mine], {label: values[mine] for label, values in columns.items()}, groups[mine])
     is_named = found.version is not None
-    sides = [("before", shown.before, shown.chance_before)] if is_named else []
-    sides.append(("after" if is_named else "left", shown.after, shown.chance_after))
-    title = f"{finding.cause}: what is left over {'before and after' if is_named else ''}".strip()
-    figure = draw_finding(joints, where, columns[where], sides, shown)
-    return picture(f"finding-{finding.cause.replace(':', '-')}", title, _caption(where, is_named, shown), figure)
+    title = f"{finding.cause}: what is left over{' before and after' if is_named else ''}"
+    key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
+    where, figure = draw_finding(finding, found, shape, shown)
+    return picture(key, title, _caption(where, is_named, shown), figure)
 
 
-def draw_finding(
-    joints: Sequence[int],
-    label: str,
-    values: Array,
-    sides: Sequence[tuple[str, Array, Array]],
-    shown: Shown,
-) -> Figure:
-    """Joints side by side, before above after."""
+def draw_finding(finding: Finding, found: Found, shape: Array, shown: Shown) -> tuple[str, Figure]:
+    """Joints side by side, before above after; what carries the finding, and the figure."""
+    joints = [joint for joint in finding.joints if (shown.rows["joint"] == joint).any()]
+    label, values = _along(found, shape, shown, shown.rows["joint"].isin(joints).to_numpy())
+    sides = [("after", shown.after, shown.chance_after)]
+    if found.version is not None:
+        sides.insert(0, ("before", shown.before, shown.chance_before))
     with look():
         figure, axes = canvas([1.5] * len(sides), len(joints), top=LEGEND_LINE + TITLE_LINE + 0.14)
         limit = _limit(np.concatenate([side for _, side, _ in sides]))
@@ -91,9 +82,23 @@ def draw_finding(
                 _points(axis, values, residual, mine, limit, shown)
         for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
             axis.set_ylim(-limit, limit)
-            axis.set_ylabel(f"{name}: count less law (%)")
+            axis.set_ylabel(f"{name + ': ' if len(sides) > 1 else ''}count less law (%)")
         legend(figure, _entries())
-    return figure
+    return label, figure
+
+
+def _along(found: Found, shape: Array, shown: Shown, mine: Mask) -> tuple[str, Array]:
+    """The quantity that carries a finding: its label and values."""
+    assert found.misfit is not None
+    best = found.misfit.best_of(found.cause)
+    if isinstance(best, Memory):
+        return BEFORE, np.where(best.before >= 0, 100 * shown.after[best.before], np.nan)
+    columns = _columns(shown, mine)
+    own = [label_of(column) for column in getattr(found.version, "columns", ())]
+    columns = {label: columns[label] for label in own if label in columns} | columns
+    groups = 2 * shown.rows["joint"].to_numpy() + (shown.rows["direction"] == "-").to_numpy()
+    label = carrier(shape[mine], {name: values[mine] for name, values in columns.items()}, groups[mine])
+    return label, columns[label]
 
 
 def everything_picture(joint: int, shown: Shown) -> Picture:
@@ -104,8 +109,8 @@ def everything_picture(joint: int, shown: Shown) -> Picture:
     before = " Dotted: the means under the published law." if found else ""
     caption = (
         f"Means of the counts less the law{' with all that was found in it' if found else ''}, by classes "
-        f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which nothing "
-        f"is wrong.{before}"
+        f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
+        f"nothing is wrong.{before}"
     )
     return picture(f"everything-{joint}", title, caption, draw_everything(joint, shown))
 
@@ -116,13 +121,15 @@ def draw_everything(joint: int, shown: Shown) -> Figure:
     columns = _columns(shown, mine)
     rows = -(-len(columns) // ACROSS)
     with look():
-        figure, axes = canvas([1.15] * rows, ACROSS, top=LEGEND_LINE + 0.12, down=0.55, share_x="none", share_y="all")
+        figure, axes = canvas(
+            [1.15] * rows, ACROSS, top=LEGEND_LINE + 0.12, down=0.55, share_x="none", share_y="all"
+        )
         reach, before = 0.0, 0.0
         for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):
             kept = mine & np.isfinite(values)
             reach = max(reach, _means(axis, values, shown.after, shown.chance_after, kept, shown))
             if np.any(shown.before != shown.after):
-                before = max(before, _dotted(axis, values, shown.before, kept, shown))
+                before = max(before, _dotted(axis, values, kept, shown))
             axis.set_xlabel(label)
             _ticks(axis, label, values[kept], 4)
         for axis in axes.ravel()[len(columns) :]:
@@ -165,8 +172,8 @@ def _means(axis: Axes, values: Array, residual: Array, chance: Array, mine: Mask
             continue
         found = by_class(residual, chance, values, place, rows)
         axis.errorbar(
-            found.place, 100 * found.mean, yerr=100 * TWO_SIDED * found.error, color=colour, marker="o", ms=3.0,
-            lw=0.9, elinewidth=0.8,
+            found.place, 100 * found.mean, yerr=100 * TWO_SIDED * found.error, color=colour, marker="o",
+            ms=3.0, lw=0.9, elinewidth=0.8,
         )  # fmt: skip
         bands.append((found.place, 100 * found.envelope))
         reach = max(reach, float(np.max(100 * np.maximum(np.abs(found.mean), found.envelope))))
@@ -175,13 +182,13 @@ def _means(axis: Axes, values: Array, residual: Array, chance: Array, mine: Mask
     return reach
 
 
-def _dotted(axis: Axes, values: Array, residual: Array, mine: Mask, shown: Shown) -> float:
+def _dotted(axis: Axes, values: Array, mine: Mask, shown: Shown) -> float:
+    """Means by class under the published law; how far up they reach, %."""
     place, reach = classes_of(np.where(mine, values, np.nan)), 0.0
-    nothing = np.zeros((len(residual), 0))
     for sign, colour in DIRECTION_COLOURS.items():
         rows = mine & (shown.rows["direction"] == sign).to_numpy()
         if rows.any():
-            found = by_class(residual, nothing, values, place, rows)
+            found = by_class(shown.before, shown.chance_before, values, place, rows)
             axis.plot(found.place, 100 * found.mean, color=colour, ls=":", lw=0.9)
             reach = max(reach, float(np.max(100 * np.abs(found.mean))))
     return reach

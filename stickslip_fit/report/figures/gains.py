@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
-from stickslip_fit.errors import shorten
+from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     BLUE,
@@ -30,15 +31,28 @@ def gain_picture(diagnosis: Diagnosis) -> Picture:
     """What the extended law gains in each session."""
     key, title, gain = "gain", "Errors on held-out traverses, by session", diagnosis.gain
     if gain is None or gain.by_session.empty or not diagnosis.findings:
-        return not_drawn(key, title, "It would need a named cause, and traverses beside those it takes to fit it.")
+        return not_drawn(key, title, "It would need a named cause, and traverses beside those that fit it.")
     sessions = len(gain.by_session)
-    latest = f"The latest {MOST_SESSIONS} of {count(sessions, 'session')}. " if sessions > MOST_SESSIONS else ""
-    caption = (
-        f"{latest}Each traverse predicted by laws to which it contributed nothing, the search for causes "
-        f"included: {percent(gain.baseline)} rms by the published law, {percent(gain.extended)} by the extended "
-        f"one, over all sessions. No law can be better than the line, {percent(gain.noise_floor)}."
+    caption = f"The latest {MOST_SESSIONS} of {count(sessions, 'session')}. " * (sessions > MOST_SESSIONS)
+    caption += (
+        "Each traverse predicted by laws to which it contributed nothing, the search for causes "
+        f"included: {percent(gain.baseline)} rms by the published law, {percent(gain.extended)} by the "
+        f"extended one, over all sessions. No law can be better than the line, {percent(gain.noise_floor)}."
     )
     return picture(key, title, caption, draw_gain(gain))
+
+
+def plot_gain(diagnosis: Diagnosis) -> Figure:
+    """The chart by itself.
+
+    Raises
+    ------
+    InputError
+        If nothing was named, so that nothing was gained.
+    """
+    if diagnosis.gain is None or diagnosis.gain.by_session.empty:
+        raise InputError("there is no gain to draw: no cause was named, or no traverse could be held out")
+    return on_white(draw_gain(diagnosis.gain))
 
 
 def draw_gain(gain: Gain) -> Figure:

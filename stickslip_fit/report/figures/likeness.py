@@ -33,14 +33,15 @@ def likeness_picture(diagnosis: Diagnosis) -> Picture:
     finding, looked, causes = chosen
     rates = rates_of(causes, looked, strength_of(finding, diagnosis))
     if np.nanmax(rates) < SELDOM:
-        return not_drawn(
-            key, title, f"{finding.cause} is so strong here that it resembles no other cause: fewer than 1 in 100 "
-            "such logs would confuse any two of those likest to it."
-        )  # fmt: skip
+        lacking = (
+            f"{finding.cause} is so strong here that it resembles no other cause: fewer than 1 in 100 such "
+            "logs would confuse any two of those likest to it."
+        )
+        return not_drawn(key, title, lacking)
     caption = (
         f"The named cause and those likest to it. For an effect as strong as {finding.cause} is here: the "
-        "share of logs of this design, %, in which the cause in the column would look likelier than that in the "
-        "row, if each may take the shape in which they are most alike. 50 is a toss of a coin."
+        "share of logs of this design, %, in which one would pass for the other, if each may take the shape "
+        "in which they are most alike. 50 is a toss of a coin."
     )
     return picture(key, title, caption, draw_likeness(causes, rates))
 

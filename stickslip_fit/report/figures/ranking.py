@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from stickslip_fit.diagnose.diagnosis import Diagnosis
 from stickslip_fit.diagnose.misfit import Misfit
 from stickslip_fit.errors import shorten
+from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     BLUE,
@@ -22,7 +23,6 @@ from stickslip_fit.report.figures.style import (
     LETTER_WIDTH,
     TITLE_LINE,
     VERMILLION,
-    WIDTH,
     canvas,
     key_line,
     legend,
@@ -45,16 +45,21 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
     if not looks[0][1].by_cause:
         return not_drawn(key, title, "It would need more traverses; see what could not have been seen.")
     caption = (
-        "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing is "
-        "as likely beforehand as all causes together. "
+        "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing "
+        "is as likely beforehand as all causes together. "
         + (
-            f"{count(len(looks), 'look')} at the residuals, one after the other: what was named is in the law "
-            "at the next. What stands close to what was named is its rival."
+            f"{count(len(looks), 'look')} at the residuals, one after the other: what was named is in the "
+            "law at the next. What stands close to what was named is its rival."
             if len(looks) > 1
             else "Nothing that stands clear of chance alone."
         )
     )
     return picture(key, title, caption, draw_ranking(diagnosis))
+
+
+def plot_ranking(diagnosis: Diagnosis) -> Figure:
+    """The ranking by itself."""
+    return on_white(draw_ranking(diagnosis))
 
 
 def looks_of(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, tuple[str, ...]]]:
@@ -134,5 +139,3 @@ def _power(power: float) -> str:
     if power > -2.5:
         return f"{10**power:g}"
     return f"10⁻{f'{-power:.0f}'.translate(digits)}"
-
-

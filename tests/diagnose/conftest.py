@@ -1,0 +1,74 @@
+"""Diagnoses of small campaigns whose truth is known, one of each verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.diagnose.diagnose import decide
+from stickslip_fit.logs import read_log
+
+SETTINGS = (
+    *({"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)),
+    *({"joint": 2, "q3_mm": q3, "theta_deg": theta} for q3 in (0.0, 12.0) for theta in (0.0, -90.0)),
+)
+REPEATABILITY, DRIFT = 0.0027, -0.003  # relative; and an hour
+ALPHA = 0.02
+
+
+def hours_in(table: pd.DataFrame) -> np.ndarray:
+    """Since each session began."""
+    time = pd.to_datetime(table["time"])
+    return (time - time.groupby(table["session"]).transform("min")).dt.total_seconds().to_numpy() / 3600.0
+
+
+def changed(table: pd.DataFrame, relative: np.ndarray) -> pd.DataFrame:
+    """The same campaign, counts grown by as much."""
+    steps = np.round(table["steps"] * (1.0 + relative) / 5.0).astype(int) * 5
+    return table.assign(steps=steps)
+
+
+@pytest.fixture(scope="package")
+def table(campaign):
+    """Two sessions of joints 2 and 3 in which nothing is wrong."""
+    return campaign(settings=SETTINGS, replicates=5, repeatability=REPEATABILITY)
+
+
+@pytest.fixture(scope="package")
+def read(tmp_path_factory):
+    def make(table: pd.DataFrame, name: str):
+        path = tmp_path_factory.mktemp("diagnose") / name
+        table.to_csv(path, index=False)
+        return read_log(path)
+
+    return make
+
+
+@pytest.fixture(scope="package")
+def drifting(table, read):
+    """The log in which steps shrink by 0.3 % an hour, so that counts grow."""
+    return read(changed(table, -DRIFT * hours_in(table)), "drifting.csv")
+
+
+@pytest.fixture(scope="package")
+def named(drifting):
+    return decide(drifting, alpha=ALPHA)
+
+
+@pytest.fixture(scope="package")
+def nothing(table, read):
+    return decide(read(table, "fine.csv"), alpha=ALPHA)
+
+
+@pytest.fixture(scope="package")
+def unnamed(table, read):
+    """Counts that come and go with a period that no column of the log has."""
+    wave = 0.012 * np.sin(2 * np.pi * hours_in(table) / 0.9)
+    return decide(read(changed(table, wave), "waving.csv"), alpha=ALPHA)
+
+
+@pytest.fixture(scope="package")
+def tiny(table, read):
+    """Three traverses."""
+    return decide(read(table.head(3), "tiny.csv"))

@@ -1,0 +1,100 @@
+"""Residuals against what varied: unbiased means, an envelope that holds, the right carrier."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stickslip_fit.diagnose.show import by_class, carrier, classes_of, explained, shape_of, shown
+from stickslip_fit.report.quantities import HOURS, in_a_row, quantities
+from tests.diagnose.conftest import hours_in
+
+
+@pytest.fixture(scope="module")
+def left(named):
+    return shown(named.search, named.seed)
+
+
+def test_values_that_come_again_are_classes_of_their_own():
+    values = np.array([0.0, -90.0, 0.0, 45.0, np.nan])
+    assert list(classes_of(values)) == [1, 0, 1, 2, -1]
+
+
+def test_no_class_straddles_a_gap_much_wider_than_itself():
+    values = np.r_[np.linspace(0, 1, 31), np.linspace(9, 10, 50)]
+    place = classes_of(values)
+    assert not set(place[values < 5]) & set(place[values > 5])
+    assert np.bincount(place).min() >= 5
+
+
+def test_means_are_those_of_pandas(left):
+    values = left.rows["q2"].to_numpy(float)
+    mine = (left.rows["joint"] == 3).to_numpy()
+    found = by_class(left.before, left.chance_before, values, classes_of(values), mine)
+    by_hand = left.rows.assign(residual=left.before)[mine].groupby("q2")["residual"].mean()
+    assert found.place == pytest.approx(by_hand.index.to_numpy())
+    assert found.mean == pytest.approx(by_hand.to_numpy())
+
+
+def test_before_shows_the_drift_and_after_does_not(left, drifting):
+    hours = left.rows["session_seconds"].to_numpy(float) / 3600.0
+    mine = (left.rows["joint"] == 3).to_numpy()
+    before = by_class(left.before, left.chance_before, hours, classes_of(hours), mine)
+    after = by_class(left.after, left.chance_after, hours, classes_of(hours), mine)
+    assert np.polyfit(before.place, before.mean, 1)[0] == pytest.approx(0.003, rel=0.2)
+    assert np.any(np.abs(before.mean) > before.envelope)
+    assert np.all(np.abs(after.mean) < after.envelope)
+
+
+def test_the_envelope_holds_all_means_of_95_logs_in_100(left):
+    rng = np.random.default_rng(4)
+    values = rng.integers(0, 8, len(left.rows)).astype(float)
+    place, everything = classes_of(values), np.ones(len(values), dtype=bool)
+    logs = left.chance_before.shape[1]
+    inside = 0
+    for k in range(logs):
+        found = by_class(left.chance_before[:, k], left.chance_before, values, place, everything)
+        inside += bool(np.all(np.abs(found.mean) <= found.envelope))
+    assert inside / logs == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_error_is_that_of_a_mean_of_noise(nothing):
+    quiet = shown(nothing.search, 0)
+    values = np.random.default_rng(6).integers(0, 4, len(quiet.rows)).astype(float)
+    found = by_class(
+        quiet.before, quiet.chance_before, values, classes_of(values), np.ones(len(values), dtype=bool)
+    )
+    expected = quiet.before.std() / np.sqrt(len(values) / 4)
+    assert found.error == pytest.approx(expected, rel=0.25)
+
+
+def test_a_drift_is_carried_by_the_hours_in_the_session(named, left):
+    shape = shape_of(named.search.found[0], named.search.bench.study())
+    columns = quantities(left.rows)
+    groups = left.rows["joint"].to_numpy()
+    assert carrier(shape, columns, groups) == HOURS
+    assert (
+        explained(shape, columns[HOURS], groups) > 0.8 > 0.5 > explained(shape, columns["theta (°)"], groups)
+    )
+
+
+def test_noise_explains_nothing_however_many_classes():
+    rng = np.random.default_rng(1)
+    shares = [
+        explained(rng.normal(size=300), rng.normal(size=300), np.zeros(300, dtype=int)) for _ in range(50)
+    ]
+    assert np.mean(shares) < 0.03
+
+
+def test_sessions_in_a_row_do_not_overlap(table, drifting):
+    rows = drifting.usable
+    hours = in_a_row(rows)
+    first = (rows["session"] == "2012-03-05").to_numpy()
+    assert hours[first].max() < hours[~first].min()
+    assert np.sort(hours[first]) == pytest.approx(np.sort(hours_in(table)[: first.sum()]))
+
+
+def test_a_quantity_that_does_not_vary_has_no_axis(left):
+    labels = set(quantities(left.rows))
+    assert {"load along the axis", "q2 (°)", "q3 (mm)", "theta (°)"} <= labels
+    assert not {"psi (°)", "q1 (°)", "temperature (°C)"} & labels
