@@ -59,13 +59,16 @@ def test_the_envelope_holds_all_means_of_95_logs_in_100(left):
 
 
 def test_the_error_is_that_of_a_mean_of_noise(nothing):
-    quiet = shown(nothing.search, 0)
-    values = np.random.default_rng(6).integers(0, 4, len(quiet.rows)).astype(float)
+    """The variance of a sum of independent signs, recalibrated, in closed form."""
+    study, quiet = nothing.search.study, shown(nothing.search, 0)
+    values = np.random.default_rng(6).integers(0, 4, len(study)).astype(float)
     found = by_class(
-        quiet.before, quiet.chance_before, values, classes_of(values), np.ones(len(values), dtype=bool)
+        quiet.after, quiet.chance_after, values, classes_of(values), np.ones(len(values), dtype=bool)
     )
-    expected = quiet.before.std() / np.sqrt(len(values) / 4)
-    assert found.error == pytest.approx(expected, rel=0.25)
+    mean_of = (values == np.arange(4.0)[:, None]) / np.bincount(values.astype(int))[:, None]
+    raw = study.residual / np.sqrt(1.0 - study.leverage)
+    expected = np.sqrt(np.sum((study.project((mean_of * study.scale).T) * raw[:, None]) ** 2, axis=0))
+    assert found.error == pytest.approx(expected, rel=0.15)
 
 
 def test_a_drift_is_carried_by_the_hours_in_the_session(named, left):

@@ -12,7 +12,7 @@ from stickslip_fit.diagnose.diagnosis import Finding
 from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.search import Found
 from stickslip_fit.diagnose.show import Shown, by_class, carrier, classes_of
-from stickslip_fit.report.figures.picture import Picture, picture
+from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,
     GREY,
@@ -104,7 +104,9 @@ def _along(found: Found, shape: Array, shown: Shown, mine: Mask) -> tuple[str, A
 def everything_picture(joint: int, shown: Shown) -> Picture:
     """What is left of a joint's counts against all that varied."""
     found = bool(np.any(shown.before != shown.after))
-    title = f"What is left against everything, {joint_name(joint)}"
+    key, title = f"everything-{joint}", f"What is left against everything, {joint_name(joint)}"
+    if not _columns(shown, (shown.rows["joint"] == joint).to_numpy()):
+        return not_drawn(key, title, "It would need a second traverse.")
     rms = percent(float(np.sqrt(np.mean(shown.after[(shown.rows["joint"] == joint).to_numpy()] ** 2))))
     before = " Dotted: the means under the published law." if found else ""
     caption = (
@@ -112,7 +114,7 @@ def everything_picture(joint: int, shown: Shown) -> Picture:
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
         f"nothing is wrong.{before}"
     )
-    return picture(f"everything-{joint}", title, caption, draw_everything(joint, shown))
+    return picture(key, title, caption, draw_everything(joint, shown))
 
 
 def draw_everything(joint: int, shown: Shown) -> Figure:
