@@ -52,6 +52,8 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     >>> strong, weak = strength_interval(20.0, 1, 4.0), strength_interval(4.2, 1, 4.0)
     >>> round(strong.low, 1), round(strong.high, 1), round(weak.low, 1)
     (18.0, 22.0, 0.0)
+    >>> round(strength_interval(11.8, 1, 9.3).low, 1)
+    9.7
     """
     if z > LARGE:
         middle = np.sqrt(max(z**2 - dimensions, 0.0))

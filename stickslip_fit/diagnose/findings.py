@@ -63,6 +63,7 @@ def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: flo
         if not told_apart(looked.best_of(found.cause), looked, rival, strength.estimate)
     )
     error = np.sqrt(np.diag(covariance))
+    error = np.where(error > 0, error, np.nan)  # of a sudden moment no error is known
     sizes = [
         SizedParameter(
             parameter.name, parameter.unit,
@@ -70,7 +71,7 @@ def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: flo
             parameter.joint, parameter.direction, parameter.session,
         )
         for parameter, value, spread in zip(found.version.parameters, values, error, strict=True)
-        if spread > 0
+        if np.isfinite(spread) or getattr(parameter, "sudden", False)
     ]  # fmt: skip
     shown = () if found.cause.startswith(COVARIATE) else tuple(sizes)
     return Finding(

@@ -10,6 +10,7 @@ from stickslip_fit.units import UNITS, from_si
 
 MINUS = "\N{MINUS SIGN}"
 MOST_DECIMALS = 6
+ENOUGH = 10.0  # from here on whole numbers, where nothing says how many digits mean something
 NOT_KNOWN = "not known"
 BESIDE = {"": "", "1": "", "%/%": " % per %"}
 
@@ -46,7 +47,7 @@ def decimals(interval: Interval, unit: str, further: int = 0) -> int:
     """Decimals of an estimate in a sentence: down to the first digit of its uncertainty, or further."""
     half = abs(_shown(interval.high, unit) - _shown(interval.low, unit)) / 2
     if not isfinite(half) or half <= 0:
-        return 2
+        return 0 if abs(_shown(interval.estimate, unit)) >= ENOUGH else 2
     return min(max(0, further - floor(log10(half))), MOST_DECIMALS)
 
 
@@ -64,6 +65,8 @@ def amount(interval: Interval, unit: str, *, signed: bool = False) -> str:
 
 def spread(interval: Interval, unit: str, further: int = 0) -> str:
     """An interval without its unit, to the digits of its estimate in a table."""
+    if not isfinite(interval.high - interval.low):
+        return NOT_KNOWN
     digits = decimals(interval, unit, further)
     return f"{number(interval.low, unit, digits)} to {number(interval.high, unit, digits)}"
 

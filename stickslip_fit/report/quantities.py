@@ -78,7 +78,8 @@ def _all(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     for column in rows.columns:
         if column.startswith(COVARIATE):
             yield column.removeprefix(COVARIATE), rows[column].to_numpy(float)
-    yield ONE_AFTER_THE_OTHER, in_a_row(rows)
+    if rows["session"].nunique() > 1:
+        yield ONE_AFTER_THE_OTHER, in_a_row(rows)
     yield OWN_STEPS, rows["steps_before"].to_numpy(float) / 1e6
 
 

@@ -15,7 +15,7 @@ from stickslip_fit.diagnose.answer import answer
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Finding, Gain, NextTraverse, SizedParameter
 from stickslip_fit.diagnose.told import SENTENCES, what_happens
-from tests.diagnose.conftest import ALPHA, REPEATABILITY, changed
+from tests.diagnose.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
 WIDTH = 110
 BY_SESSION = pd.DataFrame({"session": ["a"], "baseline": [0.02], "extended": [0.004], "traverses": [9]})
@@ -217,3 +217,16 @@ def test_counts_that_are_wildly_off_are_handed_back(table, read):
     assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
     assert set(seen["steps"]) == set(changed(table, relative)["steps"].iloc[out])
     assert "Excluding those counts and repeating them takes away" in told(found)
+
+
+def test_a_jump_is_told_with_its_moment(table, read):
+    jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
+    found = decide(read(changed(table, -jump), "jump.csv"), alpha=ALPHA)
+    said = re.search(r"Steps grow by (\d\.\d+) % (\d+) min into session 2012-03-06, and stay so", told(found))
+    assert said
+    assert float(said[1]) == pytest.approx(1.5, abs=0.2)
+    assert float(said[2]) == pytest.approx(240, abs=15)
+    (moment,) = (each for each in found.findings[0].parameters if each.name == "moment")
+    assert np.isnan(moment.size.low)
+    low, high = found.findings[0].effect.low, found.findings[0].effect.high
+    assert 0 < low < found.findings[0].effect.estimate < high

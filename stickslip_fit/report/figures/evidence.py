@@ -38,7 +38,7 @@ TWO_SIDED = 1.96
 ACROSS = 4  # panels side by side
 FURTHEST = 3.0  # times what is left: the scale cuts what was there before
 POINT = "traverse"
-BEFORE = "count less law of the traverse before (%)"
+BEFORE = "the traverse before (%)"
 
 
 def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) -> Picture:
