@@ -14,10 +14,10 @@ test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n auto
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
 nightly: $(VENV)/.ready-test
-	$(BIN)/pytest -n auto -m nightly
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -m nightly
 
 format: $(VENV)/.ready-test
 	$(BIN)/ruff check --fix .

@@ -17,6 +17,7 @@ FOLDS = 10
 # What the rest of a session leaves open by more than this share counts as not known without a configuration:
 # a prediction would be off by 1 / sqrt(1 - share), here four and a half times, what a traverse repeats to.
 OPEN = 0.95
+KNOWN = 5.0  # strength below which the search would more often than not miss a cause in what is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,9 @@ class Split:
     held: Indices
 
 
-def folds(study: Study, kinds: Indices, rng: np.random.Generator, number: int = FOLDS) -> list[Split]:
+def folds(
+    study: Study, kinds: Indices, rng: np.random.Generator, effects: Array | None = None, number: int = FOLDS
+) -> list[Split]:
     """Hold out every configuration once, but for those without which a parameter cannot be known.
 
     Parameters
@@ -48,12 +51,17 @@ def folds(study: Study, kinds: Indices, rng: np.random.Generator, number: int = 
     kinds : array of int, shape (n,)
         Configuration of each row; all of its rows are held out together.
     rng : Generator
+    effects : array, shape (n, k), optional
+        Of the causes found, in units of the noise, recalibration taken out: they, too, have to stay known.
     number : int, optional
         Of folds; those in which nothing can be held out are left out.
     """
     block, place = blocks_of(study.parts, len(study)), _coordinates(study)
     width = place.shape[1]
     taken = np.zeros((number, block.max() + 1, width, width))
+    shown = np.zeros((len(study), 0)) if effects is None else effects**2
+    left = np.tile(shown.sum(axis=0), (number, 1))
+    least = np.minimum(KNOWN**2, left[0] / 2)
     fold_of, filled = np.full(len(study), -1), np.zeros(number, dtype=np.intp)
     members = _members(kinds)
     for kind in rng.permutation(len(members)):
@@ -62,9 +70,9 @@ def folds(study: Study, kinds: Indices, rng: np.random.Generator, number: int = 
         share = np.zeros((len(touched), width, width))
         np.add.at(share, own, place[rows, :, None] * place[rows, None, :])
         for fold in np.argsort(filled, kind="stable"):
-            together = taken[fold, touched] + share
-            if np.linalg.eigvalsh(together).max() < OPEN:
-                taken[fold, touched] = together
+            together, rest = taken[fold, touched] + share, left[fold] - shown[rows].sum(axis=0)
+            if np.linalg.eigvalsh(together).max() < OPEN and np.all(rest >= least):
+                taken[fold, touched], left[fold] = together, rest
                 fold_of[rows], filled[fold] = fold, filled[fold] + len(rows)
                 break
     return [_without(np.flatnonzero(fold_of == fold), len(study)) for fold in range(number) if filled[fold]]

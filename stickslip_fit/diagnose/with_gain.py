@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.candidates import changes
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Gain
 from stickslip_fit.diagnose.folds import Split, folds
 from stickslip_fit.diagnose.gain import gain
@@ -41,9 +42,7 @@ def with_gain(
     began, searched = time.perf_counter(), decided.search
     if not len(searched.bench):
         return decided
-    within = folds(
-        searched.bench.study(), configurations(searched.bench.rows), np.random.default_rng(decided.seed)
-    )
+    within = within_sessions(searched, np.random.default_rng(decided.seed))
     between = new_sessions(searched.bench, machine)
     told = partial(_told, progress, "predicting held-out traverses", BEGUN, IN_FOLDS)
     whole, findings = _gain(decided, within, workers, told)
@@ -56,6 +55,18 @@ def with_gain(
         gain_new_session=new,
         seconds=decided.seconds + time.perf_counter() - began,
     )
+
+
+def within_sessions(searched: Search, rng: np.random.Generator) -> list[Split]:
+    """Hold out configurations of what was searched."""
+    study, fit = searched.bench.study(), searched.fit
+    sizes = np.cumsum([len(each.start) for each in searched.found if each.version is not None])[:-1]
+    values = np.split(fit.values, sizes) if len(fit.values) else []
+    made = [
+        changes(study, version, own[None]) for version, own in zip(searched.versions, values, strict=True)
+    ]
+    effects = study.project(np.concatenate(made, axis=1) / study.scale[:, None]) if made else None
+    return folds(study, configurations(searched.bench.rows), rng, effects)
 
 
 def configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:

@@ -23,7 +23,7 @@ from stickslip_fit.diagnose.of_log import bench_of
 from stickslip_fit.diagnose.replicates import Campaign, predicted_off
 from stickslip_fit.diagnose.search import Found, Search, extended, look, search
 from stickslip_fit.diagnose.structures import structures
-from stickslip_fit.diagnose.with_gain import configurations, seek
+from stickslip_fit.diagnose.with_gain import configurations, seek, within_sessions
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden.generate import hide
@@ -53,8 +53,7 @@ def waves(study):
 
 
 def splits_of(searched):
-    rows, rng = searched.bench.rows, np.random.default_rng(0)
-    return folds(searched.bench.study(), configurations(rows), rng)
+    return within_sessions(searched, np.random.default_rng(0))
 
 
 def measured(bench, workers=1, seek=SEEK, alpha=ALPHA):
@@ -200,7 +199,7 @@ def share_of_the_oracle(bench, seeds, strength, design="session"):
         hidden = hide(design, (FEW[seed % len(FEW)],), strength, seed=seed)
         whole, searched = measured(bench(hidden))
         baseline, extended = oracle(hidden, searched)
-        assert whole.baseline == pytest.approx(baseline, rel=0.01)
+        assert whole.baseline == pytest.approx(baseline, rel=0.03)
         mine.append(gained(whole))
         its.append(baseline - extended)
     return np.sum(mine) / np.sum(its)

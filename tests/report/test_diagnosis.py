@@ -16,6 +16,7 @@ from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.answer import answer
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Gain, NextTraverse
+from stickslip_fit.diagnose.naming import probabilities
 from stickslip_fit.diagnose.show import shape_of, shown
 from stickslip_fit.errors import InputError
 from stickslip_fit.report import report_html
@@ -78,7 +79,15 @@ def found(made) -> Diagnosis:
         "late",
     )
     decided = decide(made.log, alpha=0.02)
-    return replace(decided, gain=gain, gain_new_session=gain, next_experiment=(traverse,))
+    (drift,) = decided.findings
+    rate = replace(drift.parameters[0], session=SESSIONS[-1])
+    return replace(
+        decided,
+        findings=(replace(drift, parameters=(rate,)),),
+        gain=gain,
+        gain_new_session=gain,
+        next_experiment=(traverse,),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +134,7 @@ def test_nothing_is_fetched_and_nothing_is_run(page):
 
 
 def test_markup_in_a_session_stays_text(page):
+    assert page.column("Parameters of what was named", "of") == ["session <i>third</i>"]
     assert "i" not in {tag for tag, _ in page.elements}
 
 
@@ -187,9 +197,9 @@ def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
     last = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert first[0] == "drift"
     assert last[0] == "chance alone"
-    # Probabilities of everything, shown or not, add up to 1.
-    ends = [line.get_xdata()[-1] for line in figure.axes[1].lines[::2]]
-    assert 0.5 < sum(10**power for power in ends) <= 1.0 + 1e-9
+    ends = [10 ** float(line.get_xdata()[-1]) for line in figure.axes[1].lines[::2]]
+    assert ends[0] == pytest.approx(1.0 - sum(probabilities(found.search.last.by_cause).values()))
+    assert sum(ends) <= 1.0 + 1e-9
 
 
 def test_the_gain_of_each_session_is_drawn(found):

@@ -102,7 +102,7 @@ def _ranked(looked: Misfit, named: str, rivals: Sequence[str]) -> list[tuple[str
     if not looked.by_cause:
         return [(CHANCE, 0.0, NOTHING)]
     causes = [*looked.by_cause, CHANCE]
-    logs = np.array([*looked.by_cause.values(), 0.0])
+    logs = np.array([*looked.by_cause.values(), np.log(len(looked.by_cause))])
     powers = (logs - np.logaddexp.reduce(logs)) / np.log(10.0)
     order = sorted(range(len(causes)), key=lambda k: -powers[k])
     shown = [k for k in order if causes[k] != CHANCE][:MOST_CAUSES]
