@@ -57,7 +57,7 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     """
     if z > LARGE:
         middle = np.sqrt(max(z**2 - dimensions, 0.0))
-        return Interval(middle, max(z - 1.96, 0.0), np.sqrt((z + 1.96) ** 2 - dimensions + 1))
+        return Interval(middle, max(z - 1.96, 0.0), float(np.sqrt((z + 1.96) ** 2 - dimensions + 1)))
     threshold = min(threshold, z * (1 - 1e-9))
 
     def below(strength: float) -> float:

@@ -56,26 +56,73 @@ def folds(
     number : int, optional
         Of folds; those in which nothing can be held out are left out.
     """
-    block, place = blocks_of(study.parts, len(study)), _coordinates(study)
-    width = place.shape[1]
-    taken = np.zeros((number, block.max() + 1, width, width))
-    shown = np.zeros((len(study), 0)) if effects is None else effects**2
-    left = np.tile(shown.sum(axis=0), (number, 1))
-    least = np.minimum(KNOWN**2, left[0] / 2)
-    fold_of, filled = np.full(len(study), -1), np.zeros(number, dtype=np.intp)
+    n = len(study)
+    block, place = blocks_of(study.parts, n), _coordinates(study)
+    shown = np.zeros((n, 0)) if effects is None else effects
+    taken = [_Taken.nothing(int(block.max()) + 1, place.shape[1], shown) for _ in range(number)]
+    fold_of, filled = np.full(n, -1), np.zeros(number, dtype=np.intp)
     members = _members(kinds)
     for kind in rng.permutation(len(members)):
         rows = members[kind]
-        touched, own = np.unique(block[rows], return_inverse=True)
-        share = np.zeros((len(touched), width, width))
-        np.add.at(share, own, place[rows, :, None] * place[rows, None, :])
         for fold in np.argsort(filled, kind="stable"):
-            together, rest = taken[fold, touched] + share, left[fold] - shown[rows].sum(axis=0)
-            if np.linalg.eigvalsh(together).max() < OPEN and np.all(rest >= least):
-                taken[fold, touched], left[fold] = together, rest
+            if taken[fold].takes(block[rows], place[rows], shown[rows]):
                 fold_of[rows], filled[fold] = fold, filled[fold] + len(rows)
                 break
-    return [_without(np.flatnonzero(fold_of == fold), len(study)) for fold in range(number) if filled[fold]]
+    return [_without(np.flatnonzero(fold_of == fold), n) for fold in range(number) if filled[fold]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """What a fold's rows know of B blocks with up to w parameters, and of k causes.
+
+    Attributes
+    ----------
+    own : array, shape (B, w, w)
+        Products of the rows' coordinates.
+    across : array, shape (B, w, k)
+        Of the rows' coordinates and the causes' effects.
+    effect : array, shape (B, k)
+        Squared effects.
+    left : array, shape (k,)
+        Squared strength of each cause in the rest of the log, recalibrated by that rest.
+    least : array, shape (k,)
+    """
+
+    own: Array
+    across: Array
+    effect: Array
+    left: Array
+    least: Array
+
+    @classmethod
+    def nothing(cls, blocks: int, width: int, effects: Array) -> _Taken:
+        """No row yet."""
+        k, whole = effects.shape[1], np.sum(effects**2, axis=0)
+        empty = np.zeros((blocks, width, width)), np.zeros((blocks, width, k)), np.zeros((blocks, k))
+        return cls(*empty, whole, np.minimum(KNOWN**2, whole / 2))
+
+    def takes(self, block: Indices, place: Array, effect: Array) -> bool:
+        """Hold these rows out, too, if every parameter stays known."""
+        touched, at = np.unique(block, return_inverse=True)
+        own, across, alone = self.own[touched], self.across[touched], self.effect[touched]
+        before = _lost(own, across, alone)
+        np.add.at(own, at, place[:, :, None] * place[:, None, :])
+        np.add.at(across, at, place[:, :, None] * effect[:, None, :])
+        np.add.at(alone, at, effect**2)
+        if np.linalg.eigvalsh(own).max() >= OPEN:
+            return False
+        left = self.left + before - _lost(own, across, alone)
+        if np.any(left < self.least):
+            return False
+        self.own[touched], self.across[touched], self.effect[touched] = own, across, alone
+        self.left[:] = left
+        return True
+
+
+def _lost(own: Array, across: Array, alone: Array) -> Array:
+    """Squared strength that goes with the rows held out, and with what the rest then absorbs; shape (k,)."""
+    solved = np.linalg.solve(np.eye(own.shape[1]) - own, across)
+    return np.sum(alone + np.sum(across * solved, axis=1), axis=0)
 
 
 def blocks_of(parts: Sequence[Part], n: int) -> Indices:

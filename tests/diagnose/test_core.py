@@ -166,7 +166,7 @@ def test_intervals_of_a_strength_cover_given_the_alarm():
     rng, threshold = np.random.default_rng(6), 4.0
     for strength in (3.0, 5.0, 9.0):
         seen = np.abs(strength + rng.standard_normal(4000))
-        seen = np.round(seen[seen > threshold], 2)
+        seen = np.ceil(20 * seen[seen > threshold]) / 20
         lengths, counts = np.unique(seen, return_counts=True)
         intervals = [strength_interval(length, 1, threshold) for length in lengths]
         inside = np.array([each.low <= strength <= each.high for each in intervals])

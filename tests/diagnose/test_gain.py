@@ -88,6 +88,25 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
                 assert np.linalg.matrix_rank(slopes[left], 1e-6) == known
 
 
+def test_causes_stay_known_in_what_is_left(bench):
+    laid = bench(hide("session", seed=3))
+    study, rng = laid.study(), _rng()
+    effects = study.project(rng.standard_normal((len(laid), 2)) * (np.arange(len(laid)) < 12)[:, None])
+    effects *= 9 / np.linalg.norm(effects, axis=0)
+    whole = study.basis.toarray()
+
+    def least_left(splits):
+        strengths = []
+        for split in splits:
+            basis, left = whole[split.training], effects[split.training]
+            left = left - basis @ np.linalg.lstsq(basis, left)[0]
+            strengths.append(np.linalg.norm(left, axis=0))
+        return np.min(strengths)
+
+    kinds = configurations(laid.rows)
+    assert least_left(folds(study, kinds, _rng(), effects)) >= 5.0
+
+
 def test_what_is_held_out_has_no_part_in_its_own_prediction(bench):
     hidden = hide("session", ("drift",), 14, seed=3)
     searched = search(bench(hidden), ALPHA, FLIPS, np.random.default_rng(0))
@@ -249,10 +268,12 @@ def test_held_out_gain_is_nearly_that_of_knowing_the_effect(bench):
     assert share_of_the_oracle(bench, range(3), 12) > 0.9
 
 
+@pytest.mark.nightly
 def test_the_interval_covers_the_gain_of_a_fresh_replicate(bench):
     assert covered(bench, range(4), 12).sum() >= 3
 
 
+@pytest.mark.nightly
 def test_a_cause_forced_upon_a_log_in_which_nothing_is_wrong_gains_nothing(bench):
     assert above_zero(bench, range(6)).sum() <= 1
 
