@@ -26,6 +26,7 @@ from stickslip_fit.logs import Log
 # Logs in which nothing is wrong, for each false alarm that may be raised.
 FLIPS_PER_ALARM = 20
 CERTAIN = 0.99
+WITHOUT_ALARM = 0.3  # largest probability of anything where nothing raised an alarm
 
 
 def diagnose(
@@ -137,6 +138,9 @@ def _verdict(sized: tuple[Finding, ...]) -> Verdict:
 def _inclusion(searched: Search, bench: Bench, unable: dict[str, str]) -> dict[str, float | None]:
     """Probability of each cause: of those found at the look that found them, of all others at the last."""
     last = probabilities(searched.last.by_cause)
+    if not searched.found:
+        # What chance explains too is no evidence, however well some shape follows it.
+        last = {cause: value * min(1.0, WITHOUT_ALARM / sum(last.values())) for cause, value in last.items()}
     found: dict[str, float | None] = dict.fromkeys([*(cause.name for cause in bench.causes), UNKNOWN], 0.0)
     found |= last
     for each in searched.found:

@@ -92,7 +92,7 @@ def test_causes_stay_known_in_what_is_left(bench):
     laid = bench(hide("session", seed=3))
     study, rng = laid.study(), _rng()
     effects = study.project(rng.standard_normal((len(laid), 2)) * (np.arange(len(laid)) < 12)[:, None])
-    effects *= 9 / np.linalg.norm(effects, axis=0)
+    effects *= 7 / np.linalg.norm(effects, axis=0)
     whole = study.basis.toarray()
 
     def least_left(splits):
