@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 
 WAVES = 6
 MOST_PERIODS = 150
+# Numbers held for a family of structures: beyond, in logs of many sessions, those that each session has by
+# itself are looked for more coarsely, or not at all.
+MOST_NUMBERS = 20_000_000
 FEWEST_PER_PERIOD = 2.5  # traverses
 CARRIED = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 
@@ -41,9 +44,10 @@ def _shapes(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     yield from _by_configuration(rows)
     yield from _harmonics(rows)
     order = rows.groupby(session).cumcount().to_numpy(float)
+    most = min(MOST_PERIODS, MOST_NUMBERS // (6 * own.size))
     minutes = "period of {:.1f} min"
     for name, clock, unit in ((minutes, seconds, 60.0), ("period of {:.1f} traverses", order, 1.0)):
-        for period in _periods(clock):
+        for period in _periods(clock, most):
             angle = 2 * np.pi * clock / period
             pair = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
             yield name.format(period / unit), (pair[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
@@ -56,9 +60,11 @@ def _slow(
     last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
     phase = seconds / np.maximum(last, 1.0)
     waves = np.stack([np.cos(np.pi * k * phase) / k for k in range(1, WAVES + 1)], axis=-1)
+    yield "time, the same in each session", waves
+    if WAVES * own.size * (1 + rows["joint"].nunique()) > MOST_NUMBERS:
+        return
     each = (waves[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
     yield "time", each
-    yield "time, the same in each session", waves
     for joint in rows["joint"].unique():
         mine = (rows["joint"] == joint).to_numpy()[:, None]
         yield f"time, joint {joint}", each * mine
@@ -67,7 +73,7 @@ def _slow(
 def _by_configuration(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     """A departure of each configuration, where these come back often enough to show it."""
     kinds = configuration(rows)
-    if kinds.max() < len(rows) / 3:
+    if kinds.max() < len(rows) / 3 and 3 * kinds.max() * len(rows) < MOST_NUMBERS:
         backwards = (rows["direction"] == "-").to_numpy()
         yield "configuration", np.eye(kinds.max() + 1)[kinds]
         yield "configuration and direction", np.eye(2 * kinds.max() + 2)[2 * kinds + backwards]
@@ -85,7 +91,7 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def _periods(clock: Array) -> Array:
+def _periods(clock: Array, most: int) -> Array:
     """Periods that a session is long enough for and its traverses dense enough, evenly in frequency."""
     longest, step = (
         float(clock.max()),
@@ -94,7 +100,7 @@ def _periods(clock: Array) -> Array:
     if step <= 0 or longest < 4 * FEWEST_PER_PERIOD * step:
         return np.zeros(0)
     slowest, fastest = 2.0 / longest, 1.0 / (FEWEST_PER_PERIOD * step)
-    number = min(MOST_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
+    number = min(most, int(np.ceil(2.0 * longest * (fastest - slowest))))
     return np.asarray(1.0 / np.linspace(slowest, fastest, number))
 
 
