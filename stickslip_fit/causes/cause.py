@@ -61,6 +61,8 @@ class Cause(ABC):
         The traverse that would show it best.
     joints : tuple of int
         On which it acts.
+    session : str
+        The only one in which it acts; empty where it acts in all.
     columns : tuple of str
         Quantities of a traverse that it needs, beside where the joints and the base stand.
     parameters : tuple of CauseParameter
@@ -85,6 +87,7 @@ class Cause(ABC):
     physics: ClassVar[str]
     shows_best: ClassVar[str]
     joints: ClassVar[tuple[int, ...]] = (1, 2, 3)
+    session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
     absent: tuple[float, ...]

@@ -15,18 +15,21 @@ from stickslip_fit.laws import State
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-MOST = 120  # in a log; between two of them a change is seen nearly as well
+# In a session, in a log, and as many as a session has in any case: between two of them a change is seen
+# nearly as well.
+MOST, ABOUT, LEAST = 60, 240, 6
 FEWEST = 3  # traverses on either side
 
 
 def moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
     """Halfway between traverses, for each session that has enough of them; s from its first."""
-    found, every = [], -(-len(rows) // MOST)
+    found, every = [], len(rows) / ABOUT
     for session, mine in rows.groupby(rows["session"].astype(object), sort=False):
         seconds = np.unique(mine["session_seconds"].to_numpy(float))
         between = ((seconds[1:] + seconds[:-1]) / 2)[FEWEST - 1 : 1 - FEWEST]
         if len(between):
-            found.append((str(session), between[:: min(every, -(-len(between) // 2))]))
+            apart = max(len(between) / MOST, min(every, len(between) / LEAST))
+            found.append((str(session), between[:: int(np.ceil(apart))]))
     return found
 
 

@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.diagnose.cleared import Cleared
 from stickslip_fit.diagnose.hypothesis import Hypothesis
 from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.refit import Refit, refit
+from stickslip_fit.diagnose.repeatability import repeatability
 from stickslip_fit.diagnose.study import Part, Study, study_of
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +40,10 @@ class Bench:
         Bound to the rows, and not obviously without effect in them.
     structures : callable
         From a Study to the hypotheses that stand for ``unknown``.
+    kind : array of int, shape (n,)
+        Rows of some kinds may repeat worse than others.
+    uneven : array, shape (n,)
+        How much worse each row does.
     """
 
     rows: pd.DataFrame
@@ -48,6 +54,8 @@ class Bench:
     repeatability: Array
     causes: tuple[Any, ...]
     structures: Callable[[Study], list[Hypothesis | Memory]]
+    kind: Indices
+    uneven: Array
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -55,11 +63,16 @@ class Bench:
     @property
     def scale(self) -> Array:
         """Standard deviation of each response, shape (n,)."""
-        return np.sqrt(self.repeatability[self.drive] ** 2 + self.rounding)
+        return np.sqrt((self.repeatability[self.drive] * self.uneven) ** 2 + self.rounding)
 
     def study(self) -> Study:
         """The rows under the baseline."""
         return study_of(self.rows, self.parts, self.responses, self.scale)
+
+    def judged(self, study: Study, left: Cleared) -> Bench:
+        """With the repeatability that shows in what is left of a study's residuals."""
+        found = repeatability(study, left, self.rounding, self.drive, self.kind)
+        return replace(self, repeatability=found.of_drive, uneven=found.uneven)
 
     def fitted(self, versions: Sequence[Any] = (), start: Array | None = None) -> Refit:
         """The baseline with some causes in it, fitted anew."""
@@ -84,5 +97,7 @@ class Bench:
             responses=self.responses[kept],
             rounding=self.rounding[kept],
             drive=self.drive[kept],
+            kind=self.kind[kept],
+            uneven=self.uneven[kept],
         )
         return replace(smaller, parts=smaller.fitted().parts)

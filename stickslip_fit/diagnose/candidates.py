@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis, hypothesis
 from stickslip_fit.diagnose.study import Study
+from stickslip_fit.diagnose.within import Session, of_one, sessions
 
 Array = npt.NDArray[np.float64]
 
@@ -19,20 +20,31 @@ def effects(study: Study, version: Any, trials: Array) -> Array:
     return study.project(changes(study, version, trials) / study.scale[:, None])
 
 
-def changes(study: Study, version: Any, trials: Array) -> Array:
+def changes(study: Study | Session, version: Any, trials: Array) -> Array:
     """Change of every response; trials (m, q) -> (n, m)."""
     found = np.zeros((len(study), len(trials)))
     for part, table in zip(study.parts, study.tables, strict=True):
-        if part.law.joint in version.joints:
+        if acts_on(version, part.law):
             found[part.rows] = version.changes(part.law, table, part.values, trials)
     return found
 
 
+def acts_on(version: Any, law: Any) -> bool:
+    """Whether a cause concerns a law; laws of joints say of which one, and causes on which ones they act."""
+    return not hasattr(law, "joint") or law.joint in version.joints
+
+
 def candidates(study: Study, causes: Iterable[Any]) -> list[Hypothesis]:
     """Every shape of every cause."""
-    found = []
+    found: list[Hypothesis | None] = []
+    every = sessions(study)
     for cause in causes:
         for version, trials in cause.trials(study.rows):
+            if version.session:
+                session = every[version.session]
+                shape = session.project(changes(session, version, trials) / study.scale[session.rows, None])
+                found += of_one(cause.name, version, trials, len(study), session, shape)
+                continue
             columns = effects(study, version, trials)
             if version.joined:
                 found.append(hypothesis(cause.name, version, None, columns))

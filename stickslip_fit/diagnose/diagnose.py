@@ -124,7 +124,7 @@ def _all_of(given: Bench, why: str) -> dict[str, str]:
 
 
 def _pooled(bench: Bench) -> float:
-    return float(np.sqrt(np.mean(bench.repeatability[bench.drive] ** 2)))
+    return float(np.sqrt(np.mean((bench.repeatability[bench.drive] * bench.uneven) ** 2)))
 
 
 def _verdict(sized: tuple[Finding, ...]) -> Verdict:

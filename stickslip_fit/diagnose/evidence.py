@@ -10,11 +10,13 @@ in Bayesian Inference and Decision Techniques, 1986, for one direction). Strengt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csc_array, csr_array, hstack
 from scipy.special import logsumexp
 
 from stickslip_fit.diagnose.hypothesis import Hypothesis
@@ -25,6 +27,10 @@ Array = npt.NDArray[np.float64]
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])
 
 
+SPARSE = 0.1  # share of numbers that are not 0; above, arithmetic is faster with all of them
+AT_MOST = 600.0  # nats; where likelihoods are summed, none is larger than e to this
+
+
 @dataclass(frozen=True, eq=False)
 class Stack:
     """Hypotheses laid side by side, so that all are judged at once.
@@ -32,8 +38,10 @@ class Stack:
     Attributes
     ----------
     directions : array, shape (n, m)
-        Of all hypotheses that have some.
-    share : array, shape (m,)
+        Of all hypotheses that have some; sparse ones after the others.
+    sparse : sparse array, shape (m', n)
+        Directions in rows.
+    share : array, shape (m + m',)
     first : array of int
         Where each hypothesis's directions begin.
     memories : tuple of Memory
@@ -43,6 +51,7 @@ class Stack:
     """
 
     directions: Array
+    sparse: csr_array
     share: Array
     first: npt.NDArray[np.intp]
     memories: tuple[Memory, ...]
@@ -51,31 +60,61 @@ class Stack:
 
     def log_evidence(self, residuals: Array) -> Array:
         """Log ratio of each hypothesis's marginal likelihood to that of noise alone; (n, k) -> (H, k)."""
-        along = (self.directions.T @ residuals) ** 2
-        total = np.sum(residuals**2, axis=0)
-        found = np.empty((len(STRENGTHS), len(self.first), residuals.shape[1]))
-        for index, strength in enumerate(STRENGTHS):
+        shapes = logsumexp(np.stack(list(self._at_each_strength(residuals))), axis=0) - np.log(len(STRENGTHS))
+        return np.concatenate([shapes, *self._carried(residuals)])[self.place]
+
+    def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
+        """Log of the weighed sum of all hypotheses' evidence, weights (H,); (n, k) -> (k,)."""
+        shapes = sum(np.exp(np.minimum(each, AT_MOST)) for each in self._at_each_strength(residuals))
+        carried = [np.exp(np.minimum(each, AT_MOST)) for each in self._carried(residuals)]
+        evidence = np.concatenate([shapes / len(STRENGTHS), *carried])
+        weight = np.empty(len(log_weight))
+        weight[self.place] = np.exp(log_weight)
+        return np.log(weight @ evidence)
+
+    def _at_each_strength(self, residuals: Array) -> Iterator[Array]:
+        along = np.concatenate([self.directions.T @ residuals, self.sparse @ residuals]) ** 2
+        along /= np.sum(residuals**2, axis=0)
+        for strength in STRENGTHS:
             signal = strength**2 * self.share
-            explained = np.add.reduceat(along * (signal / (1.0 + signal))[:, None], self.first, axis=0)
+            explained = along * (signal / (1.0 + signal))[:, None]
+            if len(self.first) < len(self.share):
+                explained = np.add.reduceat(explained, self.first, axis=0)
             spread = np.add.reduceat(np.log1p(signal), self.first)
-            found[index] = -0.5 * spread[:, None] - 0.5 * self.freedom * np.log1p(-explained / total)
-        shapes = logsumexp(found, axis=0) - np.log(len(STRENGTHS))
-        carried = [memory.log_evidence(residuals, self.freedom)[None] for memory in self.memories]
-        return np.concatenate([shapes, *carried])[self.place]
+            log = np.log1p(-np.minimum(explained, 1.0 - 1e-12))
+            log *= -0.5 * self.freedom
+            log -= 0.5 * spread[:, None]
+            yield log
+
+    def _carried(self, residuals: Array) -> list[Array]:
+        return [memory.log_evidence(residuals, self.freedom)[None] for memory in self.memories]
 
 
 def stack(hypotheses: Sequence[Hypothesis | Memory], freedom: int) -> Stack:
     """Lay hypotheses side by side."""
-    shapes = [each for each in hypotheses if isinstance(each, Hypothesis)]
-    memories = tuple(each for each in hypotheses if isinstance(each, Memory))
-    sizes = [len(each.share) for each in shapes]
-    is_memory = np.array([isinstance(each, Memory) for each in hypotheses])
-    place = np.where(is_memory, len(shapes) + np.cumsum(is_memory) - 1, np.cumsum(~is_memory) - 1)
+    groups: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+    group = np.array([_group(each) for each in hypotheses])
+    for each, number in zip(hypotheses, group, strict=True):
+        groups[number].append(each)
+    dense, sparse, memories = groups
+    place = np.empty(len(group), dtype=np.intp)
+    place[np.argsort(group, kind="stable")] = np.arange(len(group))
+    n = (*dense, *sparse)[0].stored.shape[0]
+    sizes = [len(each.share) for each in (*dense, *sparse)]
     return Stack(
-        np.concatenate([each.directions for each in shapes], axis=1),
-        np.concatenate([each.share for each in shapes]),
+        np.concatenate([np.zeros((n, 0)), *(each.directions for each in dense)], axis=1),
+        csr_array(hstack([csc_array((n, 0)), *(each.stored for each in sparse)], format="csc").T),
+        np.concatenate([each.share for each in (*dense, *sparse)]),
         np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp),
-        memories,
+        tuple(memories),
         place,
         freedom,
     )
+
+
+def _group(hypothesis: Hypothesis | Memory) -> int:
+    """0 for directions that had better be dense, 1 for sparse ones, 2 for memories."""
+    if isinstance(hypothesis, Memory):
+        return 2
+    stored = hypothesis.stored
+    return int(not isinstance(stored, np.ndarray) and stored.nnz < SPARSE * stored.shape[0] * stored.shape[1])

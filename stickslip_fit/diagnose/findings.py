@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import beta
 
 from stickslip_fit.diagnose.amplitude import Interval, strength_interval, threshold_length
 from stickslip_fit.diagnose.bench import Bench
+from stickslip_fit.diagnose.candidates import acts_on
 from stickslip_fit.diagnose.diagnosis import Finding, SizedParameter
 from stickslip_fit.diagnose.effect import effect_of
 from stickslip_fit.diagnose.evidence import STRENGTHS
@@ -74,8 +76,9 @@ def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: flo
         if np.isfinite(spread) or getattr(parameter, "sudden", False)
     ]  # fmt: skip
     shown = () if found.cause.startswith(COVARIATE) else tuple(sizes)
+    laws = [part.law for part in searched.bench.parts if acts_on(found.version, part.law)]
     return Finding(
-        found.cause, found.version, rivals, found.p_value, _joints(searched.bench, found.version),
+        found.cause, found.version, rivals, found.p_value, _joints(laws),
         strength.times(per_strength), shown,
     )  # fmt: skip
 
@@ -97,11 +100,8 @@ def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
         assert isinstance(near, Hypothesis)
         share = float(np.sum((near.directions.T @ shape) ** 2)) / max(strength2, 1e-12)
     carrier = best.cause.removeprefix(f"{UNKNOWN}:")
-    touched = tuple(
-        int(part.law.joint)
-        for part in study.parts
-        if np.any(np.abs(shape[part.rows]) > 1e-3 * np.abs(shape).max())
-    )
+    size = np.abs(shape)
+    touched = _joints(part.law for part in study.parts if np.any(size[part.rows] > 1e-3 * size.max()))
     return Finding(UNKNOWN, None, (), found.p_value, touched, effect, (), None, closest, share, carrier)
 
 
@@ -127,7 +127,7 @@ def _misfires(searched: Search, given: Bench, found: Found) -> Finding:
         float(beta.ppf(0.975, len(out) + 1, n - len(out))),
     )
     low, middle, high = np.quantile(off, [0.025, 0.5, 0.975])
-    joints = tuple(sorted({int(joint) for joint in given.rows["joint"].iloc[out]}))
+    joints = _joints(part.law for part in given.parts if np.isin(part.rows, out).any())
     return Finding(
         MISFIRE, None, (), found.p_value, joints, Interval(rms, max(rms - spread, 0.0), rms + spread),
         (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
@@ -163,5 +163,6 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _joints(bench: Bench, version: Any) -> tuple[int, ...]:
-    return tuple(int(part.law.joint) for part in bench.parts if part.law.joint in version.joints)
+def _joints(laws: Iterable[Any]) -> tuple[int, ...]:
+    """Of which joints some laws are; of none where they have nothing to do with any."""
+    return tuple(sorted(int(law.joint) for law in laws if hasattr(law, "joint")))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.diagnose.study import Part, Study
+from stickslip_fit.diagnose.study import Part, Study, places_of
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -61,7 +61,7 @@ def folds(
     shown = np.zeros((n, 0)) if effects is None else effects
     taken = [_Taken.nothing(int(block.max()) + 1, place.shape[1], shown) for _ in range(number)]
     fold_of, filled = np.full(n, -1), np.zeros(number, dtype=np.intp)
-    members = _members(kinds)
+    members = places_of(kinds)
     for kind in rng.permutation(len(members)):
         rows = members[kind]
         for fold in np.argsort(filled, kind="stable"):
@@ -137,11 +137,6 @@ def blocks_of(parts: Sequence[Part], n: int) -> Indices:
 def _without(held: Indices, n: int) -> Split:
     rest = np.setdiff1d(np.arange(n), held)
     return Split(rest, rest, held)
-
-
-def _members(kinds: Indices) -> list[Indices]:
-    order = np.argsort(kinds, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1)
 
 
 def _coordinates(study: Study) -> Array:

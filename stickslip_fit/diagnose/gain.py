@@ -115,7 +115,6 @@ def _campaign(searched: Search, found: Sequence[Found], alpha: float) -> Campaig
     own = [places[[each is one for one in _named(searched)].index(True)] for each in found]
     made = [changes(study, each.version, fit.values[None, at]) for each, at in zip(found, own, strict=True)]
     effects, slopes = np.concatenate(made, axis=1) / study.scale[:, None], _slopes(searched)
-    lengths = np.linalg.norm(study.project(effects), axis=0)
     leverage = np.minimum(searched.study.leverage, LARGEST_LEVERAGE)
     return Campaign(
         study.basis,
@@ -123,7 +122,7 @@ def _campaign(searched: Search, found: Sequence[Found], alpha: float) -> Campaig
         searched.study.residual / np.sqrt(1.0 - leverage),
         effects,
         tuple(slopes[:, at] / study.scale[:, None] for at in own),
-        np.array([_threshold(searched, *each, alpha) for each in zip(found, lengths, strict=True)]),
+        np.array([_threshold(searched, each, alpha) for each in found]),
     )
 
 
@@ -144,22 +143,13 @@ def _slopes(searched: Search) -> Array:
     return slopes
 
 
-def _threshold(searched: Search, found: Found, length: float, alpha: float) -> float:
-    """Length of an effect that makes the search find it.
-
-    Flipped signs turn an effect into noise, so that what it has to exceed grows with the square of its
-    length: from what the rest of the log asks for to what was asked of this one.
-    """
+def _threshold(searched: Search, found: Found, alpha: float) -> float:
+    """Length of an effect that makes the search find it."""
     looked = found.misfit
     assert looked is not None
     shapes = max(sum(each.cause == found.cause for each in looked.hypotheses), 1)
-    freedom, level = searched.bench.study().freedom, min(alpha / 2, 1.0)
-    quiet, asked = (
-        threshold_length(one.critical(level), shapes, freedom, STRENGTHS)
-        for one in (searched.last, searched.first)
-    )
-    grown = max(asked**2 - quiet**2, 0.0)
-    return float(quiet * length / np.sqrt(max(length**2 - grown, quiet**2, 1e-12)))
+    critical, freedom = searched.first.critical(min(alpha / 2, 1.0)), searched.bench.study().freedom
+    return threshold_length(critical, shapes, freedom, STRENGTHS)
 
 
 def _between(searched: Search, splits: Sequence[Split], off: Array, limits: Array) -> Gain:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csc_array
 
 Array = npt.NDArray[np.float64]
 
@@ -30,8 +31,8 @@ class Hypothesis:
         The bound cause, or None.
     values : array, shape (q,) or None
         Of the cause's parameters, where it is one shape only.
-    directions : array, shape (n, m)
-        Orthonormal, recalibration taken out.
+    stored : array or sparse array, shape (n, m)
+        Orthonormal, recalibration taken out; sparse where sessions keep to themselves.
     share : array, shape (m,)
         Adds up to 1.
     """
@@ -39,8 +40,13 @@ class Hypothesis:
     cause: str
     version: Any
     values: Array | None
-    directions: Array
+    stored: Array | csc_array
     share: Array
+
+    @property
+    def directions(self) -> Array:
+        """As `stored`, never sparse."""
+        return self.stored if isinstance(self.stored, np.ndarray) else self.stored.toarray()
 
 
 def hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:

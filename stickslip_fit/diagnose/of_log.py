@@ -8,7 +8,7 @@ import numpy as np
 
 from stickslip_fit.causes import Cause, covariates, library
 from stickslip_fit.diagnose.bench import Bench
-from stickslip_fit.diagnose.structures import structures
+from stickslip_fit.diagnose.structures import configuration, structures
 from stickslip_fit.diagnose.study import Part
 from stickslip_fit.fit.groups import usable_rows
 from stickslip_fit.fit.least_squares import least_squares
@@ -49,4 +49,8 @@ def bench_of(log: Log, causes: Iterable[Cause] | None = None) -> tuple[Bench, di
     noise = np.array(repeatability)
     noise = np.where(np.isfinite(noise), noise, np.nanmean(noise) if np.isfinite(noise).any() else 3e-3)
     present = tuple(cause.bound(rows, log.machine) for cause in known if cause.name not in missing)
-    return Bench(rows, tuple(parts), responses, rounding, drive, noise, present, structures), missing
+    bench = Bench(
+        rows, tuple(parts), responses, rounding, drive, noise, present, structures, configuration(rows),
+        np.ones(len(rows)),
+    )  # fmt: skip
+    return bench, missing

@@ -6,59 +6,71 @@ itself. The repeatability is therefore that of the residuals less the likeliest 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.diagnose.evidence import STRENGTHS
-from stickslip_fit.diagnose.memory import Memory
-from stickslip_fit.diagnose.misfit import Misfit
+from stickslip_fit.diagnose.cleared import Cleared
 from stickslip_fit.diagnose.study import Study
+from stickslip_fit.diagnose.unevenness import unevenness
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-CERTAIN = 5.0  # nats by which a structure must be likelier than none to be taken out
 WILD = 10.0  # medians; what is further off is taken for this far
 FEWEST = 8  # degrees of freedom by which a drive is judged by itself
+LARGEST_LEVERAGE = 0.8
 
 
-def cleared(study: Study, looked: Misfit) -> tuple[Array, float]:
-    """The residuals less the likeliest structure in them, shape (n,), and how many directions that took."""
-    best = int(np.argmax(looked.log_evidence))
-    shape = looked.hypotheses[best]
-    if looked.log_evidence[best] < CERTAIN:
-        return study.residual, 0.0
-    if isinstance(shape, Memory):
-        return study.residual - shape.shape(study.residual), 1.0
-    along = shape.directions.T @ study.residual
-    strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
-    kept = strength**2 * shape.share / (1.0 + strength**2 * shape.share)
-    return study.residual - shape.directions @ (kept * along), float(kept.sum())
+@dataclass(frozen=True, eq=False)
+class Repeatability:
+    """Of every row of a log.
+
+    Attributes
+    ----------
+    of_drive : array
+        Standard deviation of each drive's responses in configurations that repeat well, rounding left out.
+    uneven : array, shape (n,)
+        How much worse each row's configuration repeats; 1 for most.
+    """
+
+    of_drive: Array
+    uneven: Array
 
 
-def repeatability(study: Study, residual: Array, taken: float, rounding: Array, drive: Indices) -> Array:
-    """Standard deviation of each drive's responses, rounding left out.
+def repeatability(
+    study: Study, left: Cleared, rounding: Array, drive: Indices, kind: Indices
+) -> Repeatability:
+    """Judge the noise by what is left of the residuals.
 
     Parameters
     ----------
     study : Study
-    residual : array, shape (n,)
-        In units of the study's scale.
-    taken : float
-        Degrees of freedom that cost beside recalibration.
+    left : Cleared
+        Residuals in units of the study's scale, without structure.
     rounding : array, shape (n,)
         Variance that rounding adds.
-    drive : array of int, shape (n,)
+    drive, kind : array of int, shape (n,)
+        Rows of one drive repeat equally well, but for some kinds of rows.
     """
-    off = np.abs(residual)
-    number = int(drive.max()) + 1
-    free = np.bincount(drive, 1.0 - study.leverage - taken / len(study), number)
-    limit = np.array(
-        [np.median(off[drive == each]) if np.any(drive == each) else np.inf for each in range(number)]
-    )
-    squares = (np.minimum(off, WILD * np.maximum(limit[drive], 1e-3)) * study.scale) ** 2
-    pooled = max(float(squares.sum() / max(free.sum(), 1.0) - rounding.mean()), 1e-14)
-    own = np.bincount(drive, squares, number) / np.maximum(free, 1.0) - np.bincount(
-        drive, rounding, number
-    ) / (np.maximum(np.bincount(drive, minlength=number), 1))
-    return np.sqrt(np.where(free >= FEWEST, np.maximum(own, 0.04 * pooled), pooled))
+    off = left.residual * study.scale
+    free = np.maximum(1.0 - study.leverage - left.leverage, 1.0 - LARGEST_LEVERAGE)
+    even = _of_drive(off, free, rounding, drive)
+    scale = np.sqrt(even[drive] ** 2 + rounding)
+    uneven = unevenness(off / scale / np.sqrt(free), kind)
+    if np.all(uneven == 1.0):
+        return Repeatability(even, uneven)
+    return Repeatability(_of_drive(off / uneven, free, rounding / uneven**2, drive), uneven)
+
+
+def _of_drive(off: Array, free: Array, rounding: Array, drive: Indices) -> Array:
+    number, size = int(drive.max()) + 1, np.abs(off)
+    median = np.array([np.median(size[drive == k]) if np.any(drive == k) else np.inf for k in range(number)])
+    squares = np.minimum(size, WILD * np.maximum(median, 1e-7)[drive]) ** 2
+    freedom = np.bincount(drive, free, number)
+    pooled = max(float(squares.sum() / max(freedom.sum(), 1.0) - rounding.mean()), 1e-14)
+    rows = np.maximum(np.bincount(drive, minlength=number), 1)
+    own = np.bincount(drive, squares, number) / np.maximum(freedom, 1.0)
+    own -= np.bincount(drive, rounding, number) / rows
+    return np.sqrt(np.where(freedom >= FEWEST, np.maximum(own, 0.04 * pooled), pooled))

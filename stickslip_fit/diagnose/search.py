@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.candidates import candidates, changes
+from stickslip_fit.diagnose.cleared import Cleared, cleared
 from stickslip_fit.diagnose.hypothesis import Hypothesis
 from stickslip_fit.diagnose.misfires import misfires
 from stickslip_fit.diagnose.misfit import UNKNOWN, Misfit, misfit
 from stickslip_fit.diagnose.naming import Naming, name
 from stickslip_fit.diagnose.refit import Refit
-from stickslip_fit.diagnose.repeatability import cleared, repeatability
 from stickslip_fit.diagnose.study import Study, study_of
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,7 @@ Indices = npt.NDArray[np.intp]
 
 MISFIRE = "end-stop-misfire"
 MOST_CAUSES = 4
+ENOUGH = 50  # flipped logs that look worse than what is left: no second alarm, whatever others say
 OWN_SHARE, MOST_FORMS = 0.003, 8
 # Nats: by how much a cause that may be one of two must be likelier than nothing, and two causes than
 # structure without a name; and how many first ones are tried.
@@ -126,7 +127,7 @@ def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> 
         if following.cause == UNKNOWN:
             break
         bench, fit, study = extended(bench, named)
-        last = look(study, bench, flips, rng, without=[each.cause for each in named])
+        last = look(study, bench, flips, rng, [each.cause for each in named], ENOUGH)
     causes = [each for each in named if each.version is not None]
     if len(causes) > 1:
         again = _reconsidered(bench, causes)
@@ -137,11 +138,16 @@ def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> 
 
 
 def look(
-    study: Study, bench: Bench, flips: int, rng: np.random.Generator, without: Sequence[str] = ()
+    study: Study,
+    bench: Bench,
+    flips: int,
+    rng: np.random.Generator,
+    without: Sequence[str] = (),
+    enough: int | None = None,
 ) -> Misfit:
     """Judge residuals by every cause but some, and by structure that none of them has."""
     causes = [cause for cause in bench.causes if cause.name not in without]
-    return misfit(study, [*candidates(study, causes), *bench.structures(study)], flips, rng)
+    return misfit(study, [*candidates(study, causes), *bench.structures(study)], flips, rng, enough)
 
 
 def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]:
@@ -150,8 +156,7 @@ def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]
     start = np.concatenate([np.zeros(0), *(each.start for each in named if each.version is not None)])
     fit = bench.fitted(versions, start)
     study = _study(bench, fit, named)
-    again = repeatability(study, study.residual, 0.0, bench.rounding, bench.drive)
-    bench = replace(bench, repeatability=again)
+    bench = bench.judged(study, Cleared(study.residual, np.zeros(len(bench))))
     return bench, fit, _study(bench, fit, named)
 
 
@@ -189,13 +194,15 @@ def _reconsidered(bench: Bench, causes: Sequence[Found]) -> list[Found]:
 
 
 def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
-    """The bench with its repeatability estimated anew; its study, and residuals without structure."""
+    """The bench with its repeatability estimated anew; its study, and residuals without structure.
+
+    These are in units of a drive's noise: a wild count must not make its own configuration a noisy one.
+    """
     study = bench.study()
-    quiet = np.random.default_rng(0)
-    residual, taken = cleared(study, look(study, bench, 0, quiet))
-    again = repeatability(study, residual, taken, bench.rounding, bench.drive)
-    settled = replace(bench, repeatability=again)
-    return settled, settled.study(), residual * study.scale / settled.scale
+    looked = look(study, bench, 0, np.random.default_rng(0))
+    left = cleared(study.residual, looked.hypotheses, looked.log_evidence)
+    settled = bench.judged(study, left)
+    return settled, settled.study(), left.residual * study.scale / settled.scale * settled.uneven
 
 
 def _name(looked: Misfit) -> Found:

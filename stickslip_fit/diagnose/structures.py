@@ -14,60 +14,50 @@ import pandas as pd
 from stickslip_fit.diagnose.hypothesis import Hypothesis, hypothesis
 from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.study import Study
+from stickslip_fit.diagnose.within import of_each, sessions
 from stickslip_fit.logs.history import previous
 
 Array = npt.NDArray[np.float64]
 
 WAVES = 6
 MOST_PERIODS = 150
-# Numbers held for a family of structures: beyond, in logs of many sessions, those that each session has by
-# itself are looked for more coarsely, or not at all.
-MOST_NUMBERS = 20_000_000
+MOST_NUMBERS = 20_000_000  # held for the departures of configurations; with more they are not looked for
 FEWEST_PER_PERIOD = 2.5  # traverses
 CARRIED = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
 def structures(study: Study) -> list[Hypothesis | Memory]:
     """Every structure that the rows have the columns for."""
+    every, rows = list(sessions(study).values()), study.rows
+    seconds, session = (
+        rows["session_seconds"].to_numpy(float),
+        pd.factorize(rows["session"].astype(object))[0],
+    )
+    waves = _slow(seconds, session) / study.scale[:, None]
     found: list[Hypothesis | Memory | None] = [
         hypothesis(f"unknown:{name}", None, None, study.project(columns / study.scale[:, None]))
-        for name, columns in _shapes(study.rows)
+        for name, columns in (*_by_configuration(rows), *_harmonics(rows))
     ]
-    return [each for each in found if each is not None] + list(_memories(study.rows))
-
-
-def _shapes(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
-    session = pd.factorize(rows["session"].astype(object))[0]
-    seconds = rows["session_seconds"].to_numpy(float)
-    own = np.eye(session.max() + 1)[session]
-    yield from _slow(rows, seconds, session, own)
-    yield from _by_configuration(rows)
-    yield from _harmonics(rows)
-    order = rows.groupby(session).cumcount().to_numpy(float)
-    most = min(MOST_PERIODS, MOST_NUMBERS // (6 * own.size))
-    minutes = "period of {:.1f} min"
-    for name, clock, unit in ((minutes, seconds, 60.0), ("period of {:.1f} traverses", order, 1.0)):
-        for period in _periods(clock, most):
-            angle = 2 * np.pi * clock / period
-            pair = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-            yield name.format(period / unit), (pair[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
-
-
-def _slow(
-    rows: pd.DataFrame, seconds: Array, session: npt.NDArray[np.intp], own: Array
-) -> Iterator[tuple[str, Array]]:
-    """Smooth in time, in each session by itself or alike in all, for all joints or one."""
-    last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
-    phase = seconds / np.maximum(last, 1.0)
-    waves = np.stack([np.cos(np.pi * k * phase) / k for k in range(1, WAVES + 1)], axis=-1)
-    yield "time, the same in each session", waves
-    if WAVES * own.size * (1 + rows["joint"].nunique()) > MOST_NUMBERS:
-        return
-    each = (waves[:, :, None] * own[:, None, :]).reshape(len(rows), -1)
-    yield "time", each
+    found.append(hypothesis("unknown:time, the same in each session", None, None, study.project(waves)))
+    found += of_each(["unknown:time"], len(rows), every, waves[:, None])
     for joint in rows["joint"].unique():
         mine = (rows["joint"] == joint).to_numpy()[:, None]
-        yield f"time, joint {joint}", each * mine
+        found += of_each([f"unknown:time, joint {joint}"], len(rows), every, (waves * mine)[:, None])
+    order = rows.groupby(session).cumcount().to_numpy(float)
+    for clock, unit, called in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
+        periods = _periods(clock)
+        angles = 2 * np.pi * clock[:, None] / periods
+        pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / study.scale[:, None, None]
+        names = [f"unknown:period of {period / unit:.1f} {called}" for period in periods]
+        found += of_each(names, len(rows), every, pairs)
+    return [each for each in found if each is not None] + list(_memories(rows))
+
+
+def _slow(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
+    """Smooth in time, from each session's beginning to its end, shape (n, waves)."""
+    last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
+    phase = seconds / np.maximum(last, 1.0)
+    return np.stack([np.cos(np.pi * k * phase) / k for k in range(1, WAVES + 1)], axis=-1)
 
 
 def _by_configuration(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
@@ -91,7 +81,7 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def _periods(clock: Array, most: int) -> Array:
+def _periods(clock: Array) -> Array:
     """Periods that a session is long enough for and its traverses dense enough, evenly in frequency."""
     longest, step = (
         float(clock.max()),
@@ -100,7 +90,7 @@ def _periods(clock: Array, most: int) -> Array:
     if step <= 0 or longest < 4 * FEWEST_PER_PERIOD * step:
         return np.zeros(0)
     slowest, fastest = 2.0 / longest, 1.0 / (FEWEST_PER_PERIOD * step)
-    number = min(most, int(np.ceil(2.0 * longest * (fastest - slowest))))
+    number = min(MOST_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
     return np.asarray(1.0 / np.linspace(slowest, fastest, number))
 
 

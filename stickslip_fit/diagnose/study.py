@@ -54,7 +54,9 @@ class Study:
     residual : array, shape (n,)
         In units of `scale`, with all that recalibration would absorb taken out.
     basis : sparse array, shape (n, number of parameters)
-        Orthonormal columns: what recalibration can do, block by block.
+        Orthonormal columns: what recalibration can do, block by block, then what all blocks do together.
+    blocks : tuple of (array of int, shape (m,), array, shape (m, p))
+        Rows of each block and its columns of `basis` there.
     """
 
     rows: pd.DataFrame
@@ -62,15 +64,22 @@ class Study:
     scale: Array
     residual: Array
     basis: csr_array
+    blocks: tuple[tuple[Indices, Array], ...]
 
     def __len__(self) -> int:
         return len(self.residual)
 
     @cached_property
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Columns of the rows, as arrays: what is asked for again and again."""
+        return {str(name): self.rows[name].to_numpy() for name in self.rows}
+
+    @cached_property
     def tables(self) -> tuple[dict[str, npt.NDArray[Any]], ...]:
-        """Columns of each part's rows, as arrays: what is asked for again and again."""
-        columns = {str(name): self.rows[name].to_numpy() for name in self.rows}
-        return tuple({name: values[part.rows] for name, values in columns.items()} for part in self.parts)
+        """As `columns`, of each part's rows."""
+        return tuple(
+            {name: values[part.rows] for name, values in self.columns.items()} for part in self.parts
+        )
 
     @property
     def freedom(self) -> int:
@@ -85,6 +94,11 @@ class Study:
     def project(self, columns: Array) -> Array:
         """Take out of each column what recalibration would absorb, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._across @ columns)
+
+    @cached_property
+    def together(self) -> Array:
+        """The columns of `basis` that all blocks share, shape (n, k)."""
+        return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
 
     @cached_property
     def _across(self) -> csr_array:
@@ -124,22 +138,25 @@ def study_of(
         weighed = slopes / scale[part.rows, None]
         together[part.rows] = weighed[:, slopes.shape[1] - shared :]
         blocks += [
-            (
-                part.rows[part.block == each],
-                _orthonormal(weighed[part.block == each, : slopes.shape[1] - shared]),
-            )
-            for each in np.unique(part.block)
+            (part.rows[mine], _orthonormal(weighed[mine, : slopes.shape[1] - shared]))
+            for mine in places_of(part.block)
         ]
     basis = _side_by_side(n, blocks)
     further = together if absorbed is None else np.concatenate([together, absorbed], axis=1)
     if further.shape[1]:
         border = _orthonormal(further - basis @ (basis.T @ further))
         basis = csr_array(hstack([basis, csr_array(border)]))
-    study = Study(rows, tuple(parts), scale, residual, basis)
+    study = Study(rows, tuple(parts), scale, residual, basis, tuple(blocks))
     return replace(study, residual=study.project(residual))
 
 
-def _side_by_side(n: int, blocks: list[tuple[Indices, Array]]) -> csr_array:
+def places_of(kinds: npt.NDArray[np.integer[Any]]) -> list[Indices]:
+    """Where each kind stands, kinds in ascending order."""
+    order = np.argsort(kinds, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1) if len(order) else []
+
+
+def _side_by_side(n: int, blocks: Sequence[tuple[Indices, Array]]) -> csr_array:
     width, places, columns, numbers = 0, [], [], []
     for mine, q in blocks:
         places.append(np.repeat(mine, q.shape[1]))
