@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -84,10 +84,39 @@ def decide(
     """
     began = time.perf_counter()
     progress("fitting the published law", 0.0)
-    given, missing = bench_of(log, causes)
+    decided = judge(*bench_of(log, causes), alpha=alpha, seed=seed, progress=progress)
+    return replace(
+        decided,
+        seconds=time.perf_counter() - began,
+        log_file=log.sources[0][0] if log.sources else "",
+        log_sha256=log.sha256,
+    )
+
+
+def judge(
+    given: Bench, missing: Mapping[str, str], *, alpha: float, seed: int = 0, progress: Progress = silent
+) -> Diagnosis:
+    """Find out what is wrong with the laws on a bench, whatever they describe.
+
+    Parameters
+    ----------
+    given : Bench
+    missing : mapping of str to str
+        Causes of which there is nothing to see, and why.
+    alpha : float
+        False-alarm rate.
+    seed : int, optional
+    progress : callable, optional
+
+    Returns
+    -------
+    Diagnosis
+        Of no file.
+    """
+    began = time.perf_counter()
     study = given.study()
     why = too_small(study)
-    unable = missing | (_all_of(given, why) if why else untestable(given, study))
+    unable = {**missing, **(_all_of(given, why) if why else untestable(given, study))}
     bench = replace(given, causes=tuple(each for each in given.causes if each.name not in unable))
     progress("searching for causes", 0.05)
     rng = np.random.default_rng(seed)
@@ -107,8 +136,8 @@ def decide(
         alpha=alpha,
         seed=seed,
         seconds=time.perf_counter() - began,
-        log_file=log.sources[0][0] if log.sources else "",
-        log_sha256=log.sha256,
+        log_file="",
+        log_sha256="",
         search=searched,
         alike=alike(searched.first),
     )

@@ -20,6 +20,7 @@ Indices = npt.NDArray[np.intp]
 
 WILD = 10.0  # medians; what is further off is taken for this far
 FEWEST = 8  # degrees of freedom by which a drive is judged by itself
+FEWEST_ALIKE = 3  # rows whose mean is taken out
 LARGEST_LEVERAGE = 0.8
 
 
@@ -58,10 +59,19 @@ def repeatability(
     free = np.maximum(1.0 - study.leverage - left.leverage, 1.0 - LARGEST_LEVERAGE)
     even = _of_drive(off, free, rounding, drive)
     scale = np.sqrt(even[drive] ** 2 + rounding)
-    uneven = unevenness(off / scale / np.sqrt(free), kind)
+    uneven = unevenness(_within_cells(off / scale / np.sqrt(free), kind * (drive.max() + 1) + drive), kind)
     if np.all(uneven == 1.0):
         return Repeatability(even, uneven)
     return Repeatability(_of_drive(off / uneven, free, rounding / uneven**2, drive), uneven)
+
+
+def _within_cells(off: Array, cell: Indices) -> Array:
+    """Departures from the mean of rows that ought to be alike: what else is wrong must not pass for noise."""
+    rows = np.bincount(cell)[cell]
+    apart = (off - (np.bincount(cell, off) / np.maximum(np.bincount(cell), 1))[cell]) * np.sqrt(
+        rows / np.maximum(rows - 1, 1)
+    )
+    return np.where(rows >= FEWEST_ALIKE, apart, off)
 
 
 def _of_drive(off: Array, free: Array, rounding: Array, drive: Indices) -> Array:

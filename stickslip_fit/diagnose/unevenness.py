@@ -21,7 +21,7 @@ TAILS = (5.0, 200.0)  # degrees of freedom that noise may have
 UNITS = 0.55 * 2 ** (np.arange(9) / 4)  # sizes of the quiet or noisy noise, in that of all
 TIMES = (2, 3, 4)  # places in UNITS between quiet and noisy: 1.4 to 2 times
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5)  # of the configurations that are noisy
-CERTAIN = 2.5  # nats by which that must be likelier than even noise
+CERTAIN = 3.0  # nats by which that must be likelier than even noise
 
 
 def unevenness(off: Array, kind: Indices) -> Array:
@@ -40,8 +40,8 @@ def unevenness(off: Array, kind: Indices) -> Array:
     >>> kind = np.repeat(np.arange(40), 15)
     >>> noise = np.where(kind < 12, 2.0, 1.0)
     >>> found = unevenness(noise * rng.standard_normal(600), kind)
-    >>> np.round(np.corrcoef(found, noise)[0, 1], 2) > 0.95
-    np.True_
+    >>> bool(np.corrcoef(found, noise)[0, 1] > 0.9)
+    True
     >>> np.unique(unevenness(rng.standard_normal(600), kind))
     array([1.])
     """
