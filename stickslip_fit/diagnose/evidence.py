@@ -27,7 +27,6 @@ Array = npt.NDArray[np.float64]
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])
 
 
-SPARSE = 0.1  # share of numbers that are not 0; above, arithmetic is faster with all of them
 AT_MOST = 600.0  # nats; where likelihoods are summed, none is larger than e to this
 
 
@@ -102,7 +101,7 @@ def stack(hypotheses: Sequence[Hypothesis | Memory], freedom: int) -> Stack:
     n = (*dense, *sparse)[0].stored.shape[0]
     sizes = [len(each.share) for each in (*dense, *sparse)]
     return Stack(
-        np.concatenate([np.zeros((n, 0)), *(each.directions for each in dense)], axis=1),
+        np.concatenate([np.zeros((n, 0)), *(each.stored for each in dense)], axis=1),
         csr_array(hstack([csc_array((n, 0)), *(each.stored for each in sparse)], format="csc").T),
         np.concatenate([each.share for each in (*dense, *sparse)]),
         np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp),
@@ -113,8 +112,7 @@ def stack(hypotheses: Sequence[Hypothesis | Memory], freedom: int) -> Stack:
 
 
 def _group(hypothesis: Hypothesis | Memory) -> int:
-    """0 for directions that had better be dense, 1 for sparse ones, 2 for memories."""
+    """0 for dense directions, 1 for sparse ones, 2 for memories."""
     if isinstance(hypothesis, Memory):
         return 2
-    stored = hypothesis.stored
-    return int(not isinstance(stored, np.ndarray) and stored.nnz < SPARSE * stored.shape[0] * stored.shape[1])
+    return int(not isinstance(hypothesis.stored, np.ndarray))

@@ -29,6 +29,7 @@ Array = npt.NDArray[np.float64]
 
 UNKNOWN = "unknown"
 LARGEST_LEVERAGE = 0.8
+CONCENTRATED = 0.15  # share of an effect in one traverse, above which it may as well be a wild count
 AT_A_TIME, NUMBERS = 500, 25_000_000  # flipped logs, and residuals in them
 
 
@@ -113,7 +114,10 @@ def misfit(
 def _noise(study: Study, left: Cleared) -> Array:
     """Residuals as they were before recalibration, and what else was taken out, made them smaller."""
     recalibrated = np.sqrt(1.0 - np.minimum(study.leverage, LARGEST_LEVERAGE))
-    return left.residual / (1.0 - np.minimum(left.leverage, LARGEST_LEVERAGE)) / recalibrated
+    if left.leverage.max() > CONCENTRATED:
+        # A few wild counts may look like an effect on those traverses alone; so they stay.
+        return study.residual / recalibrated
+    return left.residual / (1.0 - left.leverage) / recalibrated
 
 
 def _weights(hypotheses: Sequence[Hypothesis | Memory], kinds: Sequence[str]) -> Array:

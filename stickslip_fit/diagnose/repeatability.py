@@ -20,7 +20,7 @@ Indices = npt.NDArray[np.intp]
 
 WILD = 10.0  # medians; what is further off is taken for this far
 FEWEST = 8  # degrees of freedom by which a drive is judged by itself
-FEWEST_ALIKE = 3  # rows whose mean is taken out
+FEWEST_ALIKE, FAR = 3, 3.0  # rows whose mean is taken out; departures that count as this far in it
 LARGEST_LEVERAGE = 0.8
 
 
@@ -67,11 +67,10 @@ def repeatability(
 
 def _within_cells(off: Array, cell: Indices) -> Array:
     """Departures from the mean of rows that ought to be alike: what else is wrong must not pass for noise."""
-    rows = np.bincount(cell)[cell]
-    apart = (off - (np.bincount(cell, off) / np.maximum(np.bincount(cell), 1))[cell]) * np.sqrt(
-        rows / np.maximum(rows - 1, 1)
-    )
-    return np.where(rows >= FEWEST_ALIKE, apart, off)
+    rows = np.bincount(cell)
+    mean = np.bincount(cell, np.clip(off, -FAR, FAR)) / np.maximum(rows, 1)
+    apart = (off - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
+    return np.where(rows[cell] >= FEWEST_ALIKE, apart, off)
 
 
 def _of_drive(off: Array, free: Array, rounding: Array, drive: Indices) -> Array:

@@ -194,15 +194,12 @@ def _reconsidered(bench: Bench, causes: Sequence[Found]) -> list[Found]:
 
 
 def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
-    """The bench with its repeatability estimated anew; its study, and residuals without structure.
-
-    These are in units of a drive's noise: a wild count must not make its own configuration a noisy one.
-    """
+    """The bench with its repeatability estimated anew; its study, and residuals without structure."""
     study = bench.study()
     looked = look(study, bench, 0, np.random.default_rng(0))
     left = cleared(study.residual, looked.hypotheses, looked.log_evidence)
     settled = bench.judged(study, left)
-    return settled, settled.study(), left.residual * study.scale / settled.scale * settled.uneven
+    return settled, settled.study(), left.residual * study.scale / settled.scale
 
 
 def _name(looked: Misfit) -> Found:

@@ -8,6 +8,7 @@ import numpy as np
 
 from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.candidates import effects
+from stickslip_fit.diagnose.hypothesis import NOTHING
 from stickslip_fit.diagnose.search import MISFIRE
 from stickslip_fit.diagnose.study import Study
 
@@ -19,7 +20,7 @@ def untestable(bench: Bench, study: Study) -> dict[str, str]:
     found = {}
     for cause in bench.causes:
         strength = largest_strength(cause, study)
-        if strength == 0.0:
+        if strength < NOTHING:
             found[cause.name] = "this log's traverses show nothing of it, once each session is recalibrated"
         elif strength < ENOUGH:
             found[cause.name] = (

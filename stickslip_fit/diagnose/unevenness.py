@@ -3,7 +3,7 @@
 Some configurations may repeat up to twice as badly as others, and nobody says which. Each is taken for one
 of the quiet or of the noisy ones, by the likelihood of its residuals under either; how many are noisy, and
 how much, is what makes the whole log likeliest (H. Robbins, Proc. Third Berkeley Symp. 1:157, 1956, on priors
-that the data themselves give). Tails may be heavy, lest one wild count make its configuration noisy.
+that the data themselves give).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ TAILS = (5.0, 200.0)  # degrees of freedom that noise may have
 UNITS = 0.55 * 2 ** (np.arange(9) / 4)  # sizes of the quiet or noisy noise, in that of all
 TIMES = (2, 3, 4)  # places in UNITS between quiet and noisy: 1.4 to 2 times
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5)  # of the configurations that are noisy
+WILD_SHARE, WILD_SIZE = 0.01, 5.0  # of rows that are off by anything: one does not make a configuration noisy
 CERTAIN = 3.0  # nats by which that must be likelier than even noise
 
 
@@ -62,4 +63,6 @@ def unevenness(off: Array, kind: Indices) -> Array:
 def _fit(off: Array, unit: float, freedom: float, kind: Indices) -> Array:
     """Log likelihood of each configuration's residuals under noise of a size."""
     scale = unit * np.sqrt((freedom - 2.0) / freedom)  # makes `unit` the standard deviation
-    return np.bincount(kind, student_t.logpdf(off / scale, freedom) - np.log(scale))
+    noise = student_t.logpdf(off / scale, freedom) - np.log(scale)
+    wild = student_t.logpdf(off / WILD_SIZE, 1.0) - np.log(WILD_SIZE)
+    return np.bincount(kind, np.logaddexp(np.log1p(-WILD_SHARE) + noise, np.log(WILD_SHARE) + wild))

@@ -22,6 +22,8 @@ from stickslip_fit.diagnose.study import Part, Study, places_of
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
+SPARSE = 0.1  # share of numbers that are not 0; above, arithmetic is faster with all of them
+
 
 @dataclass(frozen=True, eq=False)
 class Session:
@@ -89,15 +91,19 @@ def of_one(
 ) -> list[Hypothesis]:
     """A hypothesis of each column, shape (s, m): effects in units of the noise, recalibration taken out."""
     squares = np.sum(effects**2, axis=0) - np.sum((session.together.T @ effects) ** 2, axis=0)
-    lengths = np.sqrt(np.maximum(squares, 0.0))
-    return [
-        Hypothesis(
-            cause, version, each,
-            csc_array((effect / length, session.rows, [0, len(effect)]), shape=(n, 1)), np.ones(1),
-        )
-        for each, effect, length in zip(values, effects.T, lengths, strict=True)
-        if length >= NOTHING
-    ]  # fmt: skip
+    lengths = np.sqrt(np.maximum(squares, NOTHING**2))
+    directions = effects / lengths
+    if few := len(session) > SPARSE * n:
+        everywhere = np.zeros((n, effects.shape[1]))
+        everywhere[session.rows] = directions
+
+    def stored(k: int) -> Array | csc_array:
+        if few:
+            return everywhere[:, k : k + 1]
+        return csc_array((directions[:, k], session.rows, [0, len(session)]), shape=(n, 1))
+
+    shown = np.flatnonzero(lengths > NOTHING)
+    return [Hypothesis(cause, version, values[k], stored(int(k)), np.ones(1)) for k in shown]
 
 
 def of_each(names: Sequence[str], n: int, every: Sequence[Session], effects: Array) -> list[Hypothesis]:
@@ -135,5 +141,8 @@ def of_each(names: Sequence[str], n: int, every: Sequence[Session], effects: Arr
         columns = csc_array((filled, np.tile(order, width), [*starts, n * width]), shape=(n, len(starts)))
         kept = variance > NEGLIGIBLE * total
         columns = columns if kept.all() else csc_array(columns[:, np.flatnonzero(kept)])
-        found.append(Hypothesis(name, None, None, columns, variance[kept] / total))
+        few = columns.nnz > SPARSE * n * columns.shape[1]
+        found.append(
+            Hypothesis(name, None, None, columns.toarray() if few else columns, variance[kept] / total)
+        )
     return found
