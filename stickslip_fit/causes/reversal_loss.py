@@ -30,10 +30,7 @@ class ReversalLoss(CountCause):
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         turned = reversed_before(rows["before_direction"], rows["direction"])
-        first = (rows["before_direction"] == "").to_numpy()
-        if not turned.any():
-            return "no traverse follows one in the other direction"
-        return "every traverse follows one in the other direction" if (turned | first).all() else None
+        return None if turned.any() else "no traverse follows one in the other direction"
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
