@@ -14,7 +14,7 @@ from stickslip_fit.diagnose.cleared import Cleared
 from stickslip_fit.diagnose.hypothesis import Hypothesis
 from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.refit import Refit, refit
-from stickslip_fit.diagnose.repeatability import repeatability
+from stickslip_fit.diagnose.repeatability import Repeatability, repeatability
 from stickslip_fit.diagnose.study import Part, Study, study_of
 
 Array = npt.NDArray[np.float64]
@@ -69,10 +69,13 @@ class Bench:
         """The rows under the baseline."""
         return study_of(self.rows, self.parts, self.responses, self.scale)
 
-    def judged(self, study: Study, left: Cleared) -> Bench:
-        """With the repeatability that shows in what is left of a study's residuals."""
-        found = repeatability(study, left, self.rounding, self.drive, self.kind)
-        return replace(self, repeatability=found.of_drive, uneven=found.uneven)
+    def noise_in(self, study: Study, left: Cleared) -> Repeatability:
+        """The repeatability that shows in what is left of a study's residuals."""
+        return repeatability(study, left, self.rounding, self.drive, self.kind)
+
+    def repeating(self, noise: Repeatability) -> Bench:
+        """With another repeatability."""
+        return replace(self, repeatability=noise.of_drive, uneven=noise.uneven.likely)
 
     def fitted(self, versions: Sequence[Any] = (), start: Array | None = None) -> Refit:
         """The baseline with some causes in it, fitted anew."""

@@ -54,28 +54,46 @@ def misfires(study: Study, residual: Array, drive: Indices, draws: int, rng: np.
     draws : int
     rng : Generator
     """
-    leverage = np.minimum(study.leverage, LARGEST_LEVERAGE)
-    off = _by_median(np.abs(residual)[None] / np.sqrt(1.0 - leverage), drive)
-    ratio, odds, by_tail = _likelihood_ratio(off)
+    judge = _Judge(study, drive)
+    ratio, odds, by_tail = _likelihood_ratio(judge.off(residual[:, None]))
     if ratio[0] < HARDLY:
         return Misfires(np.zeros(0, dtype=np.intp), 1.0)
-    rows = np.flatnonzero(odds[0] > 1.0)
+    rows = judge.known[odds[0] > 1.0]
     if not len(rows):
         return Misfires(rows, 1.0)
     allowed = [freedom for freedom, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - UNLIKELY]
-    by_chance = [_chance(float(ratio[0]), freedom, drive, draws, rng) for freedom in allowed]
+    by_chance = [judge.chance(float(ratio[0]), freedom, draws, rng) for freedom in allowed]
     return Misfires(rows, min(1.0, max(by_chance) + (WRONGLY if len(allowed) < len(TAILS) else 0.0)))
 
 
-def _chance(ratio: float, freedom: float, drive: Indices, draws: int, rng: np.random.Generator) -> float:
-    """How often logs of noise alone, with a tail, reach a likelihood ratio."""
-    higher = made = 0
-    while made < draws and higher < ENOUGH:
-        size = min(AT_A_TIME, draws - made)
-        null = np.abs(student_t.rvs(freedom, size=(size, len(drive)), random_state=rng))
-        higher += int(np.sum(_likelihood_ratio(_by_median(null, drive))[0] >= ratio))
-        made += size
-    return (1 + higher) / (1 + made)
+class _Judge:
+    """Of rows that recalibration does not take up, by their departures in units of their drive's median.
+
+    Parameters
+    ----------
+    study : Study
+    drive : array of int, shape (n,)
+    """
+
+    def __init__(self, study: Study, drive: Indices) -> None:
+        self.study = study
+        self.known = np.flatnonzero(study.leverage < LARGEST_LEVERAGE)
+        self.drive = drive[self.known]
+
+    def off(self, residuals: Array) -> Array:
+        """Departures, shape (n, k) -> (k, known)."""
+        kept = np.sqrt(1.0 - self.study.leverage[self.known])
+        return _by_median(np.abs(residuals[self.known]).T / kept, self.drive)
+
+    def chance(self, ratio: float, freedom: float, draws: int, rng: np.random.Generator) -> float:
+        """How often logs of noise alone, with a tail, reach a likelihood ratio once recalibrated."""
+        higher = made = 0
+        while made < draws and higher < ENOUGH:
+            size = min(AT_A_TIME, draws - made)
+            noise = student_t.rvs(freedom, size=(len(self.study), size), random_state=rng)
+            higher += int(np.sum(_likelihood_ratio(self.off(self.study.project(noise)))[0] >= ratio))
+            made += size
+        return (1 + higher) / (1 + made)
 
 
 def _by_median(off: Array, drive: Indices) -> Array:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from stickslip_fit.diagnose.cleared import Cleared
 from stickslip_fit.diagnose.study import Study
-from stickslip_fit.diagnose.unevenness import unevenness
+from stickslip_fit.diagnose.unevenness import Unevenness, unevenness
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -32,12 +32,12 @@ class Repeatability:
     ----------
     of_drive : array
         Standard deviation of each drive's responses in configurations that repeat well, rounding left out.
-    uneven : array, shape (n,)
-        How much worse each row's configuration repeats; 1 for most.
+    uneven : Unevenness
+        How much worse each row's configuration repeats.
     """
 
     of_drive: Array
-    uneven: Array
+    uneven: Unevenness
 
 
 def repeatability(
@@ -60,9 +60,8 @@ def repeatability(
     even = _of_drive(off, free, rounding, drive)
     scale = np.sqrt(even[drive] ** 2 + rounding)
     uneven = unevenness(_within_cells(off / scale / np.sqrt(free), kind * (drive.max() + 1) + drive), kind)
-    if np.all(uneven == 1.0):
-        return Repeatability(even, uneven)
-    return Repeatability(_of_drive(off / uneven, free, rounding / uneven**2, drive), uneven)
+    times = uneven.likely
+    return Repeatability(_of_drive(off / times, free, rounding / times**2, drive), uneven)
 
 
 def _within_cells(off: Array, cell: Indices) -> Array:

@@ -156,7 +156,7 @@ def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]
     start = np.concatenate([np.zeros(0), *(each.start for each in named if each.version is not None)])
     fit = bench.fitted(versions, start)
     study = _study(bench, fit, named)
-    bench = bench.judged(study, Cleared(study.residual, np.zeros(len(bench))))
+    bench = bench.repeating(bench.noise_in(study, Cleared(study.residual, np.zeros(len(bench)))))
     return bench, fit, _study(bench, fit, named)
 
 
@@ -194,12 +194,17 @@ def _reconsidered(bench: Bench, causes: Sequence[Found]) -> list[Found]:
 
 
 def _settled(bench: Bench) -> tuple[Bench, Study, Array]:
-    """The bench with its repeatability estimated anew; its study, and residuals without structure."""
+    """The bench with its repeatability estimated anew; its study, and residuals without structure.
+
+    These are in units of the largest noise that their configuration may have.
+    """
     study = bench.study()
     looked = look(study, bench, 0, np.random.default_rng(0))
     left = cleared(study.residual, looked.hypotheses, looked.log_evidence)
-    settled = bench.judged(study, left)
-    return settled, settled.study(), left.residual * study.scale / settled.scale
+    noise = bench.noise_in(study, left)
+    settled = bench.repeating(noise)
+    cautious = noise.uneven.at_most / settled.uneven
+    return settled, settled.study(), left.residual * study.scale / settled.scale / cautious
 
 
 def _name(looked: Misfit) -> Found:
