@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from stickslip_fit.fit import Result
     from stickslip_fit.fit.bayes import Posterior
     from stickslip_fit.logs import Log
+    from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
     from stickslip_fit.moves import Calibrated, Drive
     from stickslip_fit.simulate import LawValues
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     Array = npt.NDArray[np.float64]
 
 _DRIVE = re.compile(r"([123])([+-])([1-9]\d{0,11})")
-_BOUND = re.compile(r"(\w+)=([^:]*):([^:]*)")
+_BOUND = re.compile(r"([^=]+)=([^:]*):([^:]*)")
 _REPEATABILITY = re.compile(r"(?:([123])([+-])=)?(\d{1,6}(?:\.\d{1,12})?|\.\d{1,12})")
 
 
@@ -69,8 +70,8 @@ def fitted_of(paths: list[Path], machine: Path | None) -> tuple[Result | Posteri
     return result, result
 
 
-def law_values_of(path: Path, machine: Machine) -> LawValues:
-    """What is to be true in a simulation: a law file, or a saved result.
+def law_values_of(path: Path, machine: Machine, plan: Plan) -> LawValues:
+    """What is to be true in a simulated plan: a law file, or a saved result.
 
     Sessions that a saved result does not know get the parameters of its latest.
 
@@ -92,23 +93,46 @@ def law_values_of(path: Path, machine: Machine) -> LawValues:
             )
         )
     values: dict[tuple[int, str, str | None], Array] = {}
+    planned = {session.label for session in plan.sessions}
     for joint, fit in result.joints.items():
         for (session, direction), known, row in zip(
             fit.groups[["session", "direction"]].itertuples(index=False), fit.known, fit.values, strict=True
         ):
             if known.all():
-                values[joint, direction, session] = values[joint, direction, None] = row
+                values[joint, direction, None] = row
+                if session in planned:
+                    values[joint, direction, session] = row
     return LawValues({joint: fit.law for joint, fit in result.joints.items()}, values)
 
 
 def arm_of(
-    paths: list[Path], machine: Path | None, session: str | None, theta: float, psi: float
+    paths: list[Path],
+    machine: Path | None,
+    session: str | None,
+    theta: float,
+    psi: float,
+    conditions: list[str] | None,
 ) -> Calibrated:
     """One session's calibration with the base turned by `theta` and `psi`, degrees."""
     from stickslip_fit.moves import calibrated
+    from stickslip_fit.moves.conditions import conditions_from, refuse_lacking
     from stickslip_fit.units import to_si
 
-    return calibrated(result_of(paths, machine), session, to_si(theta, "deg"), to_si(psi, "deg"))
+    result = result_of(paths, machine)
+    known = conditions_from(conditions or (), result, "--condition")
+    refuse_lacking(result, known, "--condition")
+    return calibrated(result, session, to_si(theta, "deg"), to_si(psi, "deg"), known)
+
+
+def plan_conditions_of(conditions: list[str] | None, result: Result) -> dict[str, float]:
+    """What the laws of a result look at, where the traverses of a plan do not say it themselves."""
+    from stickslip_fit.moves.conditions import conditions_from, refuse_lacking
+
+    known = conditions_from(conditions or (), result, "--condition")
+    for name in {"session_seconds", "step_period"} & known.keys():
+        raise InputError(Problem("a plan says that itself: leave it out", column="--condition", value=name))
+    refuse_lacking(result, {**known, "session_seconds": math.nan}, "--condition")
+    return known
 
 
 def positions(text: str, option: str) -> Array:
@@ -155,14 +179,16 @@ def drive_of(text: str, option: str) -> Drive:
 
 def bound_of(text: str, option: str) -> tuple[str, tuple[float, float]]:
     """Bounds such as "c=0:" or "b=0.2:0.4": a parameter's name, lowest and highest value in its unit."""
+    from stickslip_fit.causes import ExtendedLaw, library
     from stickslip_fit.laws import Base, Elbow, Prismatic
     from stickslip_fit.units import to_si
 
     laws = (Base, Elbow, Prismatic)
-    units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
+    own = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
+    units = own | {each.name: each.unit for each in ExtendedLaw(Prismatic(), library()).common}
     match = _BOUND.fullmatch(text.strip())
     if match is None or match[1] not in units or not (match[2] or match[3]):
-        names = ", ".join(units)
+        names = ", ".join([*own, "CAUSE.PARAMETER"])
         raise InputError(
             Problem(f"give NAME=LOW:HIGH, e.g. b=0.2:0.4 or c=0:; names: {names}", column=option, value=text)
         )

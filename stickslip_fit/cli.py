@@ -20,18 +20,22 @@ from stickslip_fit.arguments import (
     joint_order,
     law_values_of,
     log_of,
+    plan_conditions_of,
     positions,
     reference_campaign,
     reference_law,
     tip_position,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimating import Estimator, Outputs, estimate, refuse, save
+from stickslip_fit.estimating import Estimator, Outputs, causes_of, estimate, refuse, save
 from stickslip_fit.files import check_folder
 from stickslip_fit.options import (
     At,
     Calibration,
+    CauseNames,
+    CausesFrom,
     Chart,
+    Condition,
     Json,
     LogPath,
     MachinePath,
@@ -45,7 +49,11 @@ from stickslip_fit.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from stickslip_fit.causes import Cause
     from stickslip_fit.diagnose import Diagnosis
+    from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
 
 app = typer.Typer(
@@ -70,11 +78,13 @@ def calibrate(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    causes_from: CausesFrom = None,
     json: Json = None,
     chart: Chart = None,
 ) -> None:
     """Calibrate each session from its first few traverses."""
-    _fit(log, machine, since, until, Estimator(Method.closed_form), Outputs(json, chart))
+    how = Estimator(Method.closed_form, causes_from=causes_from)
+    _fit(log, machine, since, until, how, Outputs(json, chart))
 
 
 @app.command()
@@ -86,6 +96,8 @@ def fit(
     until: Until = None,
     json: Json = None,
     chart: Chart = None,
+    cause: CauseNames = None,
+    causes_from: CausesFrom = None,
     heavy_tails: Annotated[
         bool,
         typer.Option("--heavy-tails", help="Least squares: Student's t, so that misheard stops pull little."),
@@ -118,7 +130,7 @@ def fit(
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
-    how = Estimator(method, heavy_tails, profile, *terms, seed, walks)
+    how = Estimator(method, heavy_tails, profile, *terms, seed, walks, tuple(cause or ()), causes_from)
     _fit(log, machine, since, until, how, Outputs(json, chart, tree))
 
 
@@ -130,6 +142,7 @@ def predict(
         Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse.")
     ] = None,
     session: Session = None,
+    condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
     """Say what counts the traverses of a plan will give, with 95 % intervals."""
@@ -142,8 +155,10 @@ def predict(
         check_folder(output)
     fitted, result = fitted_of(calibration, machine)
     planned = read_plan(plan, result.machine)
-    predicted = predict_plan(fitted, planned, session)
+    conditions = plan_conditions_of(condition, result)
+    predicted = predict_plan(fitted, planned, session, conditions)
     print(predictions_text(result, planned, predicted))
+    _tell_of(result, conditions)
     if output is not None:
         write_atomically(output, predictions_csv(planned, predicted))
         print(f"\nall {len(predicted):,} written to {output}")
@@ -192,6 +207,10 @@ def diagnose(
     report: Annotated[
         Path | None, typer.Option("--report", help="Also show it as one HTML page here, with figures.")
     ] = None,
+    save_law: Annotated[
+        Path | None,
+        typer.Option("--save-law", help="Also fit the law with what was named in it, and save that here."),
+    ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the logs in which nothing is wrong.")] = 0,
     machine: MachinePath = None,
@@ -201,11 +220,14 @@ def diagnose(
     """Say what the laws get wrong in a log, why, and what knowing it gains."""
     from stickslip_fit import diagnosing
 
-    diagnosing.refuse(json, report)
-    found = diagnosing.diagnosed(log_of(log, machine, since, until), alpha, seed)
+    diagnosing.refuse(json, report, save_law)
+    campaign = log_of(log, machine, since, until)
+    found = diagnosing.diagnosed(campaign, alpha, seed)
     print(found)
     if saved := diagnosing.save(found, json, report):
         print("\n" + "\n".join(saved))
+    if save_law is not None:
+        print("\n" + diagnosing.save_law(diagnosing.law_found(campaign, found), save_law))
 
 
 @app.command()
@@ -215,6 +237,7 @@ def report(
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="With what the laws get wrong, and why; takes longer.")
     ] = False,
+    cause: CauseNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -225,7 +248,8 @@ def report(
     wanted = output or default_output(log)
     check_folder(wanted)
     campaign = log_of(log, machine, since, until)
-    written = _write_report(campaign, wanted, diagnosed(campaign) if diagnosis else None)
+    causes = causes_of(cause or (), campaign)
+    written = _write_report(campaign, wanted, causes, diagnosed(campaign) if diagnosis else None)
     print(f"report written to {written}")
 
 
@@ -233,7 +257,9 @@ def report(
 def simulate(
     plan: PlanPath,
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
-    law: Annotated[Path, typer.Option(help="Law file (TOML), or a result saved with `fit --json`.")],
+    law: Annotated[
+        Path, typer.Option(help="Law file (TOML), causes and all, or a result saved with `fit --json`.")
+    ],
     machine: MachinePath = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
 ) -> None:
@@ -241,12 +267,20 @@ def simulate(
     from stickslip_fit.logs import write_log
     from stickslip_fit.logs.read_plan import read_plan
     from stickslip_fit.machine import load_machine
+    from stickslip_fit.moves.conditions import looked_at, spelled
     from stickslip_fit.simulate import simulate as run
 
     chosen = load_machine(machine)
-    log = run(read_plan(plan, chosen), law_values_of(law, chosen), chosen, seed)
+    planned = read_plan(plan, chosen)
+    truth = law_values_of(law, chosen, planned)
+    log = run(planned, truth, chosen, seed)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
+    unsaid = [
+        name for name in looked_at(truth.laws.values()) if name not in log.rows.dropna(axis=1, how="all")
+    ]
+    if unsaid:
+        print(f"the plan does not say {', '.join(map(spelled, unsaid))}: the law was taken at its mean")
 
 
 @app.command()
@@ -280,8 +314,9 @@ def plan(
         from stickslip_fit.machine import load_machine
 
         chosen = load_machine(machine)
-        truth = law_values_of(law or reference_law(), chosen)
-        found = planning.before_data(read_plan(source[0], chosen), truth, chosen, alpha, seed)
+        planned = read_plan(source[0], chosen)
+        truth = law_values_of(law or reference_law(), chosen, planned)
+        found = planning.before_data(planned, truth, chosen, alpha, seed)
     else:
         found = planning.after_log(log_of(source, machine, since, until), alpha, seed)
     print(found.text)
@@ -326,6 +361,7 @@ def steps(
     session: Session = None,
     theta: Theta = 0.0,
     psi: Psi = 0.0,
+    condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
     """Say how many steps take the tip from here to there."""
@@ -333,7 +369,7 @@ def steps(
     from stickslip_fit.moves import steps_for_move
     from stickslip_fit.report.text import move_text
 
-    arm = arm_of(calibration, machine, session, theta, psi)
+    arm = arm_of(calibration, machine, session, theta, psi, condition)
     start = positions(at, "--at")
     if (tip is None) == (joints is None):
         raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
@@ -342,6 +378,7 @@ def steps(
     else:
         target = positions(str(joints), "--joints")
     print(move_text(arm, steps_for_move(arm, start, target, joint_order(order, "--order"))))
+    _tell_of(arm.result, arm.conditions)
 
 
 @app.command()
@@ -358,6 +395,7 @@ def where(
     session: Session = None,
     theta: Theta = 0.0,
     psi: Psi = 0.0,
+    condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
     """Say where the tip is after N steps, and when to re-home."""
@@ -365,9 +403,10 @@ def where(
     from stickslip_fit.report.text import whereabouts_text
     from stickslip_fit.units import to_si
 
-    arm = arm_of(calibration, machine, session, theta, psi)
+    arm = arm_of(calibration, machine, session, theta, psi, condition)
     found = where_after(arm, positions(at, "--at"), [drive_of(text, "--drive") for text in drive])
     print(whereabouts_text(arm, found, to_si(tolerance, "µm")))
+    _tell_of(arm.result, arm.conditions)
 
 
 @app.command()
@@ -440,14 +479,23 @@ def _fit(
         print("\n" + "\n".join(saved))
 
 
-def _write_report(log: Log, output: Path, diagnosis: Diagnosis | None = None) -> Path:
+def _tell_of(result: Result, conditions: Mapping[str, float]) -> None:
+    from stickslip_fit.moves.conditions import conditions_text
+
+    if told := conditions_text(result, conditions, "--condition"):
+        print("\n" + told)
+
+
+def _write_report(
+    log: Log, output: Path, causes: Sequence[Cause] = (), diagnosis: Diagnosis | None = None
+) -> Path:
     from stickslip_fit.files import write_atomically
     from stickslip_fit.fit import closed_form, constant_step, least_squares
     from stickslip_fit.report import report_html
 
-    calibration = closed_form(log, command=command())
+    best = least_squares(log, causes=causes, command=command())
+    calibration = closed_form(log, causes_from=best if causes else None, command=command())
     constant = constant_step(log, calibration)
-    best = least_squares(log, command=command())
     page = report_html(log, calibration, constant, best, diagnosis=diagnosis, command=command())
     write_atomically(output, page)
     return output

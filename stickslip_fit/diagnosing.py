@@ -12,23 +12,27 @@ from stickslip_fit.files import check_folder, write_atomically
 
 if TYPE_CHECKING:
     from stickslip_fit.diagnose import Diagnosis
+    from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
 
 CLEAR = "\r\x1b[K"
 
 
-def refuse(json_path: Path | None, report: Path | None) -> None:
+def refuse(json_path: Path | None, report: Path | None, law: Path | None = None) -> None:
     """Refuse files that could not be written, before any work.
 
     Raises
     ------
     InputError
     """
-    for path in (json_path, report):
-        if path is not None:
-            check_folder(path)
-    if report is not None and report == json_path:
-        raise InputError(f"--json and --report both name {report}: give two files")
+    given = {"--json": json_path, "--report": report, "--save-law": law}
+    for option, path in given.items():
+        if path is None:
+            continue
+        check_folder(path)
+        for other, taken in given.items():
+            if other < option and taken == path:
+                raise InputError(f"{other} and {option} both name {path}: give two files")
 
 
 def diagnosed(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
@@ -41,6 +45,37 @@ def diagnosed(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
         return diagnose(log, alpha=alpha, seed=seed, progress=_tell)
     finally:
         print(CLEAR, end="", file=sys.stderr, flush=True)
+
+
+def law_found(log: Log, diagnosis: Diagnosis) -> Result:
+    """The published laws extended by the causes that a diagnosis named, fitted to its log.
+
+    Of causes that the log cannot tell apart it is the likeliest. Traverses in which the stop was misheard
+    take no part; what is unknown has no place in a law.
+    """
+    from dataclasses import replace
+
+    from stickslip_fit.fit import least_squares
+
+    rows, usable = log.rows.copy(), log.rows.index[log.rows["status"] == "ok"]
+    for each in diagnosis.findings:
+        if each.traverses is not None:
+            rows.loc[usable[each.traverses.index], "status"] = "excluded"
+    versions = [each.version for each in diagnosis.findings if each.version is not None]
+    return least_squares(replace(log, rows=rows), causes=versions, command=command())
+
+
+def save_law(law: Result, path: Path) -> str:
+    """Write a law; a line on what is in it."""
+    from stickslip_fit.causes import ExtendedLaw
+    from stickslip_fit.fit import save_result
+
+    save_result(law, path)
+    extended = next(iter(law.joints.values())).law
+    causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
+    names = ", ".join(cause.name for cause in causes)
+    what = f"extended by {names}" if names else "published, since no cause was named"
+    return f"law ({what}) saved to {path}"
 
 
 def save(diagnosis: Diagnosis, json_path: Path | None, report: Path | None) -> list[str]:

@@ -12,6 +12,9 @@ from stickslip_fit.files import check_folder
 from stickslip_fit.options import Method
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from stickslip_fit.causes import Cause
     from stickslip_fit.fit import Result
     from stickslip_fit.fit.bayes import Posterior
     from stickslip_fit.logs import Log
@@ -35,6 +38,10 @@ class Estimator:
     seed : int
     walks : Path or None
         Of Bayes.
+    causes : tuple of str
+        Names of causes to fit with the laws; not by the closed form.
+    causes_from : Path or None
+        Of the closed form: a saved result whose causes are known.
     """
 
     method: Method
@@ -45,6 +52,8 @@ class Estimator:
     repeatability: tuple[str, ...] = ()
     seed: int = 0
     walks: Path | None = None
+    causes: tuple[str, ...] = ()
+    causes_from: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +94,10 @@ def refuse(how: Estimator, outputs: Outputs) -> None:
     for option, given in (("--walks", how.walks), ("--tree", outputs.tree)):
         if how.method is not Method.bayes and given is not None:
             raise InputError(f"{option} belongs to --method bayes")
+    if how.causes and how.method is Method.closed_form:
+        raise InputError("the closed form fits no cause; take those of a saved result by --causes-from")
+    if how.causes_from is not None and how.method is not Method.closed_form:
+        raise InputError("--causes-from belongs to the closed form; fit causes by --cause")
     for path in (outputs.json, outputs.chart, outputs.tree):
         if path is not None:
             check_folder(path)
@@ -98,18 +111,20 @@ def refuse(how: Estimator, outputs: Outputs) -> None:
 
 def estimate(log: Log, how: Estimator) -> Estimate:
     """Fit a log and put the result into words."""
-    from stickslip_fit.fit import closed_form, least_squares, summary
+    from stickslip_fit.fit import closed_form, least_squares, load_result, summary
     from stickslip_fit.fit.expectation import expectation, expectation_text
     from stickslip_fit.fit.likelihood import Gaussian, StudentT
 
     if how.method is Method.bayes:
         return _bayes(log, how)
     if how.method is Method.closed_form:
-        result = closed_form(log, command=command())
+        known = load_result(how.causes_from) if how.causes_from else None
+        result = closed_form(log, causes_from=known, command=command())
     else:
         likelihood = StudentT() if how.heavy_tails else Gaussian()
         result = least_squares(
             log,
+            causes=causes_of(how.causes, log),
             likelihood=likelihood,
             shared=how.campaign_wide,
             bounds=dict(bound_of(text, "--bound") for text in how.bounds),
@@ -123,6 +138,32 @@ def estimate(log: Log, how: Estimator) -> Estimate:
 
         parts.append(profile_summary(profile_intervals(log, result)))
     return Estimate(result, "\n\n".join(parts))
+
+
+def causes_of(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
+    """The causes of the library, and the log's own columns, that are named.
+
+    Raises
+    ------
+    InputError
+        For a name that is none, and for a cause that the log cannot show; with those that it can.
+    """
+    from stickslip_fit.causes import covariates, library
+
+    rows = log.usable
+    known = {cause.name: cause for cause in (*library(), *covariates(rows))}
+    missing = {name: why for name, cause in known.items() if (why := cause.missing(rows)) is not None}
+    missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
+    names = list(dict.fromkeys(names))
+    faults = [
+        Problem(missing.get(name, "is no cause that is known"), column="--cause", value=name)
+        for name in names
+        if name not in known or name in missing
+    ]
+    if faults:
+        there = ", ".join(name for name in known if name not in missing)
+        raise InputError([*faults, Problem(f"this log can show {there}")])
+    return tuple(known[name] for name in names)
 
 
 def save(found: Estimate, outputs: Outputs) -> list[str]:
@@ -154,6 +195,9 @@ def _bayes(log: Log, how: Estimator) -> Estimate:
     from stickslip_fit.fit.expectation import expectation, expectation_text
 
     watched = sys.stderr.isatty()
-    posterior = bayes(log, seed=how.seed, backend=how.walks, progress=watched, command=command())
+    causes = causes_of(how.causes, log)
+    posterior = bayes(
+        log, causes=causes, seed=how.seed, backend=how.walks, progress=watched, command=command()
+    )
     told = expectation_text(expectation(posterior.result))
     return Estimate(posterior.result, f"{posterior}\n\n{checks_text(posterior)}\n\n{told}", posterior)

@@ -32,6 +32,28 @@ Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the
 Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
 Psi = Annotated[float, typer.Option(help="Base turned about y, degrees.")]
 At = Annotated[str, typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm.")]
+Condition = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--condition",
+        metavar="NAME=VALUE",
+        help="What a law with causes looks at, e.g. session_min=30 or temperature_C=23; repeatable.",
+    ),
+]
+CauseNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--cause", metavar="NAME", help="Fit this cause with the laws, e.g. thermal-warm-up; repeatable."
+    ),
+]
+CausesFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--causes-from",
+        metavar="RESULT",
+        help="Closed form: take the causes of this saved result for known, with its error bars.",
+    ),
+]
 
 
 class Method(StrEnum):

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
+from stickslip_fit.errors import InputError
+from stickslip_fit.fit.groups import Groups, group_rows, mean_steps, usable_rows
 from stickslip_fit.fit.identifiability import configuration_rows, describe
 from stickslip_fit.fit.intervals import quadratic_interval
+from stickslip_fit.fit.known_causes import (
+    HeldLaw,
+    KnownCauses,
+    effect_of_rows,
+    known_causes,
+    released,
+    solve_held,
+)
 from stickslip_fit.fit.least_squares import fit_joint
 from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
@@ -28,12 +39,14 @@ SAME_PLACE = 1e-9  # of the range
 ENOUGH = 4  # degrees of freedom; with fewer an interval is several times too wide to be of use
 
 
-def closed_form(log: Log, *, command: str = "") -> Result:
+def closed_form(log: Log, *, causes_from: Result | None = None, command: str = "") -> Result:
     """Calibrate every session and direction from the first traverse of each calibration configuration.
 
     Parameters
     ----------
     log : Log
+    causes_from : Result, optional
+        Of another log: its causes are taken for known, and what it is not sure of goes into the error bars.
     command : str, optional
         Kept in the result's provenance.
 
@@ -46,26 +59,34 @@ def closed_form(log: Log, *, command: str = "") -> Result:
     Raises
     ------
     InputError
-        If the log has no usable traverse.
+        If the log has no usable traverse, or `causes_from` is of another machine or knows no causes.
     """
     rows = usable_rows(log)
-    laws = {
+    laws: dict[int, StepLaw] = {
         joint: published_law(joint, rows[rows["joint"] == joint], log.machine)
         for joint in log.joints
         if (rows["joint"] == joint).any()
     }
-    return name_wild_counts(calibrate(log, laws, "closed-form", command=command), log)
+    known = None
+    if causes_from is not None:
+        if causes_from.machine.sha256 != log.machine.sha256:
+            raise InputError("the causes were fitted for another machine; read the log with that one")
+        known = known_causes(causes_from)
+        laws = {joint: HeldLaw(law, known.causes, known.values) for joint, law in laws.items()}
+    return name_wild_counts(calibrate(log, laws, "closed-form", known=known, command=command), log)
 
 
-def calibrate(log: Log, laws: dict[int, StepLaw], method: str, *, command: str = "") -> Result:
-    """Solve the calibration equations of the given laws, one for each joint."""
+def calibrate(
+    log: Log, laws: dict[int, StepLaw], method: str, *, known: KnownCauses | None = None, command: str = ""
+) -> Result:
+    """Solve the calibration equations of the given laws, one for each joint; of held ones with the causes."""
     rows = usable_rows(log)
     joints, residuals, remarks = {}, [], []
     for joint, law in laws.items():
         mine = rows[rows["joint"] == joint]
         groups = group_rows(mine)
         picked = pick_calibration(law, mine, groups, log.machine)
-        joints[joint] = _calibrate_joint(law, mine, groups, picked, log.machine)
+        joints[joint] = _calibrate_joint(law, mine, groups, picked, log.machine, known)
         residuals.append(_residuals(joints[joint], mine, groups, picked))
         remarks += _missing(law, groups, picked, joints[joint])
         remarks += without_error_bars(law, groups.table, joints[joint].repeatability)
@@ -104,31 +125,47 @@ def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: 
 
 
 def _calibrate_joint(
-    law: StepLaw, rows: pd.DataFrame, groups: Groups, picked: Indices, machine: Machine
+    law: StepLaw,
+    rows: pd.DataFrame,
+    groups: Groups,
+    picked: Indices,
+    machine: Machine,
+    known: KnownCauses | None,
 ) -> JointFit:
     y, rounding = law.response(rows)
     steps = np.where(picked >= 0, np.exp(y)[picked], np.nan)
-    values = _solve(law, rows, machine, picked, steps)
-    repeatability = _repeatability(law, rows, picked, machine)
+    mean_step = mean_steps(groups, rows, y)
+
+    def solve(law: StepLaw) -> Array:
+        if isinstance(law, HeldLaw):
+            published = partial(_solve, law.law, rows, machine, picked)
+            return solve_held(law, rows, picked, steps, mean_step, published)
+        return _solve(law, rows, machine, picked, steps)
+
+    values = solve(law)
+    effect = effect_of_rows(law, rows, values[groups.of_row], mean_step[groups.of_row])
+    repeatability = _repeatability(law, rows, picked, machine, effect)
     variance = variance_of(rows, rounding, repeatability)
     covariance = _carried(law, rows, picked, values, variance)
     freedom = np.array([repeatability[way].freedom for way in groups.table["direction"]])
     covariance[freedom < 1] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
-    return JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
+    fit = JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
+    return fit if known is None else released(fit, known, solve)
 
 
 def _repeatability(
-    law: StepLaw, rows: pd.DataFrame, picked: Indices, machine: Machine
+    law: StepLaw, rows: pd.DataFrame, picked: Indices, machine: Machine, effect: Array | float
 ) -> dict[str, Repeatability]:
     """From replicates that calibrated nothing, so that an estimate and its error bar are independent.
 
     A direction with too few of those takes what a least-squares fit leaves over, and failing that all
     replicates, the calibrating ones among them.
     """
-    aside = np.ones(len(rows), dtype=bool)
-    aside[picked[picked >= 0]] = False
-    apart, together = from_replicates(law, rows[aside]), from_replicates(law, rows)
+    aside = np.setdiff1d(np.arange(len(rows)), picked)
+    effect = np.broadcast_to(effect, len(rows))
+    apart = from_replicates(law, rows.iloc[aside], effect[aside])
+    together = from_replicates(law, rows, effect)
     if all(found.freedom >= ENOUGH for found in apart.values()):
         return apart
     residual = fit_joint(law, rows, machine)[0].repeatability
@@ -198,7 +235,7 @@ def _residuals(fit: JointFit, rows: pd.DataFrame, groups: Groups, picked: Indice
 
 def _missing(law: StepLaw, groups: Groups, picked: Indices, fit: JointFit) -> list[Remark]:
     remarks = []
-    names = [parameter.name for parameter in law.parameters]
+    names = [parameter.name for parameter in fit.law.parameters]
     for index in np.flatnonzero(~fit.known.all(axis=1)):
         session, direction = groups.table.loc[index, ["session", "direction"]]
         unknown = tuple(name for name, fine in zip(names, fit.known[index], strict=True) if not fine)

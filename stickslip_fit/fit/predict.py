@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -17,7 +19,12 @@ TRAVERSE = ["joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "st
 NEW_SESSION = ""  # no session of a log has this name
 
 
-def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = None) -> pd.DataFrame:
+def predict_plan(
+    fitted: Result | Posterior,
+    plan: Plan,
+    session: str | None = None,
+    conditions: Mapping[str, float] | None = None,
+) -> pd.DataFrame:
     """Counts that the traverses of a plan will give.
 
     Parameters
@@ -28,6 +35,9 @@ def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = N
         Whose parameters to use. Without it, a Result takes for each joint and direction the latest session
         that knows all of them; a Posterior predicts a session yet to come, from what the campaign's
         sessions have in common and how far they spread.
+    conditions : mapping of str to float, optional
+        What laws with causes look at besides, the same for all traverses, by the log's columns, SI:
+        ``temperature``, or ``steps_before`` the first. Time and history are the plan's own.
 
     Returns
     -------
@@ -43,9 +53,9 @@ def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = N
         For a joint, direction or session that was not fitted, one whose parameters are not all known, or
         a traverse in which the joint would stall.
     """
-    rows = _with_history(fitted, plan, session)
+    rows = _with_history(fitted, plan, session, conditions or {})
     # A plan comes back to the same traverses; each is worked out once.
-    alike = [name for name in (*TRAVERSE, *HISTORY) if name in rows]
+    alike = [name for name in (*TRAVERSE, *HISTORY, *(conditions or ())) if name in rows]
     which = rows.groupby(alike, dropna=False, sort=False, observed=True).ngroup().to_numpy()
     _, first = np.unique(which, return_index=True)
     distinct = rows.iloc[first].reset_index(drop=True)
@@ -59,20 +69,29 @@ def predict_plan(fitted: Result | Posterior, plan: Plan, session: str | None = N
     return found[["calibration", "steps", "low", "high", "step_size"]]
 
 
-def _with_history(fitted: Result | Posterior, plan: Plan, session: str | None) -> pd.DataFrame:
+def _with_history(
+    fitted: Result | Posterior, plan: Plan, session: str | None, conditions: Mapping[str, float]
+) -> pd.DataFrame:
     """The plan's rows; where a law looks back, with their history as it will be on average."""
     result = fitted.result if isinstance(fitted, Posterior) else fitted
     laws, rows = [fit.law for fit in result.joints.values()], plan.rows()
+    rows = rows.assign(**{name: value for name, value in conditions.items() if name not in HISTORY})
     if not any(map(looks_back, laws)):
         return rows
 
+    def aged(known: pd.DataFrame) -> pd.DataFrame:
+        """How many steps the joints had made before the plan, nobody knows who was not told."""
+        if "steps_before" in conditions:
+            return known.assign(steps_before=known["steps_before"] + conditions["steps_before"])
+        return known.drop(columns="steps_before")
+
     def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        made = known.drop(columns="steps_before")  # How many the joints have made by then nobody knows.
+        made = aged(known)
         steps = fitted.predict(made.assign(session=_calibrations(fitted, made, session)))["steps"]
         return seen_count(np.nan_to_num(steps), known["check_every"])
 
     driven = drive_through(plan, rows, np.full(len(rows), 0.5), seen, laws)
-    return driven.drop(columns=["steps_before", "steps", "time"])
+    return aged(driven).drop(columns=["steps", "time"])
 
 
 def _calibrations(fitted: Result | Posterior, rows: pd.DataFrame, session: str | None) -> list[str]:

@@ -40,12 +40,16 @@ class Repeatability:
     source: str
 
 
-def from_replicates(law: StepLaw, rows: pd.DataFrame) -> dict[str, Repeatability]:
+def from_replicates(
+    law: StepLaw, rows: pd.DataFrame, effect: Array | float = 0.0
+) -> dict[str, Repeatability]:
     """Repeatability of each direction from replicates of a configuration within a session.
 
-    Replicates hours apart also carry whatever drifts, so this bounds the repeatability from above.
+    Replicates hours apart also carry whatever drifts, so this bounds the repeatability from above; known
+    causes' `effect` on log(steps), shape (n,), is taken out.
     """
     y, rounding = law.response(rows)
+    y = y - effect
     keys = rows[CONFIGURATION].round(9)
     together = keys.groupby(CONFIGURATION, dropna=False, sort=False, observed=True).ngroup().to_numpy()
     size = np.bincount(together)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import Machine
+from stickslip_fit.machine.load import mean_load
 
 Array = npt.NDArray[np.float64]
 CERTAIN = 1.96  # standard deviations on either side of 95 %
@@ -60,6 +61,8 @@ class Calibrated:
         What a law with causes in it needs to know of a drive besides, by the log's columns, SI: e.g.
         ``session_seconds``, how long the drive has been running. What is not given has no effect, as for a
         joint's first drive under mean conditions; what has no such value is asked for.
+    before : mapping of int to mapping of str to object
+        For joints that have been driven since, what their next drive follows, by the log's columns.
     """
 
     result: Result
@@ -67,6 +70,7 @@ class Calibrated:
     theta: float = 0.0
     psi: float = 0.0
     conditions: Mapping[str, Any] = field(default_factory=dict)
+    before: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
@@ -82,7 +86,19 @@ class Calibrated:
                 "q1": [q[0]], "q2": [q[1]], "q3": [q[2]], "theta": [self.theta], "psi": [self.psi],
                 "start": [q[joint - 1]], "stop": [stop],
             }
-        ).assign(**self.conditions)  # fmt: skip
+        ).assign(**{**self.conditions, **self.before.get(joint, {})})  # fmt: skip
+
+    def driven(self, row: pd.DataFrame, steps: int) -> Calibrated:
+        """The same after a drive, `row` as `drive` gives it; how long that takes is not counted."""
+        joint, counted = int(row["joint"].iloc[0]), row.get("steps_before")
+        way = {name: row[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi")}
+        follows: dict[str, Any] = {
+            "before_direction": row["direction"].iloc[0],
+            "before_load": float(mean_load(joint, **way)[0]),
+        }
+        if counted is not None:
+            follows["steps_before"] = counted.iloc[0] + steps
+        return replace(self, before={**self.before, joint: follows})
 
     def traverse(self, q: Array, joint: int, stop: float) -> Traverse:
         """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.

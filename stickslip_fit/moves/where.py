@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +41,8 @@ class Whereabouts:
         m^2.
     at_stop : tuple of int
         Joints whose last drive took them into a mechanical stop: their error is none again.
+    before : mapping of int to mapping of str to object
+        What each joint's next drive follows, see `Calibrated`.
     """
 
     q: Array
@@ -47,6 +50,7 @@ class Whereabouts:
     tip: Array
     tip_covariance: Array
     at_stop: tuple[int, ...]
+    before: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def tip_error(self) -> float:
@@ -66,7 +70,8 @@ def where_after(arm: Calibrated, start: Array, drives: Sequence[Drive]) -> Where
     """Follow a run of drives from joints that stand where `start` says, without error.
 
     Errors of a law's parameters are the same in every drive of its joint and direction and so add up;
-    what does not repeat is new in every drive. A drive that surely reaches a stop ends there, known.
+    what does not repeat is new in every drive. A drive that surely reaches a stop ends there, known. Each
+    drive follows the one before it of the same joint, which is what some causes look at.
 
     Parameters
     ----------
@@ -90,6 +95,8 @@ def where_after(arm: Calibrated, start: Array, drives: Sequence[Drive]) -> Where
     at_stop: set[int] = set()
     for drive in drives:
         reached, part = _follow(arm, q, drive, _variance(arm, drive.joint, travelled))
+        if reached != q[drive.joint - 1]:
+            arm = arm.driven(arm.drive(q, drive.joint, reached), drive.steps)
         q[drive.joint - 1] = reached
         if part is None:
             travelled = {key: parts for key, parts in travelled.items() if key[0] != drive.joint}
@@ -100,7 +107,8 @@ def where_after(arm: Calibrated, start: Array, drives: Sequence[Drive]) -> Where
     variance = np.array([_variance(arm, joint, travelled) for joint in (1, 2, 3)])
     slope = jacobian(arm.machine, q)
     tip_covariance = slope @ np.diag(variance) @ slope.T
-    return Whereabouts(q, np.sqrt(variance), forward(arm.machine, q), tip_covariance, tuple(sorted(at_stop)))
+    tip, stops = forward(arm.machine, q), tuple(sorted(at_stop))
+    return Whereabouts(q, np.sqrt(variance), tip, tip_covariance, stops, arm.before)
 
 
 def steps_until(arm: Calibrated, at: Whereabouts, joint: int, direction: str, tolerance: float) -> int | None:
@@ -126,6 +134,7 @@ def steps_until(arm: Calibrated, at: Whereabouts, joint: int, direction: str, to
         return None
     if at.tip_error * CERTAIN > tolerance:
         return 0
+    arm = replace(arm, before=at.before)
     way = arm.traverse(at.q, joint, end)
     lever = jacobian(arm.machine, at.q)[:, joint - 1]
     per_travel = way.spread**2 * np.outer(lever, lever)

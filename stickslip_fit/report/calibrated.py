@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from stickslip_fit.fit import Repeatability, Result
+from stickslip_fit.fit import JointFit, Repeatability, Result
+from stickslip_fit.fit.result import EVERYWHERE
+from stickslip_fit.laws import Parameter
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import count, joint_name, percent_number, uncertain, way
+from stickslip_fit.units import format_uncertain
 
 MOST_SESSIONS = 8
 DISAGREES = "*"
@@ -59,7 +62,7 @@ def parameter_tables(table: pd.DataFrame, fit: Result) -> list[Table]:
 
 
 def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
-    parameters = fit.joints[joint].law.parameters
+    parameters = own_parameters(fit.joints[joint])
     groups = fit.joints[joint].groups
     sessions = list(groups["session"].unique())
     shown = sessions[-MOST_SESSIONS:]
@@ -83,6 +86,25 @@ def _cell(row: pd.Series, which: str) -> str:
     off = which == "fit" and row["comparable"] and not row["agrees"]
     value = uncertain(row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"])
     return value + (DISAGREES if off else "")
+
+
+def own_parameters(fit: JointFit) -> list[Parameter]:
+    """Those of the published law, without those of causes."""
+    return [each for each in fit.law.parameters if each.name not in fit.common]
+
+
+def departures_tables(result: Result) -> list[Table]:
+    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
+    table = result.parameters
+    table = table[table["joint"] == EVERYWHERE]
+    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
+    rows = [
+        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
+        for row in table.itertuples(index=False)
+    ]
+    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
+    note = "One number each for all joints, directions and sessions. ± one standard error."
+    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
 
 
 def repeatability_table(calibration: Result, fit: Result) -> Table:

@@ -14,14 +14,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.repeatability import Repeatability
-from stickslip_fit.fit.result import EVERYWHERE
-from stickslip_fit.laws import Parameter
 from stickslip_fit.logs import Log
+from stickslip_fit.report.calibrated import departures_tables, own_parameters
 from stickslip_fit.report.measured import coverage_table, facts, sessions_table
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import count, joint_name, listed, percent, uncertain, way
-from stickslip_fit.units import format_uncertain
 
 if TYPE_CHECKING:
     from stickslip_fit.fit.bayes import Posterior
@@ -76,7 +74,7 @@ def parameters_table(result: Result, joint: int) -> Table:
     shared = table["session"].isna()
     shown = pd.concat([table[table["session"].isin(sessions[-MOST_SESSIONS:])], table[shared]])
     heads = (Column("session", text=True), Column("direction", text=True))
-    parameters = [Column(each.name, each.unit.replace("1", "")) for each in _own_parameters(fit)]
+    parameters = [Column(each.name, each.unit.replace("1", "")) for each in own_parameters(fit)]
     rows = [
         _row(fit, session, direction, mine)
         for (session, direction), mine in shown.groupby(["session", "direction"], sort=False, dropna=False)
@@ -86,24 +84,6 @@ def parameters_table(result: Result, joint: int) -> Table:
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), _latest(len(sessions))]))
     return Table(f"Parameters of {joint_name(joint)}", columns, tuple(rows), stubs=2, note=note)
-
-
-def _own_parameters(fit: JointFit) -> list[Parameter]:
-    return [each for each in fit.law.parameters if each.name not in fit.common]
-
-
-def _departures(result: Result) -> list[Table]:
-    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
-    table = result.parameters
-    table = table[table["joint"] == EVERYWHERE]
-    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
-    rows = [
-        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
-        for row in table.itertuples(index=False)
-    ]
-    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
-    note = "One number each for all joints, directions and sessions. ± one standard error."
-    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
 
 
 def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str, str]]) -> str:
@@ -118,7 +98,7 @@ def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str
         title=f"{method} fit of {files}" if files else f"{method} fit",
         said=[*said, _begun_large(expectation_text(expectation(result)))],
         remarks=told,
-        tables=[*(parameters_table(result, joint) for joint in result.joints), *_departures(result)],
+        tables=[*(parameters_table(result, joint) for joint in result.joints), *departures_tables(result)],
         folded=folded,
         provenance=_provenance(result),
     )
@@ -128,7 +108,7 @@ def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame
     found = {row.name: row for row in table.itertuples(index=False)}
     cells = [
         uncertain(row.estimate, row.standard_error, row.unit) if (row := found.get(each.name)) else ""
-        for each in _own_parameters(fit)
+        for each in own_parameters(fit)
     ]
     label = ALL_SESSIONS if pd.isna(session) else str(session)
     return (label, way(direction), *cells, _flags(table))

@@ -68,7 +68,7 @@ def report_html(
         reading_notes=log.notes,
         measured=[table for table in _measured(log) if table],
         agreement=calibrated.agreement(compared),
-        parameters=calibrated.parameter_tables(compared, fit),
+        parameters=[*calibrated.parameter_tables(compared, fit), *calibrated.departures_tables(fit)],
         repeatability=calibrated.repeatability_table(calibration, fit),
         d_table=d_table(coefficients) if len(coefficients) else None,
         figures=gallery(log, calibration, fit, errors, coefficients),

@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
 from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.settings import Settings, read_settings, spelling
 from stickslip_fit.machine import JOINTS, Machine
+from stickslip_fit.simulate.law_causes import read_causes
 
 Array = npt.NDArray[np.float64]
 Group = tuple[int, str]
@@ -84,7 +86,7 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     path : path
         A TOML file with one [[law]] table for each joint and direction: joint, direction, every parameter
         of the joint's law under `key_of` its name, day_to_day_pct (0 without it). One with a session
-        besides gives that session's own parameters.
+        besides gives that session's own parameters. [[cause]] tables, see `read_causes`, extend all laws.
     machine : Machine
 
     Raises
@@ -108,8 +110,12 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
         if session is None:
             day_to_day[joint, direction] = table.number("day_to_day", ("%",), (0.0, LARGEST_DAY_TO_DAY), 0.0)
         table.reject_unknown()
+    causes, sizes = read_causes(settings)
     settings.reject_unknown()
     settings.finish()
+    if causes:
+        laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
+        values = {key: np.append(own, sizes) for key, own in values.items()}
     return LawValues(laws, values, day_to_day)
 
 

@@ -93,8 +93,15 @@ def _misfires(rows: pd.DataFrame, truth: LawValues, luck: Array) -> Array:
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
-    """A misspelt session must not pass for one without parameters of its own."""
+    """A misspelt session must not pass for one without parameters of its own, or in which nothing happens."""
     planned = {session.label for session in plan.sessions}
+    causes = next((law.causes for law in truth.laws.values() if isinstance(law, ExtendedLaw)), ())
+    for cause in causes:
+        if getattr(cause, "session", "") not in ("", *planned):
+            raise InputError(
+                f"{cause.name} happens in session {cause.session!r}, which the plan does not have; its "
+                f"sessions are {', '.join(map(repr, sorted(planned)))}"
+            )
     for joint, direction, session in truth.values:
         if session is not None and session not in planned:
             raise InputError(

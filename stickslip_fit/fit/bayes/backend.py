@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
+from stickslip_fit.causes import describe
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.fit.bayes.priors import Prior
 from stickslip_fit.fit.bayes.traverses import Traverses
-from stickslip_fit.laws import describe_law
+from stickslip_fit.fit.known_causes import HeldLaw
+from stickslip_fit.laws import StepLaw
 
 if TYPE_CHECKING:
     from emcee.backends import Backend, HDFBackend
@@ -64,11 +69,24 @@ def in_file(path: str | Path, name: str, traverses: Traverses, prior: Prior, see
 def _fingerprint(traverses: Traverses, prior: Prior, seed: int) -> str:
     """Of all that the walks follow from."""
     law = traverses.law
-    said = repr((describe_law(law), prior.names, list(traverses.groups.table["session"]), seed))
+    said = repr((_described(law), prior.names, list(traverses.groups.table["session"]), seed))
     digest = hashlib.sha256(said.encode())
-    columns = [traverses.rows[name].to_numpy(float) for name in (*law.columns, "start", "stop")]
+    columns = [_numbers(traverses.rows[name]) for name in dict.fromkeys((*law.columns, "start", "stop"))]
     levels = np.array([prior.repeatability, prior.spread_factor, prior.repeatability_factor])
     numbers = [*columns, traverses.y, traverses.rounding, prior.centre, prior.width, prior.spread, levels]
     for array in (*numbers, traverses.groups.of_row):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+def _described(law: StepLaw) -> dict[str, Any]:
+    if isinstance(law, HeldLaw):
+        return {"held": law.sizes.tolist(), **describe(law.extended)}
+    return describe(law)
+
+
+def _numbers(column: pd.Series[Any]) -> npt.NDArray[Any]:
+    """A column as numbers, whatever it holds."""
+    if is_numeric_dtype(column):
+        return column.to_numpy(float)
+    return np.asarray(pd.util.hash_array(column.astype(str).to_numpy(dtype=object)))

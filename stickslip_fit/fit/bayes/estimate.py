@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from stickslip_fit.causes import Cause
 from stickslip_fit.fit.bayes.backend import in_file, in_memory
 from stickslip_fit.fit.bayes.means import result_of
 from stickslip_fit.fit.bayes.posterior import Posterior
 from stickslip_fit.fit.bayes.priors import Priors, weak_priors
 from stickslip_fit.fit.bayes.sample import Sample, sample
+from stickslip_fit.fit.bayes.together import sample_together
 from stickslip_fit.fit.bayes.traverses import each_group
 from stickslip_fit.fit.bayes.tree import branch_name, plant
 from stickslip_fit.logs import Log
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 def bayes(
     log: Log,
     *,
+    causes: Sequence[Cause] = (),
     priors: Priors | None = None,
     seed: int = 0,
     target_ess: int = 1000,
@@ -38,6 +42,9 @@ def bayes(
     Parameters
     ----------
     log : Log
+    causes : sequence of Cause, optional
+        Departures from the published laws: one set of parameters for the whole campaign, which ties all
+        joints and directions together.
     priors : Priors, optional
         `weak_priors` of the log without it.
     seed : int, optional
@@ -69,10 +76,39 @@ def bayes(
     -----
     A session's parameters are normal about the campaign's; log(steps) is normal about the law, with the
     repeatability's variance and the rounding's. Sessions and campaign means are integrated out in closed
-    form, what remains is sampled by ensembles, and the draws are weighted to the exact posterior.
+    form, what remains is sampled by ensembles, and the draws are weighted to the exact posterior. Causes'
+    parameters are drawn beside it and weighted with it, all joints at once; see `bayes.with_causes`.
     """
     priors = weak_priors(log) if priors is None else priors
-    samples: dict[tuple[int, str], Sample] = {}
+    if causes:
+        with _bar(progress, "all joints") as bar:
+            samples, priors = sample_together(
+                log, causes, priors, seed=seed, target_ess=target_ess, max_steps=max_steps,
+                backend=backend, on_step=bar.update,
+            )  # fmt: skip
+    else:
+        samples = _one_by_one(log, priors, seed, target_ess, max_steps, backend, progress)
+    tables = [
+        found.quality.assign(joint=joint, direction=direction)
+        for (joint, direction), found in samples.items()
+    ]
+    diagnostics = pd.concat(tables, ignore_index=True)
+    diagnostics = diagnostics[["joint", "direction", *diagnostics.columns.drop(["joint", "direction"])]]
+    result = result_of(log, samples, seed, command)
+    return Posterior(result, plant(samples, np.random.default_rng(seed)), priors, diagnostics)
+
+
+def _one_by_one(
+    log: Log,
+    priors: Priors,
+    seed: int,
+    target_ess: int,
+    max_steps: int,
+    backend: str | Path | None,
+    progress: bool,
+) -> dict[tuple[int, str], Sample]:
+    """Joints and directions that nothing ties together."""
+    samples = {}
     for joint, direction, traverses in each_group(log):
         prior, name = priors.prior(joint, direction), branch_name(joint, direction)
         walks = in_memory() if backend is None else in_file(backend, name, traverses, prior, seed)
@@ -86,14 +122,7 @@ def bayes(
                 max_steps=max_steps,
                 on_step=bar.update,
             )
-    tables = [
-        found.quality.assign(joint=joint, direction=direction)
-        for (joint, direction), found in samples.items()
-    ]
-    diagnostics = pd.concat(tables, ignore_index=True)
-    diagnostics = diagnostics[["joint", "direction", *diagnostics.columns.drop(["joint", "direction"])]]
-    result = result_of(log, samples, seed, command)
-    return Posterior(result, plant(samples, np.random.default_rng(seed)), priors, diagnostics)
+    return samples
 
 
 def _bar(progress: bool, description: str) -> AbstractContextManager[tqdm]:

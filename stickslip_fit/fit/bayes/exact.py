@@ -47,6 +47,12 @@ class Draws:
         """Some of the draws."""
         return Draws(self.mean[which], self.spread[which], self.repeatability[which], self.parameters[which])
 
+    def of_law(self, own: int) -> Draws:
+        """Only the first parameters, so many of them."""
+        return Draws(
+            self.mean[:, :own], self.spread[:, :own], self.repeatability, self.parameters[:, :, :own]
+        )
+
 
 def draw_back(
     traverses: Traverses, marginal: Marginal, x: Array, rng: np.random.Generator
@@ -97,14 +103,32 @@ def _draw_back(
     mean = given.draw_mean(rng)
     z = (given.sessions(mean) + given.draw_departures(rng)).T
     draws = Draws(prior.centre + prior.width * mean.T, spread, repeatability, prior.centre + prior.width * z)
-    return draws, _log_ratio(traverses, marginal, z, repeatability)
+    return draws, log_ratio(traverses, marginal, z, draws.parameters, repeatability)
 
 
-def _log_ratio(traverses: Traverses, marginal: Marginal, z: Array, repeatability: Array) -> Array:
-    """Exact over linearised log likelihood, shape (d,); -inf where the law stalls."""
-    values = marginal.prior.centre + marginal.prior.width * z
+def log_ratio(
+    traverses: Traverses,
+    marginal: Marginal,
+    z: Array,
+    values: Array,
+    repeatability: Array,
+    shift: Array | float = 0.0,
+) -> Array:
+    """Exact over linearised log likelihood, shape (d,); -inf where the law stalls.
+
+    Parameters
+    ----------
+    traverses : Traverses
+    marginal : Marginal
+    z : array, shape (d, S, p)
+    values : array, shape (d, S, p or more)
+        The same as the law's parameters.
+    repeatability : array, shape (d,)
+    shift : array, shape (S, m, d), optional
+        See `Marginal.conditional`.
+    """
     exact = traverses.padded((traverses.y - traverses.predict(values)).T, 0.0)
-    linear = marginal.response[:, :, None] - np.matmul(marginal.slopes, z.transpose(1, 2, 0))
+    linear = marginal.response[:, :, None] - np.matmul(marginal.slopes, z.transpose(1, 2, 0)) - shift
     weight = 1.0 / (repeatability**2 + marginal.rounding[:, :, None])
     ratio = 0.5 * np.sum(weight * (linear**2 - exact**2), axis=(0, 1))
     return np.where(np.isfinite(ratio), ratio, -np.inf)

@@ -38,6 +38,8 @@ class Marginal:
         Of each row's [J, e] with itself.
     rounding : array, shape (S, m)
         Infinite, so that the weight is none, where a session has no such traverse.
+    z : array, shape (S, p)
+        z*.
     """
 
     prior: Prior
@@ -45,6 +47,7 @@ class Marginal:
     slopes: Array
     products: Array
     rounding: Array
+    z: Array
 
     def log_density(self, x: Array) -> Array:
         """Log posterior density, the evidence's constant left out; (k, p + 1) -> (k,).
@@ -56,15 +59,23 @@ class Marginal:
         """
         return self.conditional(x).log_likelihood - 0.5 * np.sum(x**2, axis=1)
 
-    def conditional(self, x: Array) -> Conditional:
-        """The Gaussians that remain at each x, shape (k, p + 1)."""
+    def conditional(self, x: Array, shift: Array | None = None) -> Conditional:
+        """The Gaussians that remain at each x, shape (k, p + 1).
+
+        A `shift`, shape (S, m, k), is what the law's responses are more at each of them.
+        """
         spread, repeatability = self.prior.levels(x)
         tau = (spread / self.prior.width).T[:, None, :]
         weight = 1.0 / (repeatability**2 + self.rounding[:, :, None])
         p = len(tau)
         sums = np.matmul(self.products.swapaxes(1, 2), weight).swapaxes(0, 1)
         sums = sums.reshape(p + 1, p + 1, *sums.shape[1:])
-        form, pull, cost = tau * tau[:, None] * sums[:p, :p], tau * sums[:p, p], sums[p, p]
+        slopes_response, cost = sums[:p, p], sums[p, p]
+        if shift is not None:
+            weighted = weight * shift
+            slopes_response = slopes_response - np.matmul(self.slopes.swapaxes(1, 2), weighted).swapaxes(0, 1)
+            cost = cost + np.sum(weighted * (shift - 2 * self.response[:, :, None]), axis=1)
+        form, pull = tau * tau[:, None] * sums[:p, :p], tau * slopes_response
         eye = np.eye(p)[:, :, None]
         solution, log_det = solve(eye[..., None] + form, np.concatenate([form, pull[:, None]], axis=1))
         kept, best = solution[:, :p], solution[:, p]
@@ -136,6 +147,7 @@ def linearise(traverses: Traverses, prior: Prior, z: Array) -> Marginal:
         traverses.padded(slopes, 0.0),
         traverses.padded(products, 0.0),
         traverses.padded(traverses.rounding, np.inf),
+        z,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.fit.bayes.remarks import remarks
+from stickslip_fit.fit.bayes.remarks import known_sizes, remarks, remarks_on_sizes
 from stickslip_fit.fit.bayes.sample import Sample
 from stickslip_fit.fit.groups import group_rows
 from stickslip_fit.fit.intervals import COVERAGE
@@ -32,6 +32,7 @@ def result_of(log: Log, samples: Mapping[tuple[int, str], Sample], seed: int, co
         joints[joint], residual, remarked = _fit_joint(joint, both, log.machine)
         residuals.append(residual)
         said += remarked
+    said += remarks_on_sizes(next(iter(samples.values())))
     return Result(
         method="bayes",
         machine=log.machine,
@@ -58,11 +59,13 @@ def _fit_joint(
         mean = found.draws.parameters.mean(axis=0)
         predicted = law.predict(found.traverses.rows, mean[found.traverses.groups.of_row])
         residual = found.traverses.y - predicted
-        remarked, identified = remarks(found, machine, way, residual, mean)
+        remarked, identified = remarks(
+            found.own_part(), machine, way, residual, mean[:, : len(found.prior.names)]
+        )
         said += remarked
         if found.converged:
             own = np.flatnonzero(table["direction"] == way)
-            values[own], known[own] = mean, identified
+            values[own], known[own] = mean, np.append(identified, known_sizes(found))
             covariance[own] = _covariance(found.draws.parameters)
             interval[own] = np.moveaxis(np.quantile(found.draws.parameters, BOUNDS, axis=0), 0, -1)
             repeatability[way] = _repeatability(found.draws.repeatability)

@@ -103,12 +103,13 @@ class Posterior:
         """
         tables = []
         for joint, direction in self.groups:
-            fit, mean = self.result.joints[joint], self.draws(joint, direction, "mean")
+            fit, names = self.result.joints[joint], list(self.priors.prior(joint, direction).names)
+            mean = self.draws(joint, direction, "mean")[:, : len(names)]
             low, high = np.quantile(mean, BOUNDS, axis=0)
-            names = list(self.priors.prior(joint, direction).names)
             columns = {"estimate": mean.mean(axis=0), "low": low, "high": high}
             table = pd.DataFrame({"name": names, "joint": joint, "direction": direction} | columns)
-            tables.append(table[fit.known[(fit.groups["direction"] == direction).to_numpy()].any(axis=0)])
+            known = fit.known[(fit.groups["direction"] == direction).to_numpy(), : len(names)]
+            tables.append(table[known.any(axis=0)])
         return pd.concat(tables, ignore_index=True)
 
     def branch(self, joint: int, direction: str) -> DataTree:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit.errors import InputError
+from stickslip_fit.fit.bayes.cause_priors import CausePriors
 from stickslip_fit.fit.bayes.traverses import each_group
 from stickslip_fit.laws import Rows, StepLaw, travel
 from stickslip_fit.logs import Log
@@ -74,14 +75,20 @@ class Priors:
     ----------
     of : mapping of (int, str) to Prior
         By joint and direction.
+    causes : CausePriors or None
+        Where the laws have causes in them.
     """
 
     of: Mapping[Group, Prior]
+    causes: CausePriors | None = None
 
     def __str__(self) -> str:
         rows = [line for group, prior in self.of.items() for line in _lines(group, prior)]
         header = ["joint", "", "parameter", "campaign mean", "between sessions (95 %)"]
-        return text_table(header, rows, left=3)
+        told = text_table(header, rows, left=3)
+        if self.causes is None:
+            return told
+        return f"{told}\n\n{text_table(['cause', 'for the whole campaign (95 %)'], self.causes.lines())}"
 
     def prior(self, joint: int, direction: str) -> Prior:
         """The prior of a joint and direction.
@@ -97,7 +104,8 @@ class Priors:
 
     def to_json(self) -> list[dict[str, Any]]:
         """Plain JSON types that `from_json` reads."""
-        return [
+        of_causes = [] if self.causes is None else [{"causes": self.causes.to_json()}]
+        return of_causes + [
             {"joint": joint, "direction": direction}
             | {
                 name: value.tolist() if isinstance(value, np.ndarray) else value
@@ -109,7 +117,11 @@ class Priors:
     @classmethod
     def from_json(cls, content: list[dict[str, Any]]) -> Priors:
         """The priors that `to_json` wrote."""
-        return cls({(item["joint"], item["direction"]): _prior_from_json(item) for item in content})
+        causes = [CausePriors.from_json(item["causes"]) for item in content if "causes" in item]
+        of = {
+            (item["joint"], item["direction"]): _prior_from_json(item) for item in content if "joint" in item
+        }
+        return cls(of, *causes)
 
 
 def weak_prior(law: StepLaw, rows: Rows) -> Prior:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.fit.bayes.sample import TRUSTED, Sample
 from stickslip_fit.fit.bayes.wild_counts import wild_counts
 from stickslip_fit.fit.identifiability import configuration_rows, describe, known_parameters
 from stickslip_fit.fit.remark import Remark
+from stickslip_fit.fit.result import EVERYWHERE
 from stickslip_fit.machine import Machine
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+AS_BEFORE = 0.8  # standard deviations of the prior; a posterior as wide has learnt nothing
 
 
 def remarks(
@@ -39,6 +43,33 @@ def remarks(
     if freedom < 1:
         found.append(_few_replicates(sample, direction))
     return found, known[0]
+
+
+def known_sizes(sample: Sample) -> Mask:
+    """Which parameters of causes the log knows better than the prior, shape (q,); held ones are given."""
+    if sample.causes is None:
+        return np.zeros(0, dtype=bool)
+    eta = sample.causes.at(sample.draws.mean[:, len(sample.prior.names) :])
+    return eta.std(axis=0) < AS_BEFORE
+
+
+def remarks_on_sizes(sample: Sample) -> list[Remark]:
+    """What is to be said of the causes' parameters, once for all joints."""
+    if sample.causes is None or not sample.converged:
+        return []
+    law, found = sample.traverses.law, []
+    assert isinstance(law, ExtendedLaw)
+    whose = [cause for cause in law.causes for _ in cause.parameters]
+    for cause, (name, told), free, known in zip(
+        whose, sample.causes.lines(), sample.causes.free, known_sizes(sample), strict=True
+    ):
+        if not free:
+            text = f"{name} is {told}, where least squares chose it; it has no error bar"
+            found.append(Remark("chosen", EVERYWHERE, "", "", (name,), text))
+        elif not known:
+            text = f"{name} would be what the prior says, {told}; what would show it: {cause.shows_best}"
+            found.append(Remark("not_identified", EVERYWHERE, "", "", (name,), text))
+    return found
 
 
 def _not_converged(sample: Sample, direction: str) -> list[Remark]:

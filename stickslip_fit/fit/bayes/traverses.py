@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.fit.groups import Groups, group_rows, usable_rows
 from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
@@ -86,7 +87,7 @@ def lay_out(law: StepLaw, rows: pd.DataFrame) -> Traverses:
     place = np.full((len(groups), int(groups.sizes.max())), -1)
     within = np.arange(len(order)) - (ends - groups.sizes)[groups.of_row[order]]
     place[groups.of_row[order], within] = order
-    alike = ["session", *law.columns, "start", "stop"]
+    alike = list(dict.fromkeys(["session", *law.columns, "start", "stop"]))
     kind = rows.groupby(alike, dropna=False, observed=True, sort=False).ngroup().to_numpy()
     _, first, like = np.unique(kind, return_index=True, return_inverse=True)
     return Traverses(law, rows, groups, y, rounding, place, first, like)
@@ -96,11 +97,25 @@ def predict_draws(law: StepLaw, rows: pd.DataFrame, values: Array) -> Array:
     """log(steps) of n rows under d draws of their parameters, shape (d, n, p) -> (d, n)."""
     draws, n, p = values.shape
     at_a_time = min(max(ROWS_AT_A_TIME // n, 1), draws)
-    model = law.model(rows.iloc[np.tile(np.arange(n), at_a_time)])
+    predict = _response(law, rows.iloc[np.tile(np.arange(n), at_a_time)])
     found = np.empty((draws, n))
     for first in range(0, draws, at_a_time):
-        # The last block reaches back, so that one model serves all blocks.
+        # The last block reaches back, so that one laying out serves all blocks.
         first = min(first, draws - at_a_time)
         block = values[first : first + at_a_time].reshape(-1, p)
-        found[first : first + at_a_time] = model(block)[0].reshape(at_a_time, n)
+        found[first : first + at_a_time] = predict(block).reshape(at_a_time, n)
     return found
+
+
+def _response(law: StepLaw, rows: pd.DataFrame) -> Callable[[Array], Array]:
+    """log(steps) as a function of the values; without derivatives where these take most of the time."""
+    if not isinstance(law, ExtendedLaw):
+        model = law.model(rows)
+        return lambda values: model(values)[0]
+    steps = law.steps(rows)
+
+    def predict(values: Array) -> Array:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(steps(values))
+
+    return predict

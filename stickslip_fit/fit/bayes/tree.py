@@ -93,7 +93,7 @@ def _predictive(
 
 
 def _prior(sample: Sample, size: int, rng: np.random.Generator) -> dict[str, Dataset]:
-    mean, spread, repeatability = sample.prior.draw(size, rng)
+    mean, spread, repeatability = sample.from_prior(size, rng)
     sessions = len(sample.traverses.groups)
     noise = rng.standard_normal((size, sessions, mean.shape[1]))
     parameters = mean[:, None] + spread[:, None] * noise
@@ -126,7 +126,7 @@ def _dataset(
         "law": ("traverse",),
     }  # fmt: skip
     coordinates = {
-        "parameter": list(sample.prior.names),
+        "parameter": list(sample.names),
         "session": [str(session) for session in sample.traverses.groups.table["session"]],
         "traverse": sample.traverses.rows.index.to_numpy(),
     }

@@ -111,7 +111,7 @@ def _draw_law(left: Axes, right: Axes, sessions: list[str], fit: Result) -> None
     ends = np.array(fit.machine.ranges[3])
     for group in elbow.groups.itertuples():
         if group.session in sessions:
-            gamma0, d = law.coefficients({"q3": ends}, elbow.values[group.Index])
+            gamma0, d = law.coefficients({"q3": ends}, elbow.values[group.Index, : len(law.parameters)])
             colour = DIRECTION_COLOURS[group.direction]
             left.plot(from_si(ends, "mm"), from_si(gamma0, "µrad"), color=colour, lw=0.8, zorder=1)
             right.plot(from_si(ends, "mm"), from_si(d, "µrad"), color=colour, lw=0.8, zorder=1)
