@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
+from scipy.sparse import csc_array, hstack
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit.diagnose.amplitude import threshold_length
@@ -175,9 +176,11 @@ def _largest(cause: Any, study: Study) -> float:
 
 def _alike(shapes: list[Hypothesis], rivals: list[Hypothesis]) -> Array:
     """For each shape, its largest cosine with one of the rival's."""
-    if all(each.directions.shape[1] == 1 for each in [*shapes, *rivals]):
-        mine, theirs = (
-            np.concatenate([each.directions for each in set_], axis=1) for set_ in (shapes, rivals)
-        )
-        return np.minimum(np.abs(mine.T @ theirs).max(axis=1), 1.0)
+    if all(len(each.share) == 1 for each in [*shapes, *rivals]):
+        cosines = abs(_side_by_side(shapes).T @ _side_by_side(rivals))
+        return np.minimum(np.asarray(cosines.max(axis=1).todense()).ravel(), 1.0)
     return np.array([min(max(likeness(one, other) for other in rivals), 1.0) for one in shapes])
+
+
+def _side_by_side(shapes: list[Hypothesis]) -> csc_array:
+    return csc_array(hstack([csc_array(each.stored) for each in shapes]))
