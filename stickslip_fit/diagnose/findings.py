@@ -12,6 +12,7 @@ from scipy.stats import beta
 from stickslip_fit.diagnose.amplitude import Interval, strength_interval, threshold_length
 from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.candidates import acts_on
+from stickslip_fit.diagnose.carried import carried
 from stickslip_fit.diagnose.diagnosis import Finding, SizedParameter
 from stickslip_fit.diagnose.effect import effect_of
 from stickslip_fit.diagnose.evidence import STRENGTHS
@@ -90,8 +91,11 @@ def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
     shape = _structure(best, study.residual)
     strength2 = float(shape @ shape)
     length = float(np.linalg.norm(shape))
-    strength = _strength(found, np.sqrt(strength2 + 1.0), 1.0, 1, study, alpha)
-    effect = strength.times(_rms(shape * study.scale) / max(length, 1e-12))
+    if isinstance(best, Memory):
+        effect = carried(study, best).times(_rms(study.scale))
+    else:
+        strength = _strength(found, np.sqrt(strength2 + 1.0), 1.0, 1, study, alpha)
+        effect = strength.times(_rms(shape * study.scale) / max(length, 1e-12))
     causes = {cause: value for cause, value in looked.by_cause.items() if cause != UNKNOWN}
     closest = max(causes, key=lambda cause: causes[cause]) if causes else ""
     share = 0.0
