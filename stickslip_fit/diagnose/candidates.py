@@ -14,6 +14,8 @@ from stickslip_fit.diagnose.within import Session, of_one, sessions
 
 Array = npt.NDArray[np.float64]
 
+SMALLER = 20.0
+
 
 def effects(study: Study, version: Any, trials: Array) -> Array:
     """Change of every response, in units of its noise, recalibration taken out; trials (m, q) -> (n, m)."""
@@ -21,7 +23,22 @@ def effects(study: Study, version: Any, trials: Array) -> Array:
 
 
 def changes(study: Study | Session, version: Any, trials: Array) -> Array:
-    """Change of every response; trials (m, q) -> (n, m)."""
+    """Change of every response; trials (m, q) -> (n, m).
+
+    A trial by which a law has no answer (a joint would stall) stands for a smaller one of its kind; without
+    effect if that has none either.
+    """
+    found = _changes(study, version, trials)
+    if (stalled := ~np.isfinite(found).all(axis=0)).any():
+        smaller, absent = trials[stalled].copy(), np.array(version.absent)
+        sizes = slice(None) if version.joined else slice(0, 1)
+        smaller[:, sizes] = absent[sizes] + (smaller[:, sizes] - absent[sizes]) / SMALLER
+        again = SMALLER * _changes(study, version, smaller)
+        found[:, stalled] = np.where(np.isfinite(again).all(axis=0), again, 0.0)
+    return found
+
+
+def _changes(study: Study | Session, version: Any, trials: Array) -> Array:
     found = np.zeros((len(study), len(trials)))
     for part, table in zip(study.parts, study.tables, strict=True):
         if acts_on(version, part.law):

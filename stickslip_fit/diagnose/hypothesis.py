@@ -35,6 +35,8 @@ class Hypothesis:
         Orthonormal, recalibration taken out; sparse where sessions keep to themselves.
     share : array, shape (m,)
         Adds up to 1.
+    length : float
+        Strength of the effect as it was tried.
     """
 
     cause: str
@@ -42,6 +44,7 @@ class Hypothesis:
     values: Array | None
     stored: Array | csc_array
     share: Array
+    length: float
 
     @property
     def directions(self) -> Array:
@@ -61,11 +64,11 @@ def hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -
         length = float(np.linalg.norm(effects))
         if length < NOTHING:
             return None
-        return Hypothesis(cause, version, values, effects / length, np.ones(1))
+        return Hypothesis(cause, version, values, effects / length, np.ones(1), length)
     variance, right = np.linalg.eigh(effects.T @ effects)
     total = float(variance.sum())
     if total < NOTHING**2:
         return None
     kept = variance > NEGLIGIBLE * total
     directions = effects @ right[:, kept] / np.sqrt(variance[kept])
-    return Hypothesis(cause, version, values, directions, variance[kept] / total)
+    return Hypothesis(cause, version, values, directions, variance[kept] / total, float(np.sqrt(total)))

@@ -39,6 +39,7 @@ class Misfit:
 
     Attributes
     ----------
+    residual : array, shape (n,)
     hypotheses : tuple of Hypothesis or Memory
     log_evidence : array, shape (H,)
     by_cause : dict of str to float
@@ -48,6 +49,7 @@ class Misfit:
         Log evidence, over everything, in logs in which nothing is wrong.
     """
 
+    residual: Array
     hypotheses: tuple[Hypothesis | Memory, ...]
     log_evidence: Array
     by_cause: dict[str, float]
@@ -108,7 +110,7 @@ def misfit(
         if enough is not None and np.sum(by_chance >= total) >= enough:
             break
     p_value = (1 + int(np.sum(by_chance >= total))) / (1 + len(by_chance)) if flips else np.nan
-    return Misfit(tuple(hypotheses), own, each, p_value, by_chance)
+    return Misfit(study.residual, tuple(hypotheses), own, each, p_value, by_chance)
 
 
 def _noise(study: Study, left: Cleared) -> Array:

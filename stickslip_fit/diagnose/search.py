@@ -215,8 +215,13 @@ def _found(looked: Misfit, naming: Naming) -> Found:
     shape = looked.best_of(naming.cause)
     p_value = min(1.0, 2 * looked.p_value)
     start = np.zeros(0)
-    if shape.version is not None:
-        start = np.array(shape.version.absent) if shape.values is None else shape.values
+    if isinstance(shape, Hypothesis) and shape.version is not None:
+        start = np.array(shape.version.absent)
+        if shape.values is not None:
+            # As large as it looks, and of that sign: from the other side a fit may not find back.
+            seen = float(shape.directions[:, 0] @ looked.residual) / shape.length
+            grown = start[0] + (shape.values[0] - start[0]) * seen
+            start = np.concatenate([[grown], shape.values[1:]])
     return Found(naming.cause, shape.version, start, naming, looked, p_value)
 
 

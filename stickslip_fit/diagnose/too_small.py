@@ -32,5 +32,5 @@ def too_small(study: Study) -> str | None:
 
 def not_searched(bench: Bench) -> Search:
     """A search that found nothing because there is nothing to search."""
-    looked = Misfit((), np.zeros(0), {}, 1.0, np.zeros(0))
+    looked = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Search(bench, np.zeros(0, dtype=np.intp), (), looked, looked, 1.0, bench.fitted(), bench.study())

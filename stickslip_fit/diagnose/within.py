@@ -103,7 +103,9 @@ def of_one(
         return csc_array((directions[:, k], session.rows, [0, len(session)]), shape=(n, 1))
 
     shown = np.flatnonzero(lengths > NOTHING)
-    return [Hypothesis(cause, version, values[k], stored(int(k)), np.ones(1)) for k in shown]
+    return [
+        Hypothesis(cause, version, values[k], stored(int(k)), np.ones(1), float(lengths[k])) for k in shown
+    ]
 
 
 def of_each(names: Sequence[str], n: int, every: Sequence[Session], effects: Array) -> list[Hypothesis]:
@@ -143,6 +145,8 @@ def of_each(names: Sequence[str], n: int, every: Sequence[Session], effects: Arr
         columns = columns if kept.all() else csc_array(columns[:, np.flatnonzero(kept)])
         few = columns.nnz > SPARSE * n * columns.shape[1]
         found.append(
-            Hypothesis(name, None, None, columns.toarray() if few else columns, variance[kept] / total)
+            Hypothesis(
+                name, None, None, columns.toarray() if few else columns, variance[kept] / total, total**0.5
+            )
         )
     return found
