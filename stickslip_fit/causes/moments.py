@@ -17,7 +17,7 @@ Mask = npt.NDArray[np.bool_]
 
 # In a session, in a log, and as many as a session has in any case: between two of them a change is seen
 # nearly as well.
-MOST, ABOUT, LEAST = 60, 240, 6
+MOST, ABOUT, LEAST = 120, 700, 6
 FEWEST = 3  # traverses on either side
 
 

@@ -20,6 +20,8 @@ from stickslip_fit.diagnose.study import Part, Study, study_of
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
+NEARER = (0.3, 0.1)  # shares of the sizes from which a fit is begun again
+
 
 @dataclass(frozen=True, eq=False)
 class Bench:
@@ -78,9 +80,26 @@ class Bench:
         return replace(self, repeatability=noise.of_drive, uneven=noise.uneven.likely)
 
     def fitted(self, versions: Sequence[Any] = (), start: Array | None = None) -> Refit:
-        """The baseline with some causes in it, fitted anew."""
+        """The baseline with some causes in it, fitted anew.
+
+        What does not converge from where it begins is begun nearer to no effect, where the fit is linear.
+        """
         first = np.zeros(0) if start is None else start
-        return refit(self.rows, self.parts, self.responses, self.scale, versions, first)
+        found = refit(self.rows, self.parts, self.responses, self.scale, versions, first)
+        for share in NEARER:
+            if found.converged or not len(first):
+                break
+            nearer = _absent(versions) + share * (first - _absent(versions))
+            again = refit(
+                self.rows, self.parts, self.responses, self.scale, versions,
+                np.where(_sizes(versions), nearer, first),
+            )  # fmt: skip
+            if again.converged or self._chi_square(again) < self._chi_square(found):
+                found = again
+        return found
+
+    def _chi_square(self, fit: Refit) -> float:
+        return float(np.sum((fit.residual / self.scale) ** 2))
 
     def without(self, out: Indices) -> Bench:
         """The bench without some rows, the baseline fitted anew."""
@@ -104,3 +123,12 @@ class Bench:
             uneven=self.uneven[kept],
         )
         return replace(smaller, parts=smaller.fitted().parts)
+
+
+def _absent(versions: Sequence[Any]) -> Array:
+    return np.concatenate([np.array(each.absent, dtype=float) for each in versions])
+
+
+def _sizes(versions: Sequence[Any]) -> npt.NDArray[np.bool_]:
+    """Which parameters are sizes: the first of each cause, or all where they act in any combination."""
+    return np.concatenate([[each.joined or k == 0 for k in range(len(each.absent))] for each in versions])

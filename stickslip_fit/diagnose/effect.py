@@ -24,6 +24,8 @@ class Effect:
     Attributes
     ----------
     rows : array, shape (n,)
+    rms : float
+        Over all rows with equal weight, relative, all that an even recalibration would absorb taken out.
     error : float
         Standard deviation of its length.
     dimensions : int
@@ -31,6 +33,7 @@ class Effect:
     """
 
     rows: Array
+    rms: float
     error: float
     dimensions: int
 
@@ -55,14 +58,18 @@ def effect_of(searched: Search, study: Study, found: Found, mine: slice) -> Effe
     values, covariance = searched.fit.values[mine], searched.fit.covariance[mine, mine]
     steps = APART * np.array(found.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
-    scaled = study.project(changes(study, found.version, trials) / study.scale[:, None])
+    made = changes(study, found.version, trials)
+    scaled = study.project(made / study.scale[:, None])
     form = scaled[:, 0]
     length = max(float(np.linalg.norm(form)), 1e-12)
     slopes = (scaled[:, 1:] - form[:, None]) / steps
     along = slopes.T @ form / length
     error = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
     dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
-    return Effect(form + _beyond(searched, found), max(error, 1.0), dimensions)
+    beyond = _beyond(searched, found)
+    even = study_of(study.rows, study.parts, searched.bench.responses, np.ones(len(study)))
+    rms = float(np.sqrt(np.mean(even.project(made[:, 0] + beyond * study.scale) ** 2)))
+    return Effect(form + beyond, rms, max(error, 1.0), dimensions)
 
 
 def _beyond(searched: Search, found: Found) -> Array:

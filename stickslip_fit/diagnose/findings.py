@@ -57,7 +57,7 @@ def _named(searched: Search, study: Study, found: Found, mine: slice, alpha: flo
     values, covariance = searched.fit.values[mine], searched.fit.covariance[mine, mine]
     effect = effect_of(searched, study, found, mine)
     strength = _strength(found, effect.length, effect.error, effect.dimensions, study, alpha)
-    per_strength = _rms(effect.rows * study.scale) / max(effect.length, 1e-12)
+    per_strength = effect.rms / max(effect.length, 1e-12)
     looked = found.misfit
     assert looked is not None
     rivals = tuple(
