@@ -5,14 +5,16 @@ tails and wherever it is larger: flipping signs at random makes further logs in 
 Edgington and P. Onghena, Randomization Tests, 4th ed., Chapman & Hall, 2007; J. L. Horowitz, Annu. Rev. Econ.
 11:193, 2019, on the wild bootstrap.) Each is recalibrated and searched just as the log itself.
 
-What is plainly wrong would be flipped with the noise and hide behind itself, the more so where a few
-traverses show all of it. It is taken out before, and what is left of each row is divided by the share of its
-noise that stayed (the jackknife's residuals: J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985).
+What is plainly wrong would be flipped with the noise and hide behind itself. It is taken out before, and
+what is left of each row is divided by the share of its noise that stayed (the jackknife's residuals: J. G.
+MacKinnon and H. White, J. Econometrics 29:305, 1985). Of an effect that shows in a few traverses alone that
+would leave next to nothing, and the signs of a few say little: such an effect has to exceed what noise with
+the heaviest tails that noise may have makes of a log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +31,8 @@ Array = npt.NDArray[np.float64]
 
 UNKNOWN = "unknown"
 LARGEST_LEVERAGE = 0.8
-CONCENTRATED = 0.15  # share of an effect in one traverse, above which it may as well be a wild count
+CONCENTRATED = 0.15  # share of an effect in one traverse, above which it shows in few alone
+HEAVIEST = 5.0  # degrees of freedom
 AT_A_TIME, NUMBERS = 500, 25_000_000  # flipped logs, and residuals in them
 
 
@@ -100,12 +103,12 @@ def misfit(
         for name in dict.fromkeys(kinds)
     }
     total, by_chance = float(logsumexp(list(each.values()))), np.zeros(0)
-    noise = _noise(study, cleared(study.residual, hypotheses, own))
+    noise = _noise(study, cleared(study.residual, hypotheses, own), rng)
     for first in range(
         0, flips, at_a_time := min(AT_A_TIME, max(NUMBERS // max(len(study), len(together.share)), 1))
     ):
-        signs = rng.choice([-1.0, 1.0], (len(study), min(at_a_time, flips - first)))
-        null = together.log_mean_evidence(study.project(signs * noise[:, None]), weight)
+        drawn = noise(min(at_a_time, flips - first))
+        null = together.log_mean_evidence(study.project(drawn), weight)
         by_chance = np.concatenate([by_chance, null])
         if enough is not None and np.sum(by_chance >= total) >= enough:
             break
@@ -113,13 +116,15 @@ def misfit(
     return Misfit(study.residual, tuple(hypotheses), own, each, p_value, by_chance)
 
 
-def _noise(study: Study, left: Cleared) -> Array:
-    """Residuals as they were before recalibration, and what else was taken out, made them smaller."""
-    recalibrated = np.sqrt(1.0 - np.minimum(study.leverage, LARGEST_LEVERAGE))
+def _noise(study: Study, left: Cleared, rng: np.random.Generator) -> Callable[[int], Array]:
+    """A maker of logs in which nothing is wrong, before recalibration: their number k -> (n, k)."""
+    n = len(study)
     if left.leverage.max() > CONCENTRATED:
-        # A few wild counts may look like an effect on those traverses alone; so they stay.
-        return study.residual / recalibrated
-    return left.residual / (1.0 - left.leverage) / recalibrated
+        return lambda number: rng.standard_t(HEAVIEST, (n, number))
+    # As they were before recalibration, and what else was taken out, made them smaller.
+    kept = (1.0 - left.leverage) * np.sqrt(1.0 - np.minimum(study.leverage, LARGEST_LEVERAGE))
+    sizes = (left.residual / kept)[:, None]
+    return lambda number: rng.choice([-1.0, 1.0], (n, number)) * sizes
 
 
 def _weights(hypotheses: Sequence[Hypothesis | Memory], kinds: Sequence[str]) -> Array:
