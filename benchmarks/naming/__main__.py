@@ -1,0 +1,5 @@
+"""Score rivals and ours; see `harness`."""
+
+from benchmarks.naming.harness import main
+
+main()
