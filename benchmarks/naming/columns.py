@@ -1,4 +1,4 @@
-"""The columns that an analyst who knows ../shared/causes.md would try: what each cause would do to log steps.
+"""The columns that an analyst who knows the table of causes would try: what each cause would do to log steps.
 
 First-order changes of the baseline, written in plain numpy on the node-wise laws of the log generator; shape
 parameters are put on a grid. Each candidate is a cause and one column, or a few that go together.

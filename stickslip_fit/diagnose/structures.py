@@ -20,7 +20,7 @@ from stickslip_fit.logs.history import previous
 Array = npt.NDArray[np.float64]
 
 WAVES = 6
-MOST_PERIODS = 150
+MOST_PERIODS = 250
 MOST_NUMBERS = 20_000_000  # held for the departures of configurations; with more they are not looked for
 FEWEST_PER_PERIOD = 2.5  # traverses
 CARRIED = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
@@ -45,7 +45,7 @@ def structures(study: Study) -> list[Hypothesis | Memory]:
         found += of_each([f"unknown:time, joint {joint}"], len(rows), every, (waves * mine)[:, None])
     order = rows.groupby(session).cumcount().to_numpy(float)
     for clock, unit, called in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
-        periods = _periods(clock)
+        periods = _periods(clock, session)
         angles = 2 * np.pi * clock[:, None] / periods
         pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / study.scale[:, None, None]
         names = [f"unknown:period of {period / unit:.1f} {called}" for period in periods]
@@ -81,13 +81,14 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def _periods(clock: Array) -> Array:
+def _periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
     """Periods that a session is long enough for and its traverses dense enough, evenly in frequency."""
-    longest, step = (
-        float(clock.max()),
-        float(np.median(np.diff(np.unique(clock)))) if clock.max() > 0 else 0.0,
-    )
-    if step <= 0 or longest < 4 * FEWEST_PER_PERIOD * step:
+    order = np.lexsort((clock, session))
+    apart = np.diff(clock[order])[np.diff(session[order]) == 0]
+    if not (apart > 0).any():
+        return np.zeros(0)
+    longest, step = float(clock.max()), float(np.median(apart[apart > 0]))
+    if longest < 4 * FEWEST_PER_PERIOD * step:
         return np.zeros(0)
     slowest, fastest = 2.0 / longest, 1.0 / (FEWEST_PER_PERIOD * step)
     number = min(MOST_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
