@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnose.diagnose import decide
+from stickslip_fit.diagnose.study import Part, study_of
+from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs import read_log
 
 SETTINGS = (
@@ -15,6 +17,9 @@ SETTINGS = (
 )
 REPEATABILITY, DRIFT = 0.0027, -0.003  # relative; and an hour
 ALPHA = 0.02
+Q2 = np.radians([-90.0, 0.0, 0.0, -45.0, -135.0])
+THETA = np.radians([0.0, -90.0, 0.0, 0.0, -30.0])
+NOISE = 0.003  # of a count, relative
 
 
 def hours_in(table: pd.DataFrame) -> np.ndarray:
@@ -72,3 +77,42 @@ def unnamed(table, read):
 def tiny(table, read):
     """Three traverses."""
     return decide(read(table.head(3), "tiny.csv"))
+
+
+@pytest.fixture(scope="package")
+def rows():
+    """Two sessions of joint 3 in both directions, ten hours each."""
+    n = 100
+    return pd.DataFrame(
+        {
+            "session": np.repeat(["a", "b"], n),
+            "joint": 3,
+            "direction": np.tile(["+", "-"], n),
+            "q1": 0.0,
+            "q2": np.tile(np.repeat(Q2, 2), 2 * n // 10),
+            "q3": np.nan,
+            "theta": np.tile(np.repeat(THETA, 2), 2 * n // 10),
+            "psi": 0.0,
+            "start": np.tile([0.0, 0.012], n),
+            "stop": np.tile([0.012, 0.0], n),
+            "session_seconds": np.tile(np.linspace(0.0, 36_000.0, n), 2),
+        }
+    )
+
+
+@pytest.fixture(scope="package")
+def parts(rows):
+    block = 2 * (rows["session"] == "b").to_numpy() + (rows["direction"] == "-").to_numpy()
+    values = np.where(block[:, None] % 2 == 0, [976e-9, 0.3, 438e-9], [903e-9, 0.3, -405e-9])
+    return (Part(Prismatic(), np.arange(len(rows)), block.astype(np.intp), values),)
+
+
+@pytest.fixture(scope="package")
+def study_with(rows, parts):
+    """A maker of studies from departures of the responses."""
+
+    def make(departure):
+        responses = Prismatic().predict(rows, parts[0].values) + departure
+        return study_of(rows, parts, responses, np.full(len(rows), NOISE))
+
+    return make

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import kstest, multivariate_normal, norm
@@ -17,51 +16,10 @@ from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfires import misfires
 from stickslip_fit.diagnose.misfit import misfit
 from stickslip_fit.diagnose.refit import refit
-from stickslip_fit.diagnose.study import Part, study_of
+from stickslip_fit.diagnose.study import study_of
 from stickslip_fit.laws import Prismatic
 
-Q2 = np.radians([-90.0, 0.0, 0.0, -45.0, -135.0])
-THETA = np.radians([0.0, -90.0, 0.0, 0.0, -30.0])
 NOISE = 0.003
-
-
-@pytest.fixture(scope="module")
-def rows():
-    """Two sessions of joint 3 in both directions, ten hours each."""
-    n = 100
-    return pd.DataFrame(
-        {
-            "session": np.repeat(["a", "b"], n),
-            "joint": 3,
-            "direction": np.tile(["+", "-"], n),
-            "q1": 0.0,
-            "q2": np.tile(np.repeat(Q2, 2), 2 * n // 10),
-            "q3": np.nan,
-            "theta": np.tile(np.repeat(THETA, 2), 2 * n // 10),
-            "psi": 0.0,
-            "start": np.tile([0.0, 0.012], n),
-            "stop": np.tile([0.012, 0.0], n),
-            "session_seconds": np.tile(np.linspace(0.0, 36_000.0, n), 2),
-        }
-    )
-
-
-@pytest.fixture(scope="module")
-def parts(rows):
-    block = 2 * (rows["session"] == "b").to_numpy() + (rows["direction"] == "-").to_numpy()
-    values = np.where(block[:, None] % 2 == 0, [976e-9, 0.3, 438e-9], [903e-9, 0.3, -405e-9])
-    return (Part(Prismatic(), np.arange(len(rows)), block.astype(np.intp), values),)
-
-
-@pytest.fixture(scope="module")
-def study_with(rows, parts):
-    """A maker of studies from departures of the responses."""
-
-    def make(departure):
-        responses = Prismatic().predict(rows, parts[0].values) + departure
-        return study_of(rows, parts, responses, np.full(len(rows), NOISE))
-
-    return make
 
 
 def test_recalibration_is_what_least_squares_would_absorb(rows, parts, study_with):
