@@ -287,6 +287,7 @@ def compare(
     from stickslip_fit import strategies
     from stickslip_fit.fit import load_result
     from stickslip_fit.report.chart import check_suffix, write_figure
+    from stickslip_fit.report.claimed import claimed_text
 
     for path in (numbers, chart):
         if path is not None:
@@ -305,7 +306,7 @@ def compare(
         known = strategies.from_result(campaign, load_result(causes_from))
         compared += strategies.causes_strategies(known, more)
     found = strategies.compare(campaign, compared, at_hand=at_hand, command=command())
-    print(found)
+    print("\n\n".join(filter(None, (str(found), claimed_text(found)))))
     if numbers is not None:
         written = strategies.save_numbers(found, numbers)
         print(f"\n{len(written)} tables saved in {numbers}")

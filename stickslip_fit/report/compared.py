@@ -7,6 +7,7 @@ from functools import cache
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
+from stickslip_fit.report.claimed import claimed_table
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     joint_name,
@@ -28,7 +29,7 @@ def comparison_html(found: Comparison) -> str:
         title="Calibration strategies compared",
         said=[typeset(heading(found))],
         remarks=[],
-        tables=[comparison_table(found, joint) for joint in found.joints],
+        tables=[table(found, joint) for joint in found.joints for table in (comparison_table, claimed_table)],
         folded=[("Left out", left_out)] if left_out else [],
         provenance=_provenance(found),
     )

@@ -1,0 +1,140 @@
+"""A comparison as text for the terminal: each joint's answer first, then its tables."""
+
+from __future__ import annotations
+
+from textwrap import fill
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.machine import PRISMATIC
+from stickslip_fit.strategies.comparison import Comparison
+from stickslip_fit.strategies.verdict import against_best, answer, unit_of
+from stickslip_fit.units import format_value, text_table
+from stickslip_fit.units.format import MISSING
+
+WIDTH = 110
+DECIMALS = {"nm": 1, "µrad": 2, "%": 2}
+
+
+def text(found: Comparison) -> str:
+    """What each strategy costs and how well it predicts, joint by joint, and what was left out."""
+    parts = [_paragraph(heading(found))]
+    for joint in found.joints:
+        parts += [
+            f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})",
+            _paragraph(answer(found, joint)),
+            _absolute_text(found, joint),
+            _relative_text(found, joint),
+            _directions_text(found, joint),
+        ]
+    parts.append(left_out_text(found))
+    return "\n\n".join(part for part in parts if part)
+
+
+def heading(found: Comparison) -> str:
+    """What was compared, and how."""
+    files = ", ".join(found.provenance.log_files) or "a log"
+    said = (
+        f"{len(found.strategies)} calibration strategies on {files}. Each calibrates a session from its own "
+        f"traverses only, and may look back on {found.looks_back}. Errors are predicted less measured mean "
+        "step size, of traverses that none of them calibrates from; a traverse costs "
+        f"{found.handling:.0f} s beside its steps. p is adjusted for all pairs of a joint (Holm)."
+    )
+    return said if found.joints else f"{said} No session is left in which they can be compared."
+
+
+def left_out_text(found: Comparison) -> str:
+    """Which sessions each strategy could not calibrate, and why."""
+    if found.left_out.empty:
+        return ""
+    alike: dict[tuple[str, str, str], list[str]] = {}
+    for (strategy, reason, joint), mine in found.left_out.groupby(
+        ["strategy", "reason", "joint"], sort=False
+    ):
+        ways = " and ".join(way for way in dict.fromkeys(mine["direction"]) if way)
+        sessions = f"{f'direction {ways}, ' * bool(ways)}session {', '.join(dict.fromkeys(mine['session']))}"
+        alike.setdefault((strategy, sessions, reason), []).append(str(joint))
+    lines = [
+        _paragraph(
+            f"{strategy or 'all strategies'}: joint {', '.join(joints)}, {sessions}: {reason}", "  ", "    "
+        )
+        for (strategy, sessions, reason), joints in alike.items()
+    ]
+    return "\n".join(["left out", *lines])
+
+
+def quantity(value: float, unit: str) -> str:
+    """An error without its unit, to the digits that a log supports."""
+    return format_value(value, unit, DECIMALS[unit]).removesuffix(f" {unit}")
+
+
+def between(row: pd.Series, name: str, unit: str) -> str:
+    """An interval without its unit."""
+    if not np.isfinite(row[f"{name}_low"]):
+        return MISSING
+    return f"{quantity(row[f'{name}_low'], unit)} to {quantity(row[f'{name}_high'], unit)}"
+
+
+def _absolute_text(found: Comparison, joint: int) -> str:
+    unit, cost = unit_of(joint), found.cost()
+    table = _of(found.accuracy(), joint).merge(_of(cost, joint), on="strategy", suffixes=("", "_made"))
+    header = [f"in {unit}", "each way", "min", "rms", "95 %", "bias", "95 %", "worst", "typical worst"]
+    rows = [
+        [
+            row["strategy"],
+            f"{row['traverses_made']:.3g}",
+            f"{row['seconds'] / 60:.0f}",
+            quantity(row["rms"], unit),
+            between(row, "rms", unit),
+            quantity(row["bias"], unit),
+            between(row, "bias", unit),
+            quantity(row["worst"], unit),
+            quantity(row["typical_worst"], unit),
+        ]
+        for _, row in table.iterrows()
+    ]
+    return text_table(header, rows)
+
+
+def _relative_text(found: Comparison, joint: int) -> str:
+    best, others = against_best(found, joint)
+    against = others.set_index("strategy") if len(others) else pd.DataFrame()
+    header = ["in %", "rms", "95 %", "worst", "less the best's", "95 %", "p", ""]
+    rows = []
+    for _, row in _of(found.accuracy(), joint).iterrows():
+        name = str(row["strategy"])
+        cells = [name, quantity(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
+        cells.append(quantity(row["worst_relative"], "%"))
+        if name == best:
+            rows.append([*cells, "", "", "", "least rms"])
+            continue
+        pair = against.loc[name]
+        p = f"{pair['p_adjusted']:.2g}" if pair["p_adjusted"] >= 1e-4 else "<0.0001"
+        difference = quantity(pair["difference_relative"], "%")
+        verdict = str(pair["verdict"]).removesuffix(" on this log")
+        rows.append([*cells, difference, between(pair, "difference_relative", "%"), p, verdict])
+    return text_table(header, rows)
+
+
+def _directions_text(found: Comparison, joint: int) -> str:
+    mine = _of(found.accuracy("direction"), joint)
+    ways = list(dict.fromkeys(mine["direction"]))
+    if len(ways) < 2:
+        return ""
+    header = ["by direction, rms in %", *(head for way in ways for head in (way, "95 %"))]
+    rows = []
+    for strategy, own in mine.groupby("strategy", sort=False):
+        cells = []
+        for _, row in own.set_index("direction").loc[ways].iterrows():
+            cells += [quantity(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
+        rows.append([str(strategy), *cells])
+    return text_table(header, rows)
+
+
+def _of(table: pd.DataFrame, joint: int) -> pd.DataFrame:
+    return table[table["joint"] == joint]
+
+
+def _paragraph(said: str, first: str = "", then: str = "") -> str:
+    return fill(said, WIDTH, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.logs import read_log
+from stickslip_fit.strategies import (
+    ClosedForm,
+    ConstantStep,
+    DOptimal,
+    Hierarchical,
+    LeastSquares,
+    compare,
+    earlier_sessions,
+    save_numbers,
+)
+from stickslip_fit.strategies.accuracy import CONFIGURATIONS
+from stickslip_fit.strategies.numbers import tables
+from stickslip_fit.strategies.verdict import against_best
+
+MONDAY, TUESDAY, WEDNESDAY = "2012-03-05", "2012-03-06", "2012-03-07"
+
+
+class FirstOfAll:
+    """What a user may write: the mean step of whatever was driven first."""
+
+    name = "first of all"
+
+    def choose(self, task):
+        return np.array([0])
+
+    def calibrate(self, task, made):
+        step = abs(made["stop"] - made["start"]).sum() / made["steps"].sum()
+        return lambda rows: (np.log(abs(rows["stop"] - rows["start"]) / step), np.zeros(len(rows)))
+
+
+@pytest.fixture(scope="module")
+def found(log):
+    return compare(log, [ConstantStep(), ClosedForm(), LeastSquares(DOptimal(), 2), FirstOfAll()])
+
+
+def test_errors_are_those_of_traverses_that_nobody_calibrated_from(found, log):
+    shared = found.shared
+    assert shared.groupby("traverse")["strategy"].nunique().eq(4).all()
+    by_hand = shared["predicted"] / shared["measured"] - 1.0
+    rows = log.usable.loc[shared["traverse"]]
+    measured = abs(rows["stop"] - rows["start"]).to_numpy() / (rows["steps"].to_numpy() - 2.5)
+    assert shared["measured"].to_numpy() == pytest.approx(measured)
+    mine = shared[(shared["joint"] == 3) & (shared["strategy"] == "closed form")]
+    squares = (by_hand[mine.index] ** 2).groupby(mine["session"]).mean()
+    summed = found.accuracy().set_index(["joint", "strategy"]).loc[(3, "closed form")]
+    assert summed["rms_relative"] == pytest.approx(np.sqrt(squares.mean()))
+    assert summed["worst_relative"] == pytest.approx(by_hand[mine.index][by_hand[mine.index].abs().idxmax()])
+    assert summed["units"] == 3
+
+
+def test_the_thesis_calibration_beats_the_constant_step_and_a_twin_is_no_better(found, log):
+    class Twin(ClosedForm):
+        name = "twin"
+
+    pairs = compare(log, [ConstantStep(), ClosedForm(), Twin()]).pairs.set_index(
+        ["joint", "strategy", "other"]
+    )
+    for joint in (2, 3):
+        assert pairs.loc[(joint, "constant step", "closed form"), "verdict"] == "worse"
+        twins = pairs.loc[(joint, "closed form", "twin")]
+        assert twins["difference"] == 0
+        assert twins["verdict"] == "indistinguishable on this log"
+    assert "cannot be told from it on this log" in " ".join(str(found).split())
+
+
+def test_the_best_is_the_one_that_others_exceed(found):
+    accuracy = found.accuracy().set_index(["joint", "strategy"])["rms_relative"]
+    for joint in found.joints:
+        best, others = against_best(found, joint)
+        assert best == accuracy[joint].idxmin()
+        assert list(others["strategy"]) == [name for name in found.strategies if name != best]
+        for _, pair in others.iterrows():
+            assert pair["other"] == best
+            low, middle, high = (pair[f"difference_relative{end}"] for end in ("_low", "", "_high"))
+            assert low < middle < high
+            assert middle == pytest.approx(
+                accuracy[joint, pair["strategy"]] - accuracy[joint, best], abs=5e-4
+            )
+        assert others.set_index("strategy").loc["constant step", "verdict"] == "worse"
+
+
+def test_cost_is_steps_and_what_lies_between_them(found, log):
+    """The generator takes 10 ms a step and 90 s to turn round, less a fraction of a second."""
+    cost = found.cost().set_index(["joint", "strategy"]).loc[(2, "closed form")]
+    assert cost["traverses"] == 4
+    full = log.usable[(log.usable["joint"] == 2) & (abs(log.usable["stop"] - log.usable["start"]) > 4.1)]
+    calibration = full[full["q3"].isin([0.0, 0.012]) & (full["psi"] == 0)].drop_duplicates(
+        ["session", "direction", "q3", "theta"]
+    )
+    assert len(calibration) == 3 * 2 * 4
+    assert cost["seconds"] == pytest.approx(calibration["steps"].sum() * 0.01 / 3 + 8 * 90, rel=2e-3)
+
+
+def test_a_session_that_lacks_traverses_is_left_out_for_all(campaign, written):
+    table = campaign(sessions=(MONDAY, TUESDAY, WEDNESDAY))
+    lacking = (
+        (table["session"] == TUESDAY)
+        & (table["joint"] == 3)
+        & (table["q2_deg"] == 0)
+        & (table["theta_deg"] < 0)
+    )
+    found = compare(read_log(written(table[~lacking])), [ConstantStep(), ClosedForm()])
+    left_out = found.left_out
+    assert set(zip(left_out["strategy"], left_out["session"], left_out["joint"], strict=True)) == {
+        ("closed form", TUESDAY, 3)
+    }
+    assert "lacks a full traverse at q2 = 0°, theta = -90°" in left_out["reason"].iloc[0]
+    assert found.sessions(3) == (MONDAY, WEDNESDAY)
+    assert found.sessions(2) == (MONDAY, TUESDAY, WEDNESDAY)
+    assert f"closed form: joint 3, direction + and -, session {TUESDAY}" in " ".join(str(found).split())
+
+
+def test_on_the_day_the_first_session_has_none_to_look_back_on(log):
+    found = compare(log, [ClosedForm(), Hierarchical(1)], at_hand=earlier_sessions)
+    assert set(found.left_out["session"]) == {MONDAY}
+    assert found.sessions(3) == (TUESDAY, WEDNESDAY)
+
+
+def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
+    class NotJointTwo(FirstOfAll):
+        def choose(self, task):
+            return (
+                ClosedForm().choose(task)[:1]
+                if task.law.joint != 2
+                else LeastSquares(DOptimal(), 99).choose(task)
+            )
+
+    found = compare(log, [ClosedForm(), NotJointTwo()])
+    assert found.compared(2) == ("closed form",)
+    assert found.compared(3) == ("closed form", "first of all")
+    assert found.sessions(2) == (MONDAY, TUESDAY, WEDNESDAY)
+    assert "joint 2" in str(found)
+
+
+def test_one_session_is_judged_over_its_configurations(log):
+    monday = log.select(log.rows["session"] == MONDAY)
+    found = compare(monday, [ConstantStep(), ClosedForm()])
+    assert found.unit(3) == CONFIGURATIONS
+    accuracy = found.accuracy().set_index(["joint", "strategy"]).loc[(3, "closed form")]
+    assert accuracy["units"] == len(monday.configurations().query("joint == 3")) * 2
+    assert "there is one session" in " ".join(str(found).split())
+    assert found.pairs.set_index("joint").loc[3, "verdict"] == "worse"
+
+
+def test_a_log_without_replicates_still_leaves_sweeps_to_predict(campaign, written):
+    once = read_log(written(sessions=(MONDAY, TUESDAY), replicates=1))
+    found = compare(once, [ConstantStep(), ClosedForm()])
+    assert len(found.joints) == 3
+    everything = [LeastSquares(DOptimal(), 3), *(_Slice(first) for first in range(0, 40, 4))]
+    text = " ".join(str(compare(once, everything)).split())
+    assert "no traverse is left that none of the strategies calibrates from" in text
+
+
+class _Slice(FirstOfAll):
+    """Four of the offered traverses, from a place on."""
+
+    def __init__(self, first):
+        self.first, self.name = first, f"from {first} on"
+
+    def choose(self, task):
+        return np.arange(self.first, self.first + 4) % len(task.offered)
+
+
+def test_what_never_repeats_cannot_be_judged(campaign, written):
+    once = campaign(sessions=(MONDAY,), replicates=1)
+    few = once[(once["joint"] == 3) & (once["direction"] == "+")].head(3)
+    with pytest.raises(InputError, match="joint 3: nothing shows how well a traverse repeats"):
+        compare(read_log(written(few)), [ConstantStep()])
+
+
+@pytest.mark.parametrize("chosen", [[0, 0], [99], [-1]])
+def test_a_strategy_may_only_choose_what_is_offered(log, chosen):
+    class Wrong(FirstOfAll):
+        def choose(self, task):
+            return np.array(chosen)
+
+    with pytest.raises(InputError, match="'first of all' chose traverses"):
+        compare(log, [Wrong()])
+
+
+def test_two_strategies_need_two_names(log):
+    with pytest.raises(InputError, match="names that differ"):
+        compare(log, [ClosedForm(), ClosedForm()])
+
+
+def test_every_number_is_saved_in_peoples_units(found, tmp_path):
+    save_numbers(found, tmp_path / "numbers")
+    for name, table in tables(found).items():
+        read = pd.read_csv(tmp_path / "numbers" / f"{name}.csv", keep_default_na=False, na_values=[""])
+        same = pd.read_parquet(tmp_path / "numbers" / f"{name}.parquet")
+        assert len(read) == len(table)
+        assert list(read) == list(same)
+        for column in read.select_dtypes("number"):
+            assert read[column].to_numpy() == pytest.approx(same[column].to_numpy(), rel=1e-12, nan_ok=True)
+    errors = pd.read_csv(tmp_path / "numbers" / "errors.csv")
+    nm = errors[errors["unit"] == "nm"]
+    assert nm["measured"].between(300, 1500).all()
+    assert nm["error_pct"].to_numpy() == pytest.approx((100 * nm["error"] / nm["measured"]).to_numpy())
+    assert set(nm["q2_deg"]) <= {0.0, -30.0, -60.0, -90.0, -150.0}
+
+
+def test_the_bound_falls_towards_the_floor_and_nothing_lies_below_it(found):
+    for joint, mine in found.bounds.groupby("joint"):
+        assert mine["rms_relative"].is_monotonic_decreasing
+        assert (mine["rms_relative"] > mine["floor_relative"]).all()
+        noise = [value for (of, _), value in found.repeatability.items() if of == joint]
+        assert min(noise) <= mine["floor_relative"].iloc[0] <= max(noise) * 1.02
+        assert mine["traverses"].iloc[0] == {1: 4, 2: 4, 3: 3}[int(joint)]

@@ -1,0 +1,70 @@
+"""The verb `compare`."""
+
+from __future__ import annotations
+
+import sys
+
+import pandas as pd
+import pytest
+
+from stickslip_fit import cli, fit
+from stickslip_fit.causes import library
+from stickslip_fit.fit import save_result
+from stickslip_fit.logs import read_log
+from tests.conftest import CALIBRATION, SWEEPS
+
+JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; status, what it printed, what it complained."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+def test_a_log_is_compared_with_causes_numbers_and_chart(run, written, tmp_path):
+    path = written(sessions=("2012-03-05", "2012-03-06", "2012-03-07"), settings=JOINT_3)
+    files = ("--numbers", tmp_path / "all", "--chart", tmp_path / "p.svg")
+    status, told, complained = run("compare", path, "--cause", "drift", "--more", 2, *files)
+    assert (status, complained) == (0, "")
+    assert "closed form, with causes" in told
+    table = pd.read_parquet(tmp_path / "all" / "accuracy.parquet").set_index("strategy")
+    row = table.loc["least squares, I-optimal +2"]
+    assert row["traverses_made"] == 5
+    line = next(line for line in told.splitlines() if line.startswith("least squares, I-optimal +2 "))
+    assert line.split()[4:7] == ["5", f"{row['seconds'] / 60:.0f}", f"{row['rms']:.1f}"]
+    assert (tmp_path / "p.svg").read_text().startswith("<?xml")
+
+
+def test_what_cannot_be_is_refused_before_any_work(run, log, written, tmp_path):
+    path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)
+    drift = next(each for each in library() if each.name == "drift")
+    saved = tmp_path / "law.json"
+    save_result(fit.least_squares(read_log(path), causes=[drift]), saved)
+    assert (
+        "fitted to the traverses that they would be judged by"
+        in run("compare", path, "--causes-from", saved)[2]
+    )
+    both = run("compare", path, "--causes-from", saved, "--cause", "drift")
+    assert both[0] == 2
+    assert "exclude each other" in both[2]
+    assert "no kind of picture" in run("compare", path, "--chart", tmp_path / "p.txt")[2]
+    assert "existing folder" in run("compare", path, "--numbers", tmp_path / "none" / "none")[2]
+
+
+def test_causes_of_another_log_may_be_taken(run, written, tmp_path):
+    drift = next(each for each in library() if each.name == "drift")
+    other = read_log(written(sessions=("2012-04-05", "2012-04-06"), settings=JOINT_3, seed=4))
+    save_result(fit.least_squares(other, causes=[drift]), tmp_path / "law.json")
+    path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)
+    status, told, _ = run("compare", path, "--causes-from", tmp_path / "law.json")
+    assert status == 0
+    assert "closed form, with causes" in told
