@@ -26,7 +26,7 @@ from stickslip_fit.logs import Log
 # Logs in which nothing is wrong, for each false alarm that may be raised.
 FLIPS_PER_ALARM = 20
 CERTAIN = 0.99
-WITHOUT_ALARM = 0.3  # largest probability of anything where nothing raised an alarm
+WITHOUT_ALARM = 0.5  # where nothing raised an alarm, something is at most as likely as nothing
 
 
 def diagnose(
