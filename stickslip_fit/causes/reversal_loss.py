@@ -30,7 +30,9 @@ class ReversalLoss(CountCause):
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         turned = reversed_before(rows["before_direction"], rows["direction"])
-        return None if turned.any() else "no traverse follows one in the other direction"
+        if not turned.any():
+            return "no traverse follows one in the other direction"
+        return "every traverse follows one in the other direction" if turned.all() else None
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
