@@ -19,7 +19,7 @@ from stickslip_fit.diagnose.evidence import STRENGTHS
 from stickslip_fit.diagnose.hypothesis import Hypothesis
 from stickslip_fit.diagnose.memory import Memory
 from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.search import MISFIRE, Found, Search
+from stickslip_fit.diagnose.search import MISFIRE, Found, Search, others_level
 from stickslip_fit.diagnose.separability import told_apart
 from stickslip_fit.diagnose.study import Study
 
@@ -159,7 +159,7 @@ def _strength(
     looked = found.misfit
     assert looked is not None
     shapes = sum(each.cause == found.cause for each in looked.hypotheses) or 1
-    threshold = threshold_length(looked.critical(alpha / 2), shapes, study.freedom, STRENGTHS)
+    threshold = threshold_length(looked.critical(others_level(alpha)), shapes, study.freedom, STRENGTHS)
     return strength_interval(length / error, dimensions, threshold / error).times(error)
 
 

@@ -17,7 +17,7 @@ from stickslip_fit.diagnose.evidence import STRENGTHS
 from stickslip_fit.diagnose.folds import Split
 from stickslip_fit.diagnose.held_out import Seek, errors
 from stickslip_fit.diagnose.replicates import LARGEST_LEVERAGE, Campaign, left_over, spread
-from stickslip_fit.diagnose.search import Found, Search
+from stickslip_fit.diagnose.search import Found, Search, others_level
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -148,7 +148,7 @@ def _threshold(searched: Search, found: Found, alpha: float) -> float:
     looked = found.misfit
     assert looked is not None
     shapes = max(sum(each.cause == found.cause for each in looked.hypotheses), 1)
-    critical, freedom = searched.first.critical(min(alpha / 2, 1.0)), searched.bench.study().freedom
+    critical, freedom = searched.first.critical(others_level(alpha)), searched.bench.study().freedom
     return threshold_length(critical, shapes, freedom, STRENGTHS)
 
 

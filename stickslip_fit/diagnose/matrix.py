@@ -18,7 +18,7 @@ from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.candidates import candidates, effects
 from stickslip_fit.diagnose.evidence import STRENGTHS
 from stickslip_fit.diagnose.hypothesis import Hypothesis
-from stickslip_fit.diagnose.search import look
+from stickslip_fit.diagnose.search import look, others_level
 from stickslip_fit.diagnose.separability import likeness
 from stickslip_fit.diagnose.study import Study
 
@@ -140,7 +140,7 @@ def matrix(
     rng : Generator
     """
     study = bench.study()
-    critical = look(study, bench, flips, rng).critical(alpha / 2)
+    critical = look(study, bench, flips, rng).critical(others_level(alpha))
     shapes = {cause: candidates(study, [cause]) for cause in bench.causes}
     by_scatter = tuple(cause.name for cause, mine in shapes.items() if not mine)
     shapes = {cause: mine for cause, mine in shapes.items() if mine}

@@ -23,6 +23,9 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 MISFIRE = "end-stop-misfire"
+# Two looks, one for wild counts and one for all else, share the false-alarm rate. Wild counts are rarely near
+# the limit, faint effects often.
+OF_WILD = 0.25
 MOST_CAUSES = 4
 ENOUGH = 50  # flipped logs that look worse than what is left: no second alarm, whatever others say
 OWN_SHARE, MOST_FORMS = 0.003, 8
@@ -107,16 +110,15 @@ def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> 
     """
     bench, study, residual = _settled(bench)
     wild = misfires(study, residual, bench.drive, flips, rng)
-    # Two looks, one for wild counts and one for all else, share the rate.
-    level, misfired = alpha / 2, np.zeros(0, dtype=np.intp)
+    level, misfired = others_level(alpha), np.zeros(0, dtype=np.intp)
     found: list[Found] = []
-    if wild.p_value < level and len(wild.rows):
+    if wild.p_value < OF_WILD * alpha and len(wild.rows):
         misfired = wild.rows
         bench, study, _ = _settled(bench.without(misfired))
         naming = Naming(MISFIRE, (), {})
-        found.append(Found(MISFIRE, None, np.zeros(0), naming, None, min(1.0, 2 * wild.p_value)))
+        found.append(Found(MISFIRE, None, np.zeros(0), naming, None, min(1.0, wild.p_value / OF_WILD)))
     first = last = look(study, bench, flips, rng)
-    p_value = min(1.0, 2 * min(wild.p_value, first.p_value))
+    p_value = min(1.0, wild.p_value / OF_WILD, first.p_value / (1.0 - OF_WILD))
     fit = bench.fitted()
     named: list[Found] = []
     while last.p_value < level and len(named) < MOST_CAUSES:
@@ -135,6 +137,11 @@ def search(bench: Bench, alpha: float, flips: int, rng: np.random.Generator) -> 
             bench, fit, study = extended(bench, again)
         named = [*again, *(each for each in named if each.version is None)]
     return Search(bench, misfired, (*found, *named), first, last, p_value, fit, study)
+
+
+def others_level(alpha: float) -> float:
+    """What is left of a false-alarm rate for all but wild counts."""
+    return min((1.0 - OF_WILD) * alpha, 1.0)
 
 
 def look(
@@ -213,7 +220,7 @@ def _name(looked: Misfit) -> Found:
 
 def _found(looked: Misfit, naming: Naming) -> Found:
     shape = looked.best_of(naming.cause)
-    p_value = min(1.0, 2 * looked.p_value)
+    p_value = min(1.0, looked.p_value / (1.0 - OF_WILD))
     start = np.zeros(0)
     if isinstance(shape, Hypothesis) and shape.version is not None:
         start = np.array(shape.version.absent)
