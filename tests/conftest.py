@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -9,6 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import quad
+
+from stickslip_fit import cli
 
 FULL = {1: (-120.0, 120.0), 2: (-210.0, 30.0), 3: (0.0, 12.0)}
 
@@ -139,3 +142,17 @@ def _row(
     row |= {"from_deg": "", "to_deg": "", "from_mm": "", "to_mm": "", "check_every": check_every}
     row[f"from_{unit}"], row[f"to_{unit}"] = ends
     return row
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; status, what it printed, what it complained."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
+
+    return call

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
-
-from stickslip_fit import cli
 
 ROOT = Path(__file__).parents[1]
 CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
@@ -33,20 +30,6 @@ SWEEP = (
     {"joint": 3, "q2_deg": -45.0},
     {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
 )
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process; status, what it printed, what it complained."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
 
 
 @pytest.fixture

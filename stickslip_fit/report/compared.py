@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip_fit.report.claimed import claimed_table
+from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     joint_name,
@@ -25,7 +23,7 @@ from stickslip_fit.strategies.verdict import against_best, answer
 def comparison_html(found: Comparison) -> str:
     """One small piece of HTML that needs nothing but itself."""
     left_out = left_out_text(found)
-    return _template().render(
+    return template("display.html.j2").render(
         title="Calibration strategies compared",
         said=[typeset(heading(found))],
         remarks=[],
@@ -92,15 +90,3 @@ def _provenance(found: Comparison) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
         ("command", source.command or "none: made from Python"),
     ]
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("stickslip_fit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("display.html.j2")

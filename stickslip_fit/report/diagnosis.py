@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose import Diagnosis
@@ -23,6 +21,7 @@ from stickslip_fit.report.figures.gains import gain_picture
 from stickslip_fit.report.figures.likeness import likeness_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.ranking import ranking_picture
+from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Table
 from stickslip_fit.report.wording import listed, typeset
 
@@ -64,7 +63,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
     command : str, optional
         As typed.
     """
-    return _template("diagnosis.html.j2").render(
+    return template("diagnosis.html.j2").render(
         title=_title(diagnosis), diagnosed=diagnosed(diagnosis), provenance=_provenance(diagnosis, command)
     )
 
@@ -73,7 +72,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     """A piece of HTML for a notebook: the answer and its tables."""
     parts = [*tables.findings_tables(diagnosis), *tables.gain_tables(diagnosis), *tables.further(diagnosis)]
     untestable = untestable_text(diagnosis)
-    return _template("display.html.j2").render(
+    return template("display.html.j2").render(
         title=f"Diagnosis of {_title(diagnosis)}",
         said=[typeset(each) for each in answer(diagnosis)],
         remarks=_remarks(diagnosis),
@@ -149,15 +148,3 @@ def _provenance(diagnosis: Diagnosis, command: str) -> list[tuple[str, str]]:
         ("command", command or "none: made from Python"),
         ("false-alarm rate, seed", f"{diagnosis.alpha:g}, {diagnosis.seed}"),
     ]
-
-
-@cache
-def _template(name: str) -> Template:
-    environment = Environment(
-        loader=PackageLoader("stickslip_fit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(name)

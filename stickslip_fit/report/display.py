@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.logs import Log
 from stickslip_fit.report.calibrated import departures_tables, own_parameters
+from stickslip_fit.report.jinja import template
 from stickslip_fit.report.measured import coverage_table, facts, sessions_table
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Column, Table
@@ -53,7 +52,7 @@ def log_html(log: Log) -> str:
     """A log: what was driven in its latest sessions, what it covers, its files."""
     latest = log.sessions[-MOST_SESSIONS:]
     sessions = sessions_table(log.select(log.rows["session"].isin(latest)))
-    return _template().render(
+    return template("display.html.j2").render(
         title=f"Log {_files([name for name, _ in log.sources])}".strip(),
         said=[facts(log)],
         remarks=log.notes[:MOST_REMARKS],
@@ -94,7 +93,7 @@ def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str
             f"{count(len(told) - MOST_REMARKS, 'more remark')}: print it to read all.",
         ]
     files, method = _files(result.provenance.log_files), result.method.replace("-", " ").capitalize()
-    return _template().render(
+    return template("display.html.j2").render(
         title=f"{method} fit of {files}" if files else f"{method} fit",
         said=[*said, _begun_large(expectation_text(expectation(result)))],
         remarks=told,
@@ -166,15 +165,3 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
         ("command", source.command or "none: made from Python"),
         *([("seed", str(source.seed))] if source.seed is not None else []),
     ]
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("stickslip_fit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("display.html.j2")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip_fit.anova import analyse
 from stickslip_fit.diagnose import Diagnosis
@@ -20,6 +18,7 @@ from stickslip_fit.report.d_table import d_table
 from stickslip_fit.report.diagnosis import diagnosed
 from stickslip_fit.report.factors import cautions, factors
 from stickslip_fit.report.gallery import gallery
+from stickslip_fit.report.jinja import template
 from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Table
@@ -60,7 +59,7 @@ def report_html(
     coefficients = load_coefficients(log, calibration, fit)
     compared = calibrated.compared(calibration, fit)
     variance = analyse(log)
-    return _template().render(
+    return template("report.html.j2").render(
         title=_title(log),
         answer=answer(log, calibration, errors),
         answer_table=answer_table(log, calibration, fit, errors) if len(errors) else None,
@@ -114,15 +113,3 @@ def _provenance(log: Log, fit: Result, command: str) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
         ("command", command or source.command or "none: made from Python"),
     ]
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("stickslip_fit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2")

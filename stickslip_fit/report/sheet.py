@@ -58,15 +58,13 @@ class SessionSheet:
 
 def sheet_html(plan: Plan) -> str:
     """The page as HTML, self-contained; each session begins on a sheet of its own."""
-    from jinja2 import Environment, PackageLoader
+    from stickslip_fit.report.jinja import template
 
-    loader = PackageLoader("stickslip_fit.report")
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     rows = plan.rows()
     by_label = dict(list(rows.groupby("session")))
     sessions = [_session(each.label, each.begins, by_label[each.label]) for each in plan.sessions]
     period = f"{from_si(plan.timing.step_period, 'ms'):g} ms"
-    return environment.get_template("sheet.html.j2").render(plan=plan, period=period, sessions=sessions)
+    return template("sheet.html.j2").render(plan=plan, period=period, sessions=sessions)
 
 
 def write_sheet_page(plan: Plan, path: str | Path) -> None:

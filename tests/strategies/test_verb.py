@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-
 import pandas as pd
-import pytest
 
-from stickslip_fit import cli, fit
+from stickslip_fit import fit
 from stickslip_fit.causes import library
 from stickslip_fit.fit import save_result
 from stickslip_fit.logs import read_log
 from tests.conftest import CALIBRATION, SWEEPS
 
 JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process; status, what it printed, what it complained."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
 
 
 def test_a_log_is_compared_with_causes_numbers_and_chart(run, written, tmp_path):
