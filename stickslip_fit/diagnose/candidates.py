@@ -22,6 +22,11 @@ def effects(study: Study, version: Any, trials: Array) -> Array:
     return study.project(changes(study, version, trials) / study.scale[:, None])
 
 
+def session_effects(study: Study, session: Session, version: Any, trials: Array) -> Array:
+    """As `effects`, of a version that acts in one session alone, s rows; trials (m, q) -> (s, m)."""
+    return session.project(changes(session, version, trials) / study.scale[session.rows, None])
+
+
 def changes(study: Study | Session, version: Any, trials: Array) -> Array:
     """Change of every response; trials (m, q) -> (n, m).
 
@@ -59,7 +64,7 @@ def candidates(study: Study, causes: Iterable[Any]) -> list[Hypothesis]:
         for version, trials in cause.trials(study.rows):
             if version.session:
                 session = every[version.session]
-                shape = session.project(changes(session, version, trials) / study.scale[session.rows, None])
+                shape = session_effects(study, session, version, trials)
                 found += of_one(cause.name, version, trials, len(study), session, shape)
                 continue
             columns = effects(study, version, trials)

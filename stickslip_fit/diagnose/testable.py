@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from stickslip_fit.diagnose.bench import Bench
-from stickslip_fit.diagnose.candidates import effects
+from stickslip_fit.diagnose.candidates import effects, session_effects
 from stickslip_fit.diagnose.hypothesis import NOTHING
 from stickslip_fit.diagnose.search import MISFIRE
 from stickslip_fit.diagnose.study import Study
+from stickslip_fit.diagnose.within import Session, sessions
 
 ENOUGH = 3.0  # strength at the largest plausible size
 
 
 def untestable(bench: Bench, study: Study) -> dict[str, str]:
     """Causes that even at their largest plausible size would not show, and why."""
-    found = {}
+    found, every = {}, sessions(study)
     for cause in bench.causes:
-        strength = largest_strength(cause, study)
+        strength = largest_strength(cause, study, every)
         if strength < NOTHING:
             found[cause.name] = "this log's traverses show nothing of it, once each session is recalibrated"
         elif strength < ENOUGH:
@@ -30,7 +32,7 @@ def untestable(bench: Bench, study: Study) -> dict[str, str]:
     return found
 
 
-def largest_strength(cause: Any, study: Study) -> float:
+def largest_strength(cause: Any, study: Study, every: Mapping[str, Session]) -> float:
     """Norm of a cause's largest plausible effect, in repeatabilities, recalibration taken out."""
     if cause.name == MISFIRE:
         return np.inf
@@ -38,5 +40,9 @@ def largest_strength(cause: Any, study: Study) -> float:
     strengths = [0.0]
     for version, values in shapes:
         grown = values if cause.largest() else values * np.r_[cause.most, np.ones(values.shape[1] - 1)]
-        strengths.append(float(np.linalg.norm(effects(study, version, grown), axis=0).max()))
+        if version.session:
+            shown = session_effects(study, every[version.session], version, grown)
+        else:
+            shown = effects(study, version, grown)
+        strengths.append(float(np.linalg.norm(shown, axis=0).max()))
     return max(strengths)
