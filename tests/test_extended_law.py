@@ -72,18 +72,10 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, folder):
-    """Run the command line in the folder; status, what it printed, what it complained."""
+def run(run, monkeypatch, folder):
+    """As everywhere, in the folder."""
     monkeypatch.chdir(folder)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
+    return run
 
 
 def test_the_causes_that_were_simulated_are_fitted_with_units_and_error_bars(run):

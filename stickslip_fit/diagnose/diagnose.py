@@ -144,7 +144,7 @@ def judge(
 
 
 def flips(alpha: float) -> int:
-    """Logs in which nothing is wrong that an alarm rate needs; twice, since two looks share it."""
+    """Logs in which nothing is wrong that an alarm rate needs; more than for one look, since two share it."""
     return int(np.ceil(2 * FLIPS_PER_ALARM / alpha))
 
 

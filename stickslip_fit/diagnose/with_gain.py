@@ -76,7 +76,10 @@ def configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:
 
 
 def seek(bench: Bench, rng: np.random.Generator, alpha: float) -> Search:
-    """Search part of a log, by as few logs in which nothing is wrong as keep the alarm rate."""
+    """Search part of a log, by as few logs in which nothing is wrong as let it raise an alarm.
+
+    Wild counts would take more; those of the whole log are out already.
+    """
     return search(bench, alpha, int(np.ceil(2.0 / alpha)), rng)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.claims import NOTE, PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim
+from stickslip_fit.report.claims import NOTE, PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import joint_name, plain
 from stickslip_fit.strategies import Comparison
@@ -38,22 +38,6 @@ def claimed_text(found: Comparison) -> str:
         header = ["strategy", *(f"{each.group} {each.head}" for each in table.columns[1:])]
         parts.append(f"{table.caption} (%)\n{text_table(header, table.rows)}")
     return "\n\n".join([*parts, fill(NOTE, WIDTH)]) if parts else ""
-
-
-def share(part: float) -> str:
-    """A share in per cent that says 100 only of all, and 0 only of none.
-
-    Examples
-    --------
-    >>> share(1.0), share(0.9999), share(0.5), share(0.001)
-    ('100', '>99', '50', '<1')
-    """
-    shown = 100 * part
-    if 0 < shown < 1:
-        return "<1"
-    if 99 < shown < 100:
-        return ">99"
-    return f"{shown:.0f}"
 
 
 def _head(claim: Claim) -> str:

@@ -65,7 +65,7 @@ def claims_table(errors: pd.DataFrame) -> Table:
             name = "law" if claim.model == "law" else "constant step"
             worst = error[np.argmax(np.abs(error))]
             shown = signed_percent(worst) if claim.unit == "%" else quantity(worst, claim.unit)
-            cells = (name, f"±{plain(claim.limit)} {claim.unit}", _share(within), shown)
+            cells = (name, f"±{plain(claim.limit)} {claim.unit}", share(within), shown)
             body.append((joint_name(int(joint)), *cells))
     return Table("The thesis's claims and this log", columns, tuple(body), stubs=2, note=NOTE)
 
@@ -75,9 +75,15 @@ def _error(errors: pd.DataFrame, claim: Claim) -> np.ndarray:
     return predicted / measured - 1.0 if claim.unit == "%" else predicted - measured
 
 
-def _share(within: float) -> str:
-    """A share in per cent that says 100 only of all, and 0 only of none."""
-    shown = 100 * within
+def share(part: float) -> str:
+    """A share in per cent that says 100 only of all, and 0 only of none.
+
+    Examples
+    --------
+    >>> share(1.0), share(0.9999), share(0.5), share(0.001)
+    ('100', '>99', '50', '<1')
+    """
+    shown = 100 * part
     if 0 < shown < 1:
         return "<1"
     if 99 < shown < 100:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pandas as pd
 
 from stickslip_fit.report.claimed import claimed_table
+from stickslip_fit.report.display import provenance_of
 from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     joint_name,
-    listed,
     number,
     percent_number,
     step_unit,
@@ -29,7 +29,7 @@ def comparison_html(found: Comparison) -> str:
         remarks=[],
         tables=[table(found, joint) for joint in found.joints for table in (comparison_table, claimed_table)],
         folded=[("Left out", left_out)] if left_out else [],
-        provenance=_provenance(found),
+        provenance=provenance_of(found.provenance),
     )
 
 
@@ -80,13 +80,3 @@ def _against(row: pd.Series, against: pd.DataFrame) -> tuple[str, str, str]:
     pair = against.loc[row["strategy"]]
     low, high = (percent_number(pair[f"difference_relative_{end}"]) for end in ("low", "high"))
     return percent_number(pair["difference_relative"]), f"{low} to {high}", str(pair["verdict"])
-
-
-def _provenance(found: Comparison) -> list[tuple[str, str]]:
-    source = found.provenance
-    return [
-        ("log", f"{listed(source.log_files or ['no file'])}; sha256 {source.log_sha256}"),
-        (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),
-        ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
-        ("command", source.command or "none: made from Python"),
-    ]

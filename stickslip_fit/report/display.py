@@ -11,6 +11,7 @@ import pandas as pd
 
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.fit.expectation import expectation, expectation_text
+from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.logs import Log
 from stickslip_fit.report.calibrated import departures_tables, own_parameters
@@ -99,7 +100,7 @@ def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str
         remarks=told,
         tables=[*(parameters_table(result, joint) for joint in result.joints), *departures_tables(result)],
         folded=folded,
-        provenance=_provenance(result),
+        provenance=provenance_of(result.provenance),
     )
 
 
@@ -156,8 +157,8 @@ def _files(names: Sequence[str]) -> str:
     return listed(short) if short else ""
 
 
-def _provenance(result: Result) -> list[tuple[str, str]]:
-    source = result.provenance
+def provenance_of(source: Provenance) -> list[tuple[str, str]]:
+    """Where numbers come from, line by line."""
     return [
         ("log", f"{listed(source.log_files or ['no file'])}; sha256 {source.log_sha256}"),
         (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),

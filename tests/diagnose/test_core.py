@@ -146,3 +146,10 @@ def test_misfires_are_found_and_heavy_tails_are_none(rows, study_with):
         study = study_with(NOISE * rng.standard_t(5, len(rows)))
         alarms += misfires(study, study.residual, drive, 200, rng).p_value < 0.01
     assert alarms <= 3
+
+
+def test_a_fit_begins_at_the_size_and_sign_that_an_effect_seems_to_have(named):
+    """A drift of -0.3 % an hour; what is looked for has the other sign."""
+    (found,) = named.search.found
+    assert found.start == pytest.approx(named.search.fit.values, rel=0.1)
+    assert found.start[0] < 0

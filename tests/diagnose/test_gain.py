@@ -11,6 +11,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from stickslip_fit.causes import library
+from stickslip_fit.causes.wear import Wear
 from stickslip_fit.diagnose.findings import findings
 from stickslip_fit.diagnose.folds import Split, folds
 from stickslip_fit.diagnose.gain import gain
@@ -266,6 +267,14 @@ def above_zero(bench, seeds):
 
 def test_held_out_gain_is_nearly_that_of_knowing_the_effect(bench):
     assert share_of_the_oracle(bench, range(3), 12) > 0.9
+
+
+def test_a_fit_that_fails_is_begun_again_nearer_to_no_effect(bench):
+    """Wear that is looked for with the wrong sign and far too slow."""
+    laid = bench(hide("session", ("wear",), 25, seed=2))
+    right, wrong = (laid.fitted([Wear()], np.array(start)) for start in ((0.005, 1e4), (-0.005, 1e6)))
+    assert wrong.converged
+    assert wrong.values == pytest.approx(right.values, rel=0.01)
 
 
 @pytest.mark.nightly

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.diagnose.candidates import changes
 from stickslip_fit.diagnose.carried import carried
 from stickslip_fit.diagnose.cleared import Cleared
 from stickslip_fit.diagnose.evidence import stack
@@ -129,3 +130,20 @@ def test_memory_is_as_large_as_before_recalibration(rows, parts):
     inside = np.mean([each.low <= truth <= each.high for each in found])
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
     assert np.median([each.estimate for each in found]) == pytest.approx(truth, rel=0.1)
+
+
+class Stalling:
+    """A cause in proportion to its size, but beyond a limit the law has no answer."""
+
+    name, joints, session, joined, absent = "stalling", (3,), "", False, (0.0,)
+
+    def changes(self, law, table, values, trials):
+        sizes = np.where(np.abs(trials[:, 0]) > 0.1, np.nan, trials[:, 0])
+        return np.arange(len(values))[:, None] * sizes
+
+
+def test_a_trial_that_stalls_a_joint_stands_for_a_smaller_one(rows, study_with):
+    study = study_with(np.zeros(len(rows)))
+    found = changes(study, Stalling(), np.array([[0.5], [0.05], [90.0]]))
+    assert found[:, 0] == pytest.approx(10 * found[:, 1])
+    assert np.all(found[:, 2] == 0.0)

@@ -69,7 +69,8 @@ def draw_pareto(found: Comparison) -> Figure:
     accuracy = found.accuracy().merge(found.cost(), on=["joint", "strategy"], suffixes=("", "_made"))
     marks = {name: _mark(place) for place, name in enumerate(found.strategies)}
     with look():
-        entries = [key_line(name, colour, marker) for name, (colour, marker) in marks.items()]
+        drawn = set(accuracy["strategy"])
+        entries = [key_line(name, *mark) for name, mark in marks.items() if name in drawn]
         entries += [key_line("Cramer-Rao bound", INK, line="-"), key_line("repeatability", GREY, line="--")]
         top = legend_rows(entries) * LEGEND_LINE + TITLE_LINE + 0.14
         figure, axes = canvas([2.6], len(found.joints), top=top, bottom=0.5, across=0.42, share_y="none")
