@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit import cli, diagnosing
+from stickslip_fit import cli
 from stickslip_fit.causes import ExtendedLaw, ThermalWarmUp
+from stickslip_fit.cli import diagnosing
 from stickslip_fit.logs import read_log
 
 A, TAU, LOST = 0.04, 1200.0, 80

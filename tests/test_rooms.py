@@ -10,8 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "stickslip_fit"
 ROOMS = (
     "errors", "files", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "anova", "diagnose",
-    "moves", "strategies", "capture", "report", "arguments", "options", "estimating", "diagnosing",
-    "planning", "cli",
+    "moves", "strategies", "capture", "report", "cli",
 )  # fmt: skip
 
 

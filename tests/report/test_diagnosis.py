@@ -279,7 +279,7 @@ def test_the_same_seed_gives_the_same_answer(run, campaign, tmp_path):
 def test_what_cannot_be_written_is_refused_before_the_work(run, campaign, tmp_path, monkeypatch):
     campaign(DATES[:1], SETTINGS).to_csv(tmp_path / "log.csv", index=False)
     monkeypatch.setattr(
-        "stickslip_fit.diagnosing.diagnosed", lambda *_: pytest.fail("worked before refusing")
+        "stickslip_fit.cli.diagnosing.diagnosed", lambda *_: pytest.fail("worked before refusing")
     )
     for option in ("--json", "--report"):
         status, _, err = run(tmp_path / "log.csv", option, tmp_path / "nowhere" / "out")

@@ -233,7 +233,7 @@ def reference_campaign() -> Path:
     InputError
         If it is in neither.
     """
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     for folder in (package.parent / "data", package / "data"):
         found = folder / "reference" / "campaign.csv"
         if found.exists():

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stickslip_fit.arguments import command
+from stickslip_fit.cli.arguments import command
 from stickslip_fit.errors import InputError
 from stickslip_fit.files import check_folder, write_atomically
 

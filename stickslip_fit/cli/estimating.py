@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stickslip_fit.arguments import bound_of, command, repeatabilities_of
+from stickslip_fit.cli.arguments import bound_of, command, repeatabilities_of
+from stickslip_fit.cli.options import Method
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.files import check_folder
-from stickslip_fit.options import Method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -1,0 +1,66 @@
+"""The command line: one verb a question."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from stickslip_fit import __version__
+from stickslip_fit.cli.asking import anova, diagnose, plan
+from stickslip_fit.cli.comparing import compare
+from stickslip_fit.cli.fitting import calibrate, fit, predict
+from stickslip_fit.cli.moving import steps, where
+from stickslip_fit.cli.reading import check, sheet, simulate
+from stickslip_fit.cli.reporting import demo, report
+from stickslip_fit.errors import InputError
+
+VERBS = (
+    check, calibrate, fit, predict, anova, diagnose, report, compare, simulate, plan, sheet, steps, where,
+    demo,
+)  # fmt: skip
+
+app = typer.Typer(
+    help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for verb in VERBS:
+    app.command()(verb)
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=lambda wanted: _version(wanted), is_eager=True, help="Version."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one clear message and status 2."""
+    try:
+        app()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted; nothing was left half-written", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        # The reader of our output has gone; closing quietly is what other tools do.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"stickslip-fit {__version__}")
+        raise typer.Exit
