@@ -47,7 +47,7 @@ def cleared(residual: Array, hypotheses: Sequence[Hypothesis | Memory], log_evid
         return Cleared(residual, nothing)
     if isinstance(shape, Memory):
         return Cleared(residual - shape.shape(residual), nothing)
-    along = shape.directions.T @ residual
+    along = shape.along(residual)
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
     kept = strength**2 * shape.share / (1.0 + strength**2 * shape.share)
-    return Cleared(residual - shape.directions @ (kept * along), shape.directions**2 @ kept)
+    return Cleared(residual - shape.sum_of(kept * along), shape.leverage(kept))

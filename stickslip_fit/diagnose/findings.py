@@ -102,7 +102,7 @@ def _unknown(searched: Search, found: Found, alpha: float) -> Finding:
     if closest:
         near = looked.best_of(closest)
         assert isinstance(near, Hypothesis)
-        share = float(np.sum((near.directions.T @ shape) ** 2)) / max(strength2, 1e-12)
+        share = float(np.sum(near.along(shape) ** 2)) / max(strength2, 1e-12)
     carrier = best.cause.removeprefix(f"{UNKNOWN}:")
     size = np.abs(shape)
     touched = _joints(part.law for part in study.parts if np.any(size[part.rows] > 1e-3 * size.max()))
@@ -113,10 +113,10 @@ def _structure(shape: Hypothesis | Memory, residual: Array) -> Array:
     """What a structure explains of the residuals, shrunk by what noise alone would give it; shape (n,)."""
     if isinstance(shape, Memory):
         return shape.shape(residual)
-    along = shape.directions.T @ residual
+    along = shape.along(residual)
     strength2 = max(float(along @ along) - len(along), 0.0)
     taken = shape.share * strength2 / (1.0 + shape.share * strength2)
-    return np.asarray(shape.directions @ (taken * along))
+    return shape.sum_of(taken * along)
 
 
 def _misfires(searched: Search, given: Bench, found: Found) -> Finding:

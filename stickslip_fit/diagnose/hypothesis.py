@@ -51,6 +51,18 @@ class Hypothesis:
         """As `stored`, never sparse."""
         return self.stored if isinstance(self.stored, np.ndarray) else self.stored.toarray()
 
+    def along(self, residual: Array) -> Array:
+        """A residual, shape (n,), along each direction; shape (m,)."""
+        return np.asarray(self.stored.T @ residual)
+
+    def sum_of(self, sizes: Array) -> Array:
+        """The directions, so much of each, added up; (m,) -> (n,)."""
+        return np.asarray(self.stored @ sizes)
+
+    def leverage(self, kept: Array) -> Array:
+        """Share of each row's noise that goes with the directions if so much of each is kept; (m,) -> (n,)."""
+        return np.asarray(self.stored**2 @ kept)
+
 
 def hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
     """Make a hypothesis of effects with recalibration taken out, shape (n, m), that are equally likely.

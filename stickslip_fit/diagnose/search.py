@@ -226,7 +226,7 @@ def _found(looked: Misfit, naming: Naming) -> Found:
         start = np.array(shape.version.absent)
         if shape.values is not None:
             # As large as it looks, and of that sign: from the other side a fit may not find back.
-            seen = float(shape.directions[:, 0] @ looked.residual) / shape.length
+            seen = float(shape.along(looked.residual)[0]) / shape.length
             grown = start[0] + (shape.values[0] - start[0]) * seen
             start = np.concatenate([[grown], shape.values[1:]])
     return Found(naming.cause, shape.version, start, naming, looked, p_value)

@@ -97,7 +97,7 @@ def shape_of(found: Found, study: Study) -> Array:
     best = found.misfit.best_of(found.cause)
     if isinstance(best, Memory):
         return best.shape(study.residual)
-    return best.directions @ (best.directions.T @ study.residual)
+    return best.sum_of(best.along(study.residual))
 
 
 def classes_of(values: Array) -> Indices:

@@ -56,6 +56,11 @@ class Moments:
         products = self.products * free[:, :, None] * free[:, None, :]
         return Moments(self.residual, self.columns * free[groups.of_row].T, products)
 
+    def of(self, some: npt.NDArray[np.bool_], groups: Groups) -> Moments:
+        """The moments of some groups."""
+        rows = some[groups.of_row]
+        return Moments(self.residual[rows], self.columns[:, rows], self.products[some])
+
     def replaced(self, other: Moments, where: npt.NDArray[np.bool_], groups: Groups) -> Moments:
         """These moments, but `other`'s in the groups `where`."""
         if np.all(where):

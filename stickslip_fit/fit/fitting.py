@@ -16,6 +16,7 @@ from stickslip_fit.fit.problem import Problem, System
 from stickslip_fit.fit.repeatability import Repeatability, pooled, variance_of
 from stickslip_fit.fit.shared import Sharing
 from stickslip_fit.fit.terms import Terms
+from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -111,12 +112,14 @@ def together(problems: Sequence[Problem], shared: int) -> Fitting:
     width = max(own) + shared
     groups, offset = _groups(problems), np.cumsum([0, *(len(problem.y) for problem in problems)])
 
-    def model(values: Array) -> tuple[Array, Array]:
-        predicted, slopes = np.empty(len(values)), np.zeros((len(values), width))
-        for problem, mine, first in zip(problems, columns, offset[:-1], strict=True):
-            rows = slice(first, first + len(problem.y))
-            predicted[rows], slopes[rows, mine] = problem.model(values[rows, mine])
-        return predicted, slopes
+    def part(some: Indices) -> Model:
+        """The model of some of the rows, in the order of the whole."""
+        ends = np.searchsorted(some, offset)
+        models = [
+            problem.part(some[first:last] - before)
+            for problem, first, last, before in zip(problems, ends, ends[1:], offset, strict=False)
+        ]
+        return _side_by_side(models, ends, columns, width)
 
     def beside(name: str, nothing: float) -> Array:
         """A table of each problem's groups and parameters; what a problem lacks has no effect."""
@@ -130,10 +133,24 @@ def together(problems: Sequence[Problem], shared: int) -> Fitting:
     one_set = Groups(pd.DataFrame({"set": [0]}), np.zeros(len(groups), dtype=np.intp))
     whole = System(
         groups, Sharing(np.arange(width) >= max(own), one_set),
-        np.concatenate([problem.y for problem in problems]), model,
-        beside("start", 0.0), beside("scales", 1.0), beside("lower", -np.inf), beside("upper", np.inf),
+        np.concatenate([problem.y for problem in problems]),
+        _side_by_side([problem.model for problem in problems], offset, columns, width),
+        beside("start", 0.0), beside("scales", 1.0), beside("lower", -np.inf), beside("upper", np.inf), part,
     )  # fmt: skip
     return Fitting(tuple(problems), whole, columns)
+
+
+def _side_by_side(models: Sequence[Model], ends: Indices, columns: Sequence[Indices], width: int) -> Model:
+    """One model of the rows of several, each between two ends and with parameters of its own columns."""
+
+    def model(values: Array) -> tuple[Array, Array]:
+        predicted, slopes = np.empty(len(values)), np.zeros((len(values), width))
+        for each, mine, first, last in zip(models, columns, ends, ends[1:], strict=False):
+            rows = slice(first, last)
+            predicted[rows], slopes[rows, mine] = each(values[rows, mine])
+        return predicted, slopes
+
+    return model
 
 
 def _groups(problems: Sequence[Problem]) -> Groups:

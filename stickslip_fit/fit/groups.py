@@ -50,6 +50,11 @@ class Groups:
         """
         return np.bincount(self.of_row, values, len(self))
 
+    def of(self, some: npt.NDArray[np.bool_]) -> Groups:
+        """Some of the groups, with nothing but their rows."""
+        number = np.cumsum(some) - 1
+        return Groups(self.table[some].reset_index(drop=True), number[self.of_row[some[self.of_row]]])
+
 
 def group_rows(rows: pd.DataFrame) -> Groups:
     """Group rows, which stand in order of time, by session and direction."""

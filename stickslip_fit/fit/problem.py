@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.fit.groups import Groups, group_rows, mean_steps
-from stickslip_fit.fit.levenberg_marquardt import Minimum, minimise
+from stickslip_fit.fit.levenberg_marquardt import Minimum, Part, minimise
 from stickslip_fit.fit.shared import Sharing, minimise_shared, share_by_direction, shared_curvature
 from stickslip_fit.fit.terms import Terms
 from stickslip_fit.laws import StepLaw
@@ -30,6 +30,8 @@ class System:
         log(steps).
     model : Model
     start, scales, lower, upper : array, shape (g, p)
+    part : callable
+        Places of some rows to their model.
     """
 
     groups: Groups
@@ -40,17 +42,18 @@ class System:
     scales: Array
     lower: Array
     upper: Array
+    part: Part
 
     def minimise(self, weight: Array, start: Array) -> Minimum:
         """Where the sum of weight (y - model)^2 is least."""
         if self.sharing.parameters.any():
             return minimise_shared(
                 self.model, self.y, weight, self.groups, self.sharing, start, self.scales,
-                lower=self.lower, upper=self.upper,
+                part=self.part, lower=self.lower, upper=self.upper,
             )  # fmt: skip
         return minimise(
             self.model, self.y, weight, self.groups, start, self.scales,
-            lower=self.lower, upper=self.upper, damping=0.0,
+            part=self.part, lower=self.lower, upper=self.upper, damping=0.0,
         )  # fmt: skip
 
     def curvature(self, slopes: Array, information: Array) -> Array:
@@ -97,5 +100,6 @@ def lay_out(law: StepLaw, rows: pd.DataFrame, terms: Terms) -> Problem:
     lower, upper = terms.bounds_of(law, groups)
     return Problem(
         groups, share_by_direction(names, terms.shared, groups), y, law.model(rows),
-        law.start_values(mean_step), law.scales(mean_step), lower, upper, law, rows, rounding,
+        law.start_values(mean_step), law.scales(mean_step), lower, upper,
+        lambda some: law.model(rows.iloc[some]), law, rows, rounding,
     )  # fmt: skip

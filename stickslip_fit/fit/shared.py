@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip_fit.fit.groups import Groups
 from stickslip_fit.fit.identifiability import known_parameters
-from stickslip_fit.fit.levenberg_marquardt import SMALLEST, Minimum, minimise
+from stickslip_fit.fit.levenberg_marquardt import SMALLEST, Minimum, Part, minimise
 from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
@@ -69,6 +69,7 @@ def minimise_shared(
     start: Array,
     scales: Array,
     *,
+    part: Part | None = None,
     lower: Array,
     upper: Array,
     tolerance: float = 1e-8,
@@ -85,6 +86,8 @@ def minimise_shared(
     sharing : Sharing
     start, scales : array, shape (g, p)
         Shared parameters begin at the mean over their groups.
+    part : callable, optional
+        See `minimise`.
     lower, upper : array, shape (g, p)
     tolerance, most : float, int, optional
         See `minimise`.
@@ -105,12 +108,16 @@ def minimise_shared(
         """Every block at its best for the shared values of each row, shape (n, q)."""
         nonlocal latest
 
-        def alone(values: Array) -> tuple[Array, Array]:
-            predicted, slopes = model(sharing.merged(values, shared))
-            return predicted, slopes[:, own]
+        def alone(model: Model, shared: Array) -> Model:
+            def own_values(values: Array) -> tuple[Array, Array]:
+                predicted, slopes = model(sharing.merged(values, shared))
+                return predicted, slopes[:, own]
+
+            return own_values
 
         found = minimise(
-            alone, y, weight, groups, latest, scales[:, own],
+            alone(model, shared), y, weight, groups, latest, scales[:, own],
+            part=None if part is None else lambda some: alone(part(some), shared[some]),
             lower=lower[:, own], upper=upper[:, own], damping=0.0, tolerance=tolerance, most=most,
         )  # fmt: skip
         # The best for other shared values is not far from here.

@@ -62,3 +62,31 @@ def test_a_step_out_of_the_models_domain_is_not_taken(problem):
     found = minimise(walled, y, np.ones(len(y)), groups, ones, ones, most=200)
     assert np.isfinite(found.residual).all()
     assert found.values[:, 0].max() <= 4.9
+
+
+def test_a_slow_group_does_not_make_the_others_work_on(problem):
+    """A valley without end keeps one group busy; all the same, most rows are evaluated only while they move."""
+    groups, x, y = problem
+    y = np.where(groups.of_row == 7, np.tile(np.r_[1.0, np.zeros(39)], 50), y)
+    ones, evaluated = np.ones((50, 2)), 0
+
+    def counted(some):
+        inner = exponential(x[some])
+
+        def model(values):
+            nonlocal evaluated
+            evaluated += len(values)
+            return inner(values)
+
+        return model
+
+    everything = np.arange(len(x))
+    whole = minimise(counted(everything), y, np.ones(len(y)), groups, ones, ones, tolerance=0.0, most=400)
+    without, evaluated = evaluated, 0
+    found = minimise(
+        counted(everything), y, np.ones(len(y)), groups, ones, ones, part=counted, tolerance=0.0, most=400
+    )
+    assert found.iterations == whole.iterations > 20
+    assert evaluated < 0.8 * without
+    for name in ("values", "curvature", "residual", "converged", "rank", "at_bound"):
+        assert np.array_equal(getattr(found, name), getattr(whole, name))
