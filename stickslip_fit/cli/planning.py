@@ -74,11 +74,11 @@ def refuse_outputs(json_path: Path | None, chart: Path | None) -> None:
 def after_log(log: Log, alpha: float, seed: int) -> Outlook:
     """The traverses worth making next."""
     from stickslip_fit.causes import covariates, library
-    from stickslip_fit.diagnose.ahead import ahead
     from stickslip_fit.diagnose.diagnose import decide
-    from stickslip_fit.diagnose.diagnosis_json import traverse_json
-    from stickslip_fit.diagnose.next_experiment import next_experiment, out_of_reach
-    from stickslip_fit.diagnose.unseen import unseen, written_down
+    from stickslip_fit.diagnose.experiments.ahead import ahead
+    from stickslip_fit.diagnose.experiments.next_experiment import next_experiment, out_of_reach
+    from stickslip_fit.diagnose.experiments.unseen import unseen, written_down
+    from stickslip_fit.diagnose.telling.diagnosis_json import traverse_json
     from stickslip_fit.report.next_traverses import next_traverses_text
 
     diagnosis = decide(log, alpha=alpha, seed=seed)
@@ -115,9 +115,9 @@ def before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, se
     import numpy as np
 
     from stickslip_fit.diagnose.diagnose import flips
-    from stickslip_fit.diagnose.matrix import matrix
-    from stickslip_fit.diagnose.matrix_json import matrix_json
-    from stickslip_fit.diagnose.of_plan import bench_of_plan
+    from stickslip_fit.diagnose.experiments.matrix import matrix
+    from stickslip_fit.diagnose.experiments.matrix_json import matrix_json
+    from stickslip_fit.diagnose.experiments.of_plan import bench_of_plan
     from stickslip_fit.report.separability import SHOWN_AT, separability_text
 
     bench, untestable = bench_of_plan(plan, truth, machine)

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip_fit.causes import Cause
-from stickslip_fit.diagnose.alike import alike
-from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Verdict
-from stickslip_fit.diagnose.findings import findings
-from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.naming import probabilities
-from stickslip_fit.diagnose.of_log import bench_of
+from stickslip_fit.diagnose.laid_out.bench import Bench
+from stickslip_fit.diagnose.laid_out.of_log import bench_of
 from stickslip_fit.diagnose.progress import Progress, silent
-from stickslip_fit.diagnose.search import Search, search
-from stickslip_fit.diagnose.testable import untestable
-from stickslip_fit.diagnose.too_small import not_searched, too_small
-from stickslip_fit.diagnose.with_gain import with_gain
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN
+from stickslip_fit.diagnose.searching.naming import probabilities
+from stickslip_fit.diagnose.searching.search import Search, search
+from stickslip_fit.diagnose.searching.testable import untestable
+from stickslip_fit.diagnose.searching.too_small import not_searched, too_small
+from stickslip_fit.diagnose.shapes.alike import alike
+from stickslip_fit.diagnose.sizes.findings import findings
+from stickslip_fit.diagnose.worth.with_gain import with_gain
 from stickslip_fit.logs import Log
 
 # Logs in which nothing is wrong, for each false alarm that may be raised.
@@ -43,8 +43,8 @@ def diagnose(
     """
     decided = decide(log, causes=causes, alpha=alpha, seed=seed, progress=progress)
     if any(finding.equivalent for finding in decided.findings):
-        from stickslip_fit.diagnose.ahead import ahead
-        from stickslip_fit.diagnose.next_experiment import next_experiment
+        from stickslip_fit.diagnose.experiments.ahead import ahead
+        from stickslip_fit.diagnose.experiments.next_experiment import next_experiment
 
         forecasts = ahead(decided.search.bench, log.machine)
         wanted = next_experiment(decided.search, decided.findings, forecasts)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
-from stickslip_fit.diagnose.amplitude import Interval
-from stickslip_fit.diagnose.search import Search
+from stickslip_fit.diagnose.searching.search import Search
+from stickslip_fit.diagnose.sizes.amplitude import Interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -183,7 +183,7 @@ class Diagnosis:
     alike: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
-        from stickslip_fit.diagnose.text import text
+        from stickslip_fit.diagnose.telling.text import text
 
         return text(self)
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose import Diagnosis
-from stickslip_fit.diagnose.answer import answer
-from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.next_experiment import out_of_reach
-from stickslip_fit.diagnose.show import shape_of, shown
-from stickslip_fit.diagnose.text import unseen, untestable_text
+from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN
+from stickslip_fit.diagnose.telling.answer import answer
+from stickslip_fit.diagnose.telling.show import shape_of, shown
+from stickslip_fit.diagnose.telling.text import unseen, untestable_text
 from stickslip_fit.errors import InputError
 from stickslip_fit.report import diagnosis_tables as tables
 from stickslip_fit.report.figures.drawing import on_white

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit.diagnose import Diagnosis, Gain, NextTraverse
-from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.text import LIKELY_ENOUGH, ranking, where
-from stickslip_fit.diagnose.wording import amount, probability, spread
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN
+from stickslip_fit.diagnose.telling.text import LIKELY_ENOUGH, ranking, where
+from stickslip_fit.diagnose.telling.wording import amount, probability, spread
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     MINUS,

@@ -8,8 +8,8 @@ from textwrap import fill
 import pandas as pd
 
 from stickslip_fit.diagnose import Diagnosis, NextTraverse
-from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.unseen import Unseen
+from stickslip_fit.diagnose.experiments.unseen import Unseen
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.machine import Machine
 from stickslip_fit.report.wording import configuration, count, listed, way
 from stickslip_fit.units import text_table

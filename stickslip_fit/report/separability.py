@@ -6,7 +6,7 @@ from textwrap import fill
 
 import numpy as np
 
-from stickslip_fit.diagnose.matrix import CONFUSED, Matrix, Showing
+from stickslip_fit.diagnose.experiments.matrix import CONFUSED, Matrix, Showing
 from stickslip_fit.report.wording import count, listed, percent
 from stickslip_fit.units import from_si, text_table
 

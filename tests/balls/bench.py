@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.diagnose.bench import Bench
-from stickslip_fit.diagnose.folds import Split
-from stickslip_fit.diagnose.hypothesis import Hypothesis, hypothesis
-from stickslip_fit.diagnose.memory import Memory
-from stickslip_fit.diagnose.study import Part, Study
+from stickslip_fit.diagnose.laid_out.bench import Bench
+from stickslip_fit.diagnose.laid_out.study import Part, Study
+from stickslip_fit.diagnose.shapes.hypothesis import Hypothesis, hypothesis
+from stickslip_fit.diagnose.shapes.memory import Memory
+from stickslip_fit.diagnose.worth.folds import Split
 from tests.balls.cause import FallCause
 from tests.balls.causes import library
 from tests.balls.fall import Fall

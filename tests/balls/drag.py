@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.diagnose.refit import refit
-from stickslip_fit.diagnose.study import Part
+from stickslip_fit.diagnose.laid_out.refit import refit
+from stickslip_fit.diagnose.laid_out.study import Part
 from tests.balls.cause import Array, FallCause
 from tests.balls.fall import Fall, Rows
 

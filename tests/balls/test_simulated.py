@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import binom
 
 from stickslip_fit.diagnose.diagnose import judge
-from stickslip_fit.diagnose.findings import findings
-from stickslip_fit.diagnose.gain import gain
-from stickslip_fit.diagnose.held_out import errors
-from stickslip_fit.diagnose.with_gain import seek
+from stickslip_fit.diagnose.sizes.findings import findings
+from stickslip_fit.diagnose.worth.gain import gain
+from stickslip_fit.diagnose.worth.held_out import errors
+from stickslip_fit.diagnose.worth.with_gain import seek
 from tests.balls.bench import bench_of, later_half_of_the_last_drop
 from tests.balls.causes import LinearDrag, QuadraticDrag
 from tests.balls.fall import Fall, G

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnose.diagnose import decide
-from stickslip_fit.diagnose.study import Part, study_of
+from stickslip_fit.diagnose.laid_out.study import Part, study_of
 from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs import read_log
 

@@ -9,14 +9,14 @@ from scipy.stats import kstest, multivariate_normal, norm
 
 from stickslip_fit.causes.drift import Drift
 from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
-from stickslip_fit.diagnose.amplitude import strength_interval
-from stickslip_fit.diagnose.evidence import STRENGTHS, stack
-from stickslip_fit.diagnose.hypothesis import hypothesis
-from stickslip_fit.diagnose.memory import Memory
-from stickslip_fit.diagnose.misfires import misfires
-from stickslip_fit.diagnose.misfit import misfit
-from stickslip_fit.diagnose.refit import refit
-from stickslip_fit.diagnose.study import study_of
+from stickslip_fit.diagnose.laid_out.refit import refit
+from stickslip_fit.diagnose.laid_out.study import study_of
+from stickslip_fit.diagnose.noise.misfires import misfires
+from stickslip_fit.diagnose.searching.evidence import STRENGTHS, stack
+from stickslip_fit.diagnose.searching.misfit import misfit
+from stickslip_fit.diagnose.shapes.hypothesis import hypothesis
+from stickslip_fit.diagnose.shapes.memory import Memory
+from stickslip_fit.diagnose.sizes.amplitude import strength_interval
 from stickslip_fit.laws import Prismatic
 
 NOISE = 0.003

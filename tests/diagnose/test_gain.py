@@ -12,19 +12,19 @@ from scipy.sparse import csr_array
 
 from stickslip_fit.causes import library
 from stickslip_fit.causes.wear import Wear
-from stickslip_fit.diagnose.findings import findings
-from stickslip_fit.diagnose.folds import Split, folds
-from stickslip_fit.diagnose.gain import gain
-from stickslip_fit.diagnose.held_out import errors
-from stickslip_fit.diagnose.hypothesis import hypothesis
-from stickslip_fit.diagnose.misfit import UNKNOWN
-from stickslip_fit.diagnose.naming import name
-from stickslip_fit.diagnose.new_session import new_sessions
-from stickslip_fit.diagnose.of_log import bench_of
-from stickslip_fit.diagnose.replicates import Campaign, predicted_off
-from stickslip_fit.diagnose.search import Found, Search, extended, look, search
-from stickslip_fit.diagnose.structures import structures
-from stickslip_fit.diagnose.with_gain import configurations, seek, within_sessions
+from stickslip_fit.diagnose.laid_out.of_log import bench_of
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN
+from stickslip_fit.diagnose.searching.naming import name
+from stickslip_fit.diagnose.searching.search import Found, Search, extended, look, search
+from stickslip_fit.diagnose.shapes.hypothesis import hypothesis
+from stickslip_fit.diagnose.shapes.structures import structures
+from stickslip_fit.diagnose.sizes.findings import findings
+from stickslip_fit.diagnose.worth.folds import Split, folds
+from stickslip_fit.diagnose.worth.gain import gain
+from stickslip_fit.diagnose.worth.held_out import errors
+from stickslip_fit.diagnose.worth.new_session import new_sessions
+from stickslip_fit.diagnose.worth.replicates import predicted_off
+from stickslip_fit.diagnose.worth.with_gain import configurations, seek, within_sessions
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden.generate import hide
@@ -147,13 +147,11 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     laws[:30, :3], laws[30:, 3:] = rng.standard_normal((30, 3)), rng.standard_normal((30, 3))
     slopes, responses = rng.standard_normal((60, 2)), rng.standard_normal((60, 4))
     basis = csr_array(np.linalg.qr(laws)[0] * (np.abs(np.linalg.qr(laws)[0]) > 1e-12))
-    ones = np.ones(60)
-    campaign = Campaign(basis, ones, ones, slopes[:, :1], (slopes,), np.zeros(1))
     held = np.arange(0, 60, 7)
     rest = np.setdiff1d(np.arange(60), held)
-    for chosen, columns in ((np.array([False]), laws), (np.array([True]), np.c_[laws, slopes])):
+    for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
         fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
-        found = predicted_off(campaign, Split(rest, rest, held), chosen, responses)
+        found = predicted_off(basis, Split(rest, rest, held), chosen, responses)
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import library
-from stickslip_fit.diagnose.candidates import candidates
-from stickslip_fit.diagnose.matrix import matrix
-from stickslip_fit.diagnose.misfit import misfit
-from stickslip_fit.diagnose.of_log import bench_of
-from stickslip_fit.diagnose.of_plan import bench_of_plan
-from stickslip_fit.diagnose.search import look
+from stickslip_fit.diagnose.experiments.matrix import matrix
+from stickslip_fit.diagnose.experiments.of_plan import bench_of_plan
+from stickslip_fit.diagnose.laid_out.of_log import bench_of
+from stickslip_fit.diagnose.searching.misfit import misfit
+from stickslip_fit.diagnose.searching.search import look
+from stickslip_fit.diagnose.shapes.candidates import candidates
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.read_plan import read_plan

@@ -13,11 +13,11 @@ from scipy.stats import binom
 
 from stickslip_fit.causes import library
 from stickslip_fit.causes.drift import Drift
-from stickslip_fit.diagnose.ahead import ahead
-from stickslip_fit.diagnose.bench import Bench
 from stickslip_fit.diagnose.diagnose import decide
-from stickslip_fit.diagnose.next_experiment import next_experiment, out_of_reach
-from stickslip_fit.diagnose.unseen import unseen
+from stickslip_fit.diagnose.experiments.ahead import ahead
+from stickslip_fit.diagnose.experiments.next_experiment import next_experiment, out_of_reach
+from stickslip_fit.diagnose.experiments.unseen import unseen
+from stickslip_fit.diagnose.laid_out.bench import Bench
 from stickslip_fit.laws import seen_count
 from stickslip_fit.laws.count import expected_steps
 from stickslip_fit.logs import read_log

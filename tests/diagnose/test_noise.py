@@ -6,17 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.diagnose.candidates import changes
-from stickslip_fit.diagnose.carried import carried
-from stickslip_fit.diagnose.cleared import Cleared
-from stickslip_fit.diagnose.evidence import stack
-from stickslip_fit.diagnose.hypothesis import hypothesis
-from stickslip_fit.diagnose.memory import Memory
-from stickslip_fit.diagnose.misfires import misfires
-from stickslip_fit.diagnose.misfit import misfit
-from stickslip_fit.diagnose.repeatability import repeatability
-from stickslip_fit.diagnose.study import Part, study_of
-from stickslip_fit.diagnose.within import of_each, of_one, sessions
+from stickslip_fit.diagnose.laid_out.study import Part, study_of
+from stickslip_fit.diagnose.noise.cleared import Cleared
+from stickslip_fit.diagnose.noise.misfires import misfires
+from stickslip_fit.diagnose.noise.repeatability import repeatability
+from stickslip_fit.diagnose.searching.evidence import stack
+from stickslip_fit.diagnose.searching.misfit import misfit
+from stickslip_fit.diagnose.shapes.candidates import changes
+from stickslip_fit.diagnose.shapes.hypothesis import hypothesis
+from stickslip_fit.diagnose.shapes.memory import Memory
+from stickslip_fit.diagnose.shapes.within import of_each, of_one, sessions
+from stickslip_fit.diagnose.sizes.carried import carried
 from stickslip_fit.laws import Prismatic
 
 NOISE, WIDE = 0.003, 2.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stickslip_fit.diagnose.show import by_class, carrier, classes_of, explained, shape_of, shown
+from stickslip_fit.diagnose.telling.show import by_class, carrier, classes_of, explained, shape_of, shown
 from stickslip_fit.report.quantities import HOURS, in_a_row, quantities
 from tests.diagnose.conftest import hours_in
 

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.causes import covariates, library
-from stickslip_fit.diagnose.amplitude import Interval
-from stickslip_fit.diagnose.answer import answer
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Finding, Gain, NextTraverse, SizedParameter
-from stickslip_fit.diagnose.told import SENTENCES, what_happens
+from stickslip_fit.diagnose.sizes.amplitude import Interval
+from stickslip_fit.diagnose.telling.answer import answer
+from stickslip_fit.diagnose.telling.told import SENTENCES, what_happens
 from tests.diagnose.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
 WIDTH = 110

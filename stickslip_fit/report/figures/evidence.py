@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip_fit.diagnose.diagnosis import Finding
-from stickslip_fit.diagnose.memory import Memory
-from stickslip_fit.diagnose.search import Found
-from stickslip_fit.diagnose.show import Shown, by_class, carrier, classes_of
+from stickslip_fit.diagnose.searching.search import Found
+from stickslip_fit.diagnose.shapes.memory import Memory
+from stickslip_fit.diagnose.telling.show import Shown, by_class, carrier, classes_of
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,

@@ -8,9 +8,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding
-from stickslip_fit.diagnose.misfit import UNKNOWN, Misfit, kind_of
-from stickslip_fit.diagnose.search import Found
-from stickslip_fit.diagnose.separability import confusion, likeness
+from stickslip_fit.diagnose.experiments.separability import confusion, likeness
+from stickslip_fit.diagnose.searching.misfit import UNKNOWN, Misfit, kind_of
+from stickslip_fit.diagnose.searching.search import Found
 from stickslip_fit.errors import shorten
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import INK, LETTER_WIDTH, VERMILLION, canvas, look

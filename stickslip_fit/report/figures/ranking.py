@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from stickslip_fit.diagnose.diagnosis import Diagnosis
-from stickslip_fit.diagnose.misfit import Misfit
+from stickslip_fit.diagnose.searching.misfit import Misfit
 from stickslip_fit.errors import shorten
 from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture

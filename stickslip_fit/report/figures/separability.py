@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from stickslip_fit.diagnose.matrix import CONFUSED, Matrix
+from stickslip_fit.diagnose.experiments.matrix import CONFUSED, Matrix
 from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.style import INK, LETTER_WIDTH, VERMILLION, WIDTH, canvas, look
 

@@ -1,0 +1,1 @@
+"""What traverses yet to be made could tell."""

@@ -1,0 +1,1 @@
+"""How large what was found is."""

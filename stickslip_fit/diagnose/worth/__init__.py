@@ -1,0 +1,1 @@
+"""What an extension gains on traverses that it has not seen."""
