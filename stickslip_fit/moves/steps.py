@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves.calibrated import CERTAIN, Calibrated
-from stickslip_fit.units import format_value
+from stickslip_fit.moves.within_range import check_positions
 
 Array = npt.NDArray[np.float64]
 
@@ -92,7 +91,7 @@ def steps_for_move(arm: Calibrated, start: Array, target: Array, order: Sequence
         If a position is outside its joint's range or a law is not known.
     """
     for q, name in ((start, "start"), (target, "target")):
-        check_positions(arm, q, name)
+        check_positions(arm.machine, q, name)
     q = np.array(start, dtype=float)
     legs, variance = [], np.zeros(3)
     for joint in order:
@@ -104,14 +103,6 @@ def steps_for_move(arm: Calibrated, start: Array, target: Array, order: Sequence
         q[joint - 1] = target[joint - 1]
     slope = jacobian(arm.machine, q)
     return Move(tuple(legs), forward(arm.machine, q), slope @ np.diag(variance) @ slope.T)
-
-
-def check_positions(arm: Calibrated, q: Array, name: str) -> None:
-    """Refuse joint positions outside the machine's ranges."""
-    for joint, (low, high) in arm.machine.ranges.items():
-        if not low - 1e-9 <= q[joint - 1] <= high + 1e-9:
-            shown = [_shown(joint, value) for value in (q[joint - 1], low, high)]
-            raise InputError(f"{name} q{joint} = {shown[0]} is outside its range, {shown[1]} to {shown[2]}")
 
 
 def _leg(arm: Calibrated, q: Array, joint: int, stop: float) -> Leg:
@@ -128,7 +119,3 @@ def _leg(arm: Calibrated, q: Array, joint: int, stop: float) -> Leg:
         high=way.counts * float(np.exp(CERTAIN * way.spread)),
         error=float(np.hypot(way.spread * travel, ahead / np.sqrt(12.0))),
     )
-
-
-def _shown(joint: int, value: float) -> str:
-    return format_value(value, "mm" if joint == 3 else "deg", 2)

@@ -13,7 +13,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves.calibrated import CERTAIN, Calibrated
 from stickslip_fit.moves.position import position_after
-from stickslip_fit.moves.steps import check_positions
+from stickslip_fit.moves.within_range import check_positions
 
 Array = npt.NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def where_after(arm: Calibrated, start: Array, drives: Sequence[Drive]) -> Where
     InputError
         If a drive may or may not have reached the stop, so that nobody can say where the joint is.
     """
-    check_positions(arm, start, "start")
+    check_positions(arm.machine, start, "start")
     q = np.array(start, dtype=float)
     travelled: dict[tuple[int, str], list[_Travelled]] = {}
     at_stop: set[int] = set()
@@ -170,7 +170,7 @@ def _follow(arm: Calibrated, q: Array, drive: Drive, before: float) -> tuple[flo
             f"({way.counts:.0f} ± {margin:.0f} steps away): drive {way.counts + margin:.0f} or more to be at "
             f"the stop for sure, or {way.counts - margin:.0f} or fewer to stay short of it"
         )
-    reached = position_after(way.law, way.row, way.values, float(drive.steps))
+    reached = float(position_after(way.law, way.row, way.values, drive.steps)[0])
     return reached, _Travelled(reached - here, arm.traverse(q, drive.joint, reached).slopes)
 
 

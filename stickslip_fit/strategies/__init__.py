@@ -9,6 +9,7 @@ from stickslip_fit.strategies.hierarchical import Hierarchical
 from stickslip_fit.strategies.least_squares import LeastSquares
 from stickslip_fit.strategies.numbers import save_numbers
 from stickslip_fit.strategies.task import Predictor, Strategy, Task, Unsuited
+from stickslip_fit.strategies.tip import TipErrors, steps_by, tip_errors
 from stickslip_fit.strategies.usual import causes_strategies, usual_strategies
 from stickslip_fit.strategies.with_causes import WithCauses, from_other_sessions, from_result
 
@@ -25,6 +26,7 @@ __all__ = [
     "Strategy",
     "Task",
     "Thesis",
+    "TipErrors",
     "Unsuited",
     "WithCauses",
     "causes_strategies",
@@ -34,5 +36,7 @@ __all__ = [
     "from_result",
     "other_sessions",
     "save_numbers",
+    "steps_by",
+    "tip_errors",
     "usual_strategies",
 ]
