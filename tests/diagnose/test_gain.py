@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from scipy.stats import norm
 
 from stickslip_fit.causes import library
 from stickslip_fit.causes.wear import Wear
@@ -23,7 +24,7 @@ from stickslip_fit.diagnose.worth.folds import Split, folds
 from stickslip_fit.diagnose.worth.gain import gain
 from stickslip_fit.diagnose.worth.held_out import errors
 from stickslip_fit.diagnose.worth.new_session import new_sessions
-from stickslip_fit.diagnose.worth.replicates import predicted_off
+from stickslip_fit.diagnose.worth.replicates import NAMED, NOTHING, Campaign, Rivals, made_of, predicted_off
 from stickslip_fit.diagnose.worth.with_gain import configurations, seek, within_sessions
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
@@ -309,3 +310,32 @@ def test_a_cause_forced_upon_many_logs_in_which_nothing_is_wrong_gains_nothing(b
 
 def _rng():
     return np.random.default_rng(0)
+
+
+def a_campaign(cosine, ahead=0.0, names=True, strength=8.0, threshold=0.0, n=40):
+    """One cause, and one rival whose effect has a cosine with its, in units of the noise."""
+    ones, own, other = np.ones(n), np.zeros(n), np.zeros(n)
+    own[0], other[:2] = strength, (cosine, np.sqrt(1 - cosine**2))
+    rivals = Rivals(other[:, None], np.array([ahead]), np.array([names]))
+    basis = csr_array((n, 1))
+    return Campaign(basis, ones, ones, own[:, None], (own[:, None],), np.array([threshold]), (rivals,))
+
+
+@pytest.mark.parametrize("cosine", [0.5, 0.9, 0.97])
+def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
+    """Two directions with the same evidence: the wrong one wins with Phi(-s sqrt((1 - cosine) / 2))."""
+    logs, strength = 20_000, 8.0
+    campaign = a_campaign(cosine, strength=strength)
+    responses = campaign.effects + _rng().standard_normal((40, logs))
+    wrong = np.mean(made_of(campaign, 0, np.arange(40), responses) == 1)
+    expected = norm.sf(strength * np.sqrt((1 - cosine) / 2))
+    assert wrong == pytest.approx(expected, abs=4 * np.sqrt(expected / logs) + 1e-4)
+
+
+def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
+    responses = a_campaign(0.97).effects + 0.1 * _rng().standard_normal((40, 50))
+    for change, made in (
+        ({"ahead": 20.0}, 1), ({"ahead": 20.0, "names": False}, NOTHING), ({"threshold": 30.0}, NOTHING),
+        ({"ahead": -20.0}, NAMED),
+    ):  # fmt: skip
+        assert set(made_of(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}

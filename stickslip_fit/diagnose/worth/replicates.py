@@ -197,7 +197,7 @@ def _shown(campaign: Campaign, splits: Sequence[Split], responses: Array) -> _Sh
     m, k = responses.shape[1], len(campaign.slopes)
     squares, count = np.zeros((m, k + 1)), 0
     for split in splits:
-        made = np.stack([_made_of(campaign, j, split.training, responses) for j in range(k)], axis=1)
+        made = np.stack([made_of(campaign, j, split.training, responses) for j in range(k)], axis=1)
         for what in np.unique(made, axis=0):
             mine = np.flatnonzero(np.all(made == what, axis=1))
             for step in range(k + 1):
@@ -208,8 +208,22 @@ def _shown(campaign: Campaign, splits: Sequence[Split], responses: Array) -> _Sh
     return _Shown(np.sqrt(squares / count), _lengths(campaign, responses))
 
 
-def _made_of(campaign: Campaign, cause: int, training: Indices, responses: Array) -> Indices:
-    """What the search makes of a cause in some rows of each log, shape (m,)."""
+def made_of(campaign: Campaign, cause: int, training: Indices, responses: Array) -> Indices:
+    """What a search of some rows makes of a cause in each log.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    cause : int
+    training : array of int
+        Rows that are searched.
+    responses : array, shape (n, m)
+
+    Returns
+    -------
+    array of int, shape (m,)
+        `NAMED`, the number of the rival that is taken for it, counted from 1, or `NOTHING`.
+    """
     rivals = campaign.rivals[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
     length = np.abs(_along(campaign, training, columns, responses))
