@@ -333,9 +333,9 @@ def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
 
 
 def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
-    responses = a_campaign(0.97).effects + 0.1 * _rng().standard_normal((40, 50))
+    responses = a_campaign(0.97).effects + _rng().standard_normal((40, 50))
     for change, made in (
-        ({"ahead": 20.0}, 1), ({"ahead": 20.0, "names": False}, NOTHING), ({"threshold": 30.0}, NOTHING),
-        ({"ahead": -20.0}, NAMED),
+        ({"ahead": 90.0}, 1), ({"ahead": 90.0, "names": False}, NOTHING), ({"threshold": 30.0}, NOTHING),
+        ({"ahead": -90.0}, NAMED),
     ):  # fmt: skip
         assert set(made_of(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}

@@ -19,7 +19,14 @@ from stickslip_fit.diagnose.shapes.hypothesis import Hypothesis
 from stickslip_fit.diagnose.sizes.amplitude import threshold_length
 from stickslip_fit.diagnose.worth.folds import Split
 from stickslip_fit.diagnose.worth.held_out import Seek, errors
-from stickslip_fit.diagnose.worth.replicates import LARGEST_LEVERAGE, Campaign, Rivals, left_over, spread
+from stickslip_fit.diagnose.worth.replicates import (
+    LARGEST_LEVERAGE,
+    Campaign,
+    Rivals,
+    left_over,
+    log_likelihood_ratio,
+    spread,
+)
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -128,34 +135,35 @@ def _campaign(searched: Search, found: Sequence[Found], alpha: float) -> Campaig
         effects,
         tuple(slopes[:, at] / study.scale[:, None] for at in own),
         np.array([_threshold(searched, each, alpha) for each in found]),
-        tuple(_rivals(each) for each in found),
+        tuple(_rivals(each, study.freedom) for each in found),
     )
 
 
-def _rivals(found: Found) -> Rivals:
+def _rivals(found: Found, freedom: int) -> Rivals:
     looked = found.misfit
     assert looked is not None
-    others, shapes, ahead = [each for each in looked.by_cause if each != found.cause], [], []
-    own = _explained(looked, found.cause)[1]
-    kept = []
-    for cause in others:
-        if isinstance(looked.best_of(cause), Hypothesis):
-            shape, occam = _explained(looked, cause)
-            if np.any(shape):
-                kept.append(cause)
-                shapes.append(shape)
-                ahead.append(occam - own)
-    columns = np.stack(shapes, axis=1) if shapes else np.zeros((len(looked.residual), 0))
-    return Rivals(columns, np.array(ahead), np.array([cause != UNKNOWN for cause in kept], dtype=bool))
+    others = [
+        cause
+        for cause in looked.by_cause
+        if cause != found.cause and isinstance(looked.best_of(cause), Hypothesis)
+    ]
+    _, own = _explained(looked, found.cause, freedom)
+    explained = [_explained(looked, cause, freedom) for cause in others]
+    shapes = [np.zeros((len(looked.residual), 0)), *(shape[:, None] for shape, _ in explained)]
+    return Rivals(
+        np.concatenate(shapes, axis=1),
+        np.array([ahead - own for _, ahead in explained]),
+        np.array([cause != UNKNOWN for cause in others], dtype=bool),
+    )
 
 
-def _explained(looked: Misfit, cause: str) -> tuple[Array, float]:
-    """What a cause makes of the residuals, (n,), and its log evidence beyond half the squared length."""
+def _explained(looked: Misfit, cause: str, freedom: int) -> tuple[Array, float]:
+    """What a cause makes of the residuals, (n,), and its log evidence beyond the best likelihood ratio."""
     best = looked.best_of(cause)
     assert isinstance(best, Hypothesis)
     along = best.along(looked.residual)
-    shape = best.sum_of(along)
-    return shape, looked.by_cause[cause] - float(along @ along) / 2.0
+    share = float(along @ along) / float(looked.residual @ looked.residual)
+    return best.sum_of(along), looked.by_cause[cause] - float(log_likelihood_ratio(share, freedom))
 
 
 def _named(searched: Search) -> list[Found]:

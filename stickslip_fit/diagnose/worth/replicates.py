@@ -227,10 +227,17 @@ def made_of(campaign: Campaign, cause: int, training: Indices, responses: Array)
     rivals = campaign.rivals[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
     length = np.abs(_along(campaign, training, columns, responses))
-    likely = length**2 / 2.0 + np.append(0.0, rivals.ahead)
-    best = np.argmax(likely, axis=1)
-    alarm = likely.max(axis=1) > campaign.thresholds[cause] ** 2 / 2.0
+    left = left_over(campaign.basis, training, training, responses)
+    freedom = len(training) - len(np.unique(campaign.basis[training].indices))
+    explained = length**2 / np.sum(left**2, axis=0)[:, None]
+    best = np.argmax(log_likelihood_ratio(explained, freedom) + np.append(0.0, rivals.ahead), axis=1)
+    alarm = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
     return np.where(alarm & np.append(True, rivals.names)[best], best, NOTHING)
+
+
+def log_likelihood_ratio(explained: npt.ArrayLike, freedom: int) -> Array:
+    """Of what explains a share of the squared residuals, at its best, the noise's size being unknown."""
+    return -0.5 * freedom * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
 
 
 def _columns(campaign: Campaign, made: Indices) -> list[Array]:
