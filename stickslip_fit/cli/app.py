@@ -15,11 +15,12 @@ from stickslip_fit.cli.fitting import calibrate, fit, predict
 from stickslip_fit.cli.moving import steps, where
 from stickslip_fit.cli.reading import check, sheet, simulate
 from stickslip_fit.cli.reporting import demo, report
+from stickslip_fit.cli.study import study
 from stickslip_fit.errors import InputError
 
 VERBS = (
-    check, calibrate, fit, predict, anova, diagnose, report, compare, simulate, plan, sheet, steps, where,
-    demo,
+    check, calibrate, fit, predict, anova, diagnose, report, compare, study, simulate, plan, sheet, steps,
+    where, demo,
 )  # fmt: skip
 
 app = typer.Typer(

@@ -48,6 +48,7 @@ def compare(
     from stickslip_fit.fit import load_result
     from stickslip_fit.report.chart import check_suffix, write_figure
     from stickslip_fit.report.claimed import claimed_text
+    from stickslip_fit.report.worst import worst_text
 
     for path in (numbers, chart):
         if path is not None:
@@ -66,7 +67,7 @@ def compare(
         known = strategies.from_result(campaign, load_result(causes_from))
         compared += strategies.causes_strategies(known, more)
     found = strategies.compare(campaign, compared, at_hand=at_hand, command=command())
-    print("\n\n".join(filter(None, (str(found), claimed_text(found)))))
+    print("\n\n".join(filter(None, (str(found), worst_text(found), claimed_text(found)))))
     if numbers is not None:
         written = strategies.save_numbers(found, numbers)
         print(f"\n{len(written)} tables saved in {numbers}")

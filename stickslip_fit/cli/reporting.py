@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stickslip_fit.causes import Cause
     from stickslip_fit.diagnose import Diagnosis
     from stickslip_fit.logs import Log
+    from stickslip_fit.strategies import Comparison
 
 
 def report(
@@ -25,6 +26,9 @@ def report(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="With what the laws get wrong, and why; takes longer.")
+    ] = False,
+    strategies: Annotated[
+        bool, typer.Option("--strategies", help="With what each way to calibrate costs and reaches.")
     ] = False,
     cause: CauseNames = None,
     machine: MachinePath = None,
@@ -38,7 +42,11 @@ def report(
     check_folder(wanted)
     campaign = log_of(log, machine, since, until)
     causes = causes_of(cause or (), campaign)
-    written = _write_report(campaign, wanted, causes, diagnosed(campaign) if diagnosis else None)
+    written = _write_report(
+        campaign, wanted, causes,
+        diagnosed(campaign) if diagnosis else None,
+        _compared(campaign, causes) if strategies else None,
+    )  # fmt: skip
     print(f"report written to {written}")
 
 
@@ -64,8 +72,21 @@ def demo(
         webbrowser.open(written.as_uri())
 
 
+def _compared(log: Log, causes: Sequence[Cause]) -> Comparison:
+    from stickslip_fit import strategies
+
+    compared = strategies.usual_strategies()
+    if causes:
+        compared += strategies.causes_strategies(strategies.from_other_sessions(log, causes))
+    return strategies.compare(log, compared, command=command())
+
+
 def _write_report(
-    log: Log, output: Path, causes: Sequence[Cause] = (), diagnosis: Diagnosis | None = None
+    log: Log,
+    output: Path,
+    causes: Sequence[Cause] = (),
+    diagnosis: Diagnosis | None = None,
+    comparison: Comparison | None = None,
 ) -> Path:
     from stickslip_fit.files import write_atomically
     from stickslip_fit.fit import closed_form, constant_step, least_squares
@@ -74,6 +95,8 @@ def _write_report(
     best = least_squares(log, causes=causes, command=command())
     calibration = closed_form(log, causes_from=best if causes else None, command=command())
     constant = constant_step(log, calibration)
-    page = report_html(log, calibration, constant, best, diagnosis=diagnosis, command=command())
+    page = report_html(
+        log, calibration, constant, best, diagnosis=diagnosis, comparison=comparison, command=command()
+    )
     write_atomically(output, page)
     return output

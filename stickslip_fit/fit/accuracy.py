@@ -8,17 +8,23 @@ from scipy.stats import chi2
 
 from stickslip_fit.fit.closed_form import calibrate
 from stickslip_fit.fit.result import Result
-from stickslip_fit.laws import constant_law, expected_steps, travel
+from stickslip_fit.laws import StepLaw, constant_law, expected_steps, published_law, travel
 from stickslip_fit.logs import Log
 
 
 def constant_step(log: Log, result: Result) -> Result:
     """The constant-step model: one step size per joint, session and direction.
 
-    Measured, as the law's first parameter is, in the first calibration configuration of each law.
+    It is measured as the law's first parameter is, by the first full traverse in the law's first calibration
+    configuration, where neither gravity nor recoil is in play. A session without such a traverse knows no
+    constant step.
     """
-    laws = {joint: constant_law(fit.law) for joint, fit in result.joints.items()}
-    return calibrate(log, dict(laws), "constant-step", command=result.provenance.command)
+    rows = log.usable
+    beside = {
+        joint: published_law(joint, rows[rows["joint"] == joint], log.machine) for joint in result.joints
+    }
+    laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in beside.items()}
+    return calibrate(log, laws, "constant-step", beside=beside, command=result.provenance.command)
 
 
 def errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:

@@ -77,15 +77,26 @@ def closed_form(log: Log, *, causes_from: Result | None = None, command: str = "
 
 
 def calibrate(
-    log: Log, laws: dict[int, StepLaw], method: str, *, known: KnownCauses | None = None, command: str = ""
+    log: Log,
+    laws: dict[int, StepLaw],
+    method: str,
+    *,
+    beside: dict[int, StepLaw] | None = None,
+    known: KnownCauses | None = None,
+    command: str = "",
 ) -> Result:
-    """Solve the calibration equations of the given laws, one for each joint; of held ones with the causes."""
+    """Solve the calibration equations of the given laws, one for each joint; of held ones with the causes.
+
+    A law is calibrated from the traverses of the one `beside` it, or else its own: the first ones, as many as
+    it has parameters.
+    """
     rows = usable_rows(log)
     joints, residuals, remarks = {}, [], []
     for joint, law in laws.items():
         mine = rows[rows["joint"] == joint]
         groups = group_rows(mine)
-        picked = pick_calibration(law, mine, groups, log.machine)
+        asked = beside[joint] if beside else law
+        picked = pick_calibration(asked, mine, groups, log.machine)[:, : len(law.parameters)]
         joints[joint] = _calibrate_joint(law, mine, groups, picked, log.machine, known)
         residuals.append(_residuals(joints[joint], mine, groups, picked))
         remarks += _missing(law, groups, picked, joints[joint])

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from stickslip_fit.diagnose import Diagnosis
     from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
+    from stickslip_fit.strategies import Comparison
 
 __all__ = ["report_html"]
 
@@ -19,9 +20,10 @@ def report_html(
     fit: Result,
     *,
     diagnosis: Diagnosis | None = None,
+    comparison: Comparison | None = None,
     command: str = "",
 ) -> str:
     """The accuracy report of a log; see `page.report_html`."""
     from stickslip_fit.report.page import report_html as build
 
-    return build(log, calibration, constant, fit, diagnosis=diagnosis, command=command)
+    return build(log, calibration, constant, fit, diagnosis=diagnosis, comparison=comparison, command=command)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from textwrap import fill
 
-import numpy as np
-import pandas as pd
-
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.report.claims import NOTE, PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
+from stickslip_fit.report.implied import NOTES, implied_table, within
 from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import joint_name, plain
+from stickslip_fit.report.wording import joint_name, plain, step_unit, typeset
 from stickslip_fit.strategies import Comparison
 from stickslip_fit.strategies.text import WIDTH
-from stickslip_fit.units import text_table, to_si
+from stickslip_fit.units import text_table
 
 
 def claimed_table(found: Comparison, joint: int) -> Table:
@@ -25,19 +23,22 @@ def claimed_table(found: Comparison, joint: int) -> Table:
     body = []
     for strategy in found.compared(joint):
         own = mine[mine["strategy"] == strategy]
-        body.append((strategy, *(share(_within(own, claim)) for claim in claims)))
+        body.append((strategy, *(share(within(own, claim)) for claim in claims)))
     caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
-    return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=NOTE)
+    return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset(NOTE))
 
 
 def claimed_text(found: Comparison) -> str:
-    """All joints' tables for the terminal; empty where nothing is compared."""
+    """All joints' tables for the terminal, then what to mind; empty where nothing is compared."""
     parts = []
     for joint in found.joints:
-        table = claimed_table(found, joint)
-        header = ["strategy", *(f"{each.group} {each.head}" for each in table.columns[1:])]
-        parts.append(f"{table.caption} (%)\n{text_table(header, table.rows)}")
-    return "\n\n".join([*parts, fill(NOTE, WIDTH)]) if parts else ""
+        beside, each = implied_table(found, joint), claimed_table(found, joint)
+        heads = ["claim", "its own numbers say", "calibrated by", "rms", "worst", "% within"]
+        parts.append(f"{beside.caption}\n{text_table(heads, beside.rows, left=3)}")
+        heads = ["strategy", *(f"{column.group} {column.head}" for column in each.columns[1:])]
+        parts.append(f"{each.caption} (%)\n{text_table(heads, each.rows)}")
+    notes = [NOTE, *dict.fromkeys(NOTES[step_unit(joint)] for joint in reversed(found.joints))]
+    return "\n\n".join([*parts, fill(" ".join(notes), WIDTH)]) if parts else ""
 
 
 def _head(claim: Claim) -> str:
@@ -46,8 +47,3 @@ def _head(claim: Claim) -> str:
 
 def _of_whom(claim: Claim) -> str:
     return "law" if claim.model == "law" else "constant step"
-
-
-def _within(errors: pd.DataFrame, claim: Claim) -> float:
-    kind = "relative" if claim.unit == "%" else "absolute"
-    return float(np.mean(errors[kind].abs() <= to_si(claim.limit, claim.unit)))

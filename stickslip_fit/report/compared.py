@@ -2,33 +2,104 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import pandas as pd
 
 from stickslip_fit.report.claimed import claimed_table
 from stickslip_fit.report.display import provenance_of
+from stickslip_fit.report.figures.pareto import pareto_picture
+from stickslip_fit.report.figures.picture import Picture
+from stickslip_fit.report.implied import implied_table
 from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
+    MINUS,
+    UNKNOWN,
     joint_name,
     number,
     percent_number,
     step_unit,
     typeset,
 )
+from stickslip_fit.report.worst import worst_table
 from stickslip_fit.strategies import Comparison
-from stickslip_fit.strategies.text import heading, left_out_text
+from stickslip_fit.strategies.text import heading, left_out, left_out_text
 from stickslip_fit.strategies.verdict import against_best, answer
+from stickslip_fit.units.format import MISSING
+
+NOTE = "Verdicts allow for all pairs of strategies being compared at once (Holm); the intervals do not."
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint's part of a comparison.
+
+    Attributes
+    ----------
+    name, answer : str
+    strategies : Table
+        What each costs and reaches.
+    picture : Picture
+        The same drawn.
+    further : list of Table
+        Where each fails; the thesis's claims.
+    """
+
+    name: str
+    answer: str
+    strategies: Table
+    picture: Picture
+    further: list[Table]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The parts of a comparison that a page is made of.
+
+    Attributes
+    ----------
+    said : str
+        What was compared, and how.
+    joints : list of Joint
+    left_out : Table or None
+        Sessions that a strategy could not calibrate, and why.
+    """
+
+    said: str
+    joints: list[Joint]
+    left_out: Table | None
+
+
+def compared(found: Comparison) -> Compared:
+    """All parts of a comparison, pictures drawn."""
+    joints = [
+        Joint(
+            joint_name(joint).capitalize(),
+            _said(answer(found, joint)),
+            comparison_table(found, joint),
+            pareto_picture(found, joint),
+            [worst_table(found, joint), implied_table(found, joint), claimed_table(found, joint)],
+        )
+        for joint in found.joints
+    ]
+    return Compared(typeset(heading(found)), joints, left_out_table(found))
 
 
 def comparison_html(found: Comparison) -> str:
     """One small piece of HTML that needs nothing but itself."""
-    left_out = left_out_text(found)
+    unsuited = left_out_text(found)
+    tables = []
+    for joint in found.joints:
+        table = comparison_table(found, joint)
+        answered = replace(table, note=f"{_said(answer(found, joint))} {table.note}")
+        tables += [answered, implied_table(found, joint), claimed_table(found, joint)]
     return template("display.html.j2").render(
         title="Calibration strategies compared",
         said=[typeset(heading(found))],
         remarks=[],
-        tables=[table(found, joint) for joint in found.joints for table in (comparison_table, claimed_table)],
-        folded=[("Left out", left_out)] if left_out else [],
+        tables=tables,
+        folded=[("Left out", unsuited)] if unsuited else [],
         provenance=provenance_of(found.provenance),
     )
 
@@ -43,23 +114,37 @@ def comparison_table(found: Comparison, joint: int) -> Table:
     against = others.set_index("strategy") if len(others) else pd.DataFrame()
     columns = (
         Column("strategy", text=True),
-        Column("traverses each way"),
-        Column("time", "min"),
-        Column("rms", unit),
-        Column("95 % interval", unit),
-        Column("bias", unit),
-        Column("worst", unit),
-        Column("rms", "%"),
-        Column("95 % interval", "%"),
-        Column("less the best's", "%"),
-        Column("95 % interval", "%"),
+        Column("traverses each way", group="a session's calibration"),
+        Column("time", "min", "a session's calibration"),
+        Column("rms", unit, "error"),
+        Column("95 % interval", unit, "error"),
+        Column("bias", unit, "error"),
+        Column("worst", unit, "error"),
+        Column("rms", "%", "relative error"),
+        Column("95 % interval", "%", "relative error"),
+        Column("95 % interval", "%", "less the best's"),
         Column("verdict", text=True),
     )
     body = tuple(
-        (*_cells(row, unit), *(("", "", "least rms") if row["strategy"] == best else _against(row, against)))
+        (*_cells(row, unit), *(("", "least rms") if row["strategy"] == best else _against(row, against)))
         for _, row in table.iterrows()
     )
-    return Table(f"Strategies for {joint_name(joint)}", columns, body, note=typeset(answer(found, joint)))
+    return Table(f"Strategies for {joint_name(joint)}", columns, body, note=NOTE)
+
+
+def left_out_table(found: Comparison) -> Table | None:
+    """Sessions that a strategy could not calibrate, and why; None where there is none."""
+    heads = ("strategy", "joint", "direction", "session", "why")
+    body = tuple(
+        (strategy, joints, ways.replace("-", MINUS) or MISSING, sessions, typeset(why))
+        for strategy, joints, ways, sessions, why in left_out(found)
+    )
+    columns = tuple(Column(head, text=True) for head in heads)
+    return Table("Left out", columns, body) if body else None
+
+
+def _said(text: str) -> str:
+    return typeset(text).replace("(-)", f"({MINUS})")
 
 
 def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
@@ -68,15 +153,19 @@ def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
         f"{row['traverses_made']:.3g}",
         f"{row['seconds'] / 60:.0f}",
         number(row["rms"], unit),
-        f"{number(row['rms_low'], unit)} to {number(row['rms_high'], unit)}",
+        _interval(number(row["rms_low"], unit), number(row["rms_high"], unit)),
         number(row["bias"], unit),
         number(row["worst"], unit),
         percent_number(row["rms_relative"]),
-        f"{percent_number(row['rms_relative_low'])} to {percent_number(row['rms_relative_high'])}",
+        _interval(percent_number(row["rms_relative_low"]), percent_number(row["rms_relative_high"])),
     )
 
 
-def _against(row: pd.Series, against: pd.DataFrame) -> tuple[str, str, str]:
+def _against(row: pd.Series, against: pd.DataFrame) -> tuple[str, str]:
     pair = against.loc[row["strategy"]]
     low, high = (percent_number(pair[f"difference_relative_{end}"]) for end in ("low", "high"))
-    return percent_number(pair["difference_relative"]), f"{low} to {high}", str(pair["verdict"])
+    return _interval(low, high), str(pair["verdict"]).removesuffix(" on this log")
+
+
+def _interval(low: str, high: str) -> str:
+    return MISSING if UNKNOWN in (low, high) else f"{low} to {high}"

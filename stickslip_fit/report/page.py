@@ -14,6 +14,7 @@ from stickslip_fit.logs import Log
 from stickslip_fit.report import accuracy, calibrated, measured
 from stickslip_fit.report.answer import answer, answer_table
 from stickslip_fit.report.claims import claims_table
+from stickslip_fit.report.compared import compared
 from stickslip_fit.report.d_table import d_table
 from stickslip_fit.report.diagnosis import diagnosed
 from stickslip_fit.report.factors import cautions, factors
@@ -23,6 +24,7 @@ from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Table
 from stickslip_fit.report.wording import joint_name
+from stickslip_fit.strategies import Comparison
 
 
 def report_html(
@@ -32,6 +34,7 @@ def report_html(
     fit: Result,
     *,
     diagnosis: Diagnosis | None = None,
+    comparison: Comparison | None = None,
     command: str = "",
 ) -> str:
     """The accuracy report of a log.
@@ -47,6 +50,8 @@ def report_html(
         Least squares.
     diagnosis : Diagnosis, optional
         For a section on what the laws get wrong.
+    comparison : Comparison, optional
+        For a section on calibration strategies.
     command : str, optional
         As typed; where empty, the fit's own.
 
@@ -57,7 +62,7 @@ def report_html(
     """
     errors = errors_of(log, calibration, constant)
     coefficients = load_coefficients(log, calibration, fit)
-    compared = calibrated.compared(calibration, fit)
+    both = calibrated.compared(calibration, fit)
     variance = analyse(log)
     return template("report.html.j2").render(
         title=_title(log),
@@ -66,8 +71,8 @@ def report_html(
         facts=measured.facts(log),
         reading_notes=log.notes,
         measured=[table for table in _measured(log) if table],
-        agreement=calibrated.agreement(compared),
-        parameters=[*calibrated.parameter_tables(compared, fit), *calibrated.departures_tables(fit)],
+        agreement=calibrated.agreement(both),
+        parameters=[*calibrated.parameter_tables(both, fit), *calibrated.departures_tables(fit)],
         repeatability=calibrated.repeatability_table(calibration, fit),
         d_table=d_table(coefficients) if len(coefficients) else None,
         figures=gallery(log, calibration, fit, errors, coefficients),
@@ -76,6 +81,7 @@ def report_html(
         claims=claims_table(errors) if len(errors) else None,
         factors=factors(variance),
         diagnosed=diagnosed(diagnosis) if diagnosis else None,
+        compared=compared(comparison) if comparison else None,
         cautions=cautions(variance),
         remarks=remarks(calibration, fit),
         provenance=_provenance(log, fit, command),

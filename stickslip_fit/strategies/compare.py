@@ -61,7 +61,7 @@ def compare(
     return Comparison(
         tuple(names), errors, spent, left_out, _pairs(errors), _bounds(trials, errors, spent, handling),
         {(trial.task.law.joint, trial.task.direction): trial.task.repeatability for trial in trials},
-        handling, at_hand.__name__.replace("_", " "), provenance(log, command),
+        handling, at_hand.__name__.replace("_", " "), log.machine, provenance(log, command),
     )  # fmt: skip
 
 

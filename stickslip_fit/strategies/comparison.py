@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from stickslip_fit.fit.provenance import Provenance
+from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.accuracy import CONFIGURATIONS, SESSIONS, summarise
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ class Comparison:
         Seconds that a traverse costs beside its steps.
     looks_back : str
         On which sessions a strategy may look back, in words.
+    machine : Machine
     provenance : Provenance
     """
 
@@ -52,6 +55,7 @@ class Comparison:
     repeatability: dict[tuple[int, str], float]
     handling: float
     looks_back: str
+    machine: Machine
     provenance: Provenance
 
     def __str__(self) -> str:
@@ -112,11 +116,18 @@ class Comparison:
         DataFrame
             See `accuracy.summarise`.
         """
-        parts = [
-            summarise(mine, ["joint", "strategy", *by], self.unit(int(joint)))
-            for joint, mine in self.shared.groupby("joint")
-        ]
-        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+        if by not in self._summed_up:
+            parts = [
+                summarise(mine, ["joint", "strategy", *by], self.unit(int(joint)))
+                for joint, mine in self.shared.groupby("joint")
+            ]
+            self._summed_up[by] = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+        return self._summed_up[by].copy()
+
+    @cached_property
+    def _summed_up(self) -> dict[tuple[str, ...], pd.DataFrame]:
+        """What `accuracy` has worked out; a page asks for the same table a dozen times."""
+        return {}
 
     def cost(self) -> pd.DataFrame:
         """joint, strategy, traverses (each way) and seconds (both ways) of a shared session, on average."""

@@ -11,7 +11,8 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 from stickslip_fit.anova.holm import holm
-from stickslip_fit.strategies.accuracy import SCALES, reach
+from stickslip_fit.strategies.accuracy import SCALES, SMALLEST_SHARE, reach
+from stickslip_fit.strategies.moderated import moderate
 
 Array = npt.NDArray[np.float64]
 
@@ -34,8 +35,8 @@ def pair_up(errors: pd.DataFrame, unit: Sequence[str]) -> pd.DataFrame:
     DataFrame
         strategy, other, units; difference, the mean over the units of the rms of `strategy` less that of
         `other`, with ``_low`` and ``_high`` (95 %, Student's t), absolute and under ``_relative``; p, of the
-        paired t test on the relative difference; p_adjusted, for all pairs of the joint (Holm); and verdict
-        on `strategy`.
+        paired t test on the log ratio of relative rms; p_adjusted, for all pairs of the joint (Holm); and
+        verdict on `strategy`.
     """
     names = list(dict.fromkeys(errors["strategy"]))
     rms = {kind: _rms_by_unit(errors, kind, unit, names) for kind in SCALES.values()}
@@ -56,27 +57,45 @@ def pair_up(errors: pd.DataFrame, unit: Sequence[str]) -> pd.DataFrame:
         half = reach(len(difference)) * error
         found[f"difference{suffix}"] = mean
         found[f"difference{suffix}_low"], found[f"difference{suffix}_high"] = mean - half, mean + half
-    found["p"] = p_values(rms["relative"][:, first] - rms["relative"][:, second])
+    # A strategy may be right to the last step by luck; its logarithm must not rule all others.
+    log = np.log(np.maximum(rms["relative"], SMALLEST_SHARE * rms["relative"].mean(axis=0)))
+    log_ratio = log[:, first] - log[:, second]
+    found["p"] = p_values(log_ratio, most=(len(names) - 1) * (len(log) - 1))
     found["p_adjusted"] = holm(found["p"])
-    seen, less = found["p_adjusted"] < SIGNIFICANT, found["difference_relative"] < 0
-    found["verdict"] = np.where(seen, np.where(less, BETTER, WORSE), INDISTINGUISHABLE)
+    less, more = (
+        (sign * found["difference_relative"] < 0) & (sign * log_ratio.mean(axis=0) < 0) for sign in (1, -1)
+    )
+    seen = found["p_adjusted"] < SIGNIFICANT
+    found["verdict"] = np.select([seen & less, seen & more], [BETTER, WORSE], INDISTINGUISHABLE)
     return found
 
 
-def p_values(differences: Array) -> Array:
+def p_values(log_ratios: Array, most: int) -> Array:
     """Of the paired t test, shape (units, m) -> (m,); 1 where there is one unit or nothing differs.
+
+    The variances are moderated: three sessions alone could hardly show any difference of many.
+
+    Parameters
+    ----------
+    log_ratios : array, shape (units, m)
+        Of what is compared, such as rms errors.
+    most : int
+        Degrees of freedom in all of them together.
 
     Examples
     --------
-    >>> p_values(np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])).round(3)
+    >>> p_values(np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]]), most=2).round(3)
     array([0.074, 1.   ])
     """
-    if len(differences) < 2:
-        return np.ones(differences.shape[1])
-    mean, error = _mean_and_error(differences)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        p = 2 * student_t.sf(np.abs(mean) / error, len(differences) - 1)
-    return np.where(mean == 0, 1.0, p)
+    units, found = len(log_ratios), np.ones(log_ratios.shape[1])
+    differ = np.flatnonzero(np.ptp(log_ratios, axis=0) > 0)
+    if units > 1 and len(differ):
+        mean, variance = log_ratios[:, differ].mean(axis=0), log_ratios[:, differ].var(axis=0, ddof=1)
+        moderated = moderate(variance, units - 1, most)
+        found[differ] = 2 * student_t.sf(
+            np.abs(mean) / np.sqrt(moderated.variance / units), moderated.freedom
+        )
+    return found
 
 
 def _mean_and_error(differences: Array) -> tuple[Array, Array]:

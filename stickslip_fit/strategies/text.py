@@ -14,12 +14,13 @@ from stickslip_fit.units import format_value, text_table
 from stickslip_fit.units.format import MISSING
 
 WIDTH = 110
+ADJUSTED = " p allows for all pairs of a joint being compared at once (Holm); the intervals do not."
 DECIMALS = {"nm": 1, "µrad": 2, "%": 2}
 
 
 def text(found: Comparison) -> str:
     """What each strategy costs and how well it predicts, joint by joint, and what was left out."""
-    parts = [_paragraph(heading(found))]
+    parts = [_paragraph(f"{heading(found)}{ADJUSTED if found.joints else ''}")]
     for joint in found.joints:
         parts += [
             f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})",
@@ -39,29 +40,34 @@ def heading(found: Comparison) -> str:
         f"{len(found.strategies)} calibration strategies on {files}. Each calibrates a session from its own "
         f"traverses only, and may look back on {found.looks_back}. Errors are predicted less measured mean "
         "step size, of traverses that none of them calibrates from; a traverse costs "
-        f"{found.handling:.0f} s beside its steps. p is adjusted for all pairs of a joint (Holm)."
+        f"{found.handling:.0f} s beside its steps. Intervals are made to hold 95 % under scatter with heavy "
+        "tails too, so that they are wide where it is Gaussian."
     )
     return said if found.joints else f"{said} No session is left in which they can be compared."
 
 
 def left_out_text(found: Comparison) -> str:
     """Which sessions each strategy could not calibrate, and why."""
-    if found.left_out.empty:
-        return ""
-    alike: dict[tuple[str, str, str], list[str]] = {}
+    lines = ["left out"]
+    for strategy, joints, ways, sessions, why in left_out(found):
+        where = f"joint {joints}, {f'direction {ways}, ' * bool(ways)}session {sessions}"
+        lines.append(_paragraph(f"{strategy}: {where}: {why}", "  ", "    "))
+    return "\n".join(lines) if len(lines) > 1 else ""
+
+
+def left_out(found: Comparison) -> list[tuple[str, str, str, str, str]]:
+    """What could not be calibrated, alike cases together: strategy, joints, directions, sessions and why."""
+    alike: dict[tuple[str, str, str, str], list[str]] = {}
     for (strategy, reason, joint), mine in found.left_out.groupby(
         ["strategy", "reason", "joint"], sort=False
     ):
         ways = " and ".join(way for way in dict.fromkeys(mine["direction"]) if way)
-        sessions = f"{f'direction {ways}, ' * bool(ways)}session {', '.join(dict.fromkeys(mine['session']))}"
-        alike.setdefault((strategy, sessions, reason), []).append(str(joint))
-    lines = [
-        _paragraph(
-            f"{strategy or 'all strategies'}: joint {', '.join(joints)}, {sessions}: {reason}", "  ", "    "
-        )
-        for (strategy, sessions, reason), joints in alike.items()
+        sessions = ", ".join(dict.fromkeys(mine["session"]))
+        alike.setdefault((strategy or "all strategies", ways, sessions, reason), []).append(str(joint))
+    return [
+        (strategy, ", ".join(joints), ways, sessions, reason)
+        for (strategy, ways, sessions, reason), joints in alike.items()
     ]
-    return "\n".join(["left out", *lines])
 
 
 def quantity(value: float, unit: str) -> str:
@@ -100,20 +106,19 @@ def _absolute_text(found: Comparison, joint: int) -> str:
 def _relative_text(found: Comparison, joint: int) -> str:
     best, others = against_best(found, joint)
     against = others.set_index("strategy") if len(others) else pd.DataFrame()
-    header = ["in %", "rms", "95 %", "worst", "less the best's", "95 %", "p", ""]
+    header = ["in %", "rms", "95 %", "worst", "less the best's, 95 %", "p", ""]
     rows = []
     for _, row in _of(found.accuracy(), joint).iterrows():
         name = str(row["strategy"])
         cells = [name, quantity(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
         cells.append(quantity(row["worst_relative"], "%"))
         if name == best:
-            rows.append([*cells, "", "", "", "least rms"])
+            rows.append([*cells, "", "", "least rms"])
             continue
         pair = against.loc[name]
         p = f"{pair['p_adjusted']:.2g}" if pair["p_adjusted"] >= 1e-4 else "<0.0001"
-        difference = quantity(pair["difference_relative"], "%")
         verdict = str(pair["verdict"]).removesuffix(" on this log")
-        rows.append([*cells, difference, between(pair, "difference_relative", "%"), p, verdict])
+        rows.append([*cells, between(pair, "difference_relative", "%"), p, verdict])
     return text_table(header, rows)
 
 

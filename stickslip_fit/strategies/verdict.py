@@ -48,11 +48,15 @@ def answer(found: Comparison, joint: int) -> str:
     told = [f"Traverses predicted: {traverses:,}, of {where}; they repeat to {' and '.join(noise)}."]
     if found.unit(joint) != SESSIONS:
         told.append(
-            "Intervals are over its configurations, since there is one session: they say nothing of how "
-            "another session's calibration would turn out."
+            "Intervals and verdicts are over its configurations, since there is one session: they say "
+            "nothing of how another session's calibration would turn out."
         )
     elif len(sessions) <= FEW:
-        told.append("So few sessions show only large differences.")
+        pairs = int((found.pairs["joint"] == joint).sum()) if len(found.pairs) else 0
+        told.append(
+            f"So few sessions show only large differences{_at_once(pairs)}; the intervals of single "
+            "differences show more."
+        )
     told.append(f"Least rms: {best}, {_minutes(found, joint)[best]:.0f} min a session.")
     if len(others):
         alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
@@ -65,6 +69,10 @@ def answer(found: Comparison, joint: int) -> str:
 def unit_of(joint: int) -> str:
     """Unit in which people see a joint's step size."""
     return "nm" if joint == PRISMATIC else "µrad"
+
+
+def _at_once(pairs: int) -> str:
+    return f" where {pairs} pairs are compared at once" if pairs > 1 else ""
 
 
 def _cheapest(found: Comparison, joint: int, best: str, others: pd.DataFrame) -> str:

@@ -1,8 +1,8 @@
-"""The extended law: what other sessions, or a diagnosis of another log, know of causes is taken for true."""
+"""The extended law: what other sessions, or a diagnosis of another log, know of causes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +12,35 @@ import pandas as pd
 from stickslip_fit.causes import Cause
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit import Result, least_squares
-from stickslip_fit.fit.known_causes import HeldLaw, KnownCauses, known_causes
+from stickslip_fit.fit.closed_form import ENOUGH
+from stickslip_fit.fit.known_causes import APART, HeldLaw, KnownCauses, known_causes
+from stickslip_fit.fit.repeatability import pooled
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.at_hand import AtHand, other_sessions
+from stickslip_fit.strategies.solve import solve, spread
 from stickslip_fit.strategies.task import Predictor, Strategy, Task, Unsuited
 
+Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """Predictions with one cause's size a little larger and a little smaller.
+
+    Attributes
+    ----------
+    place : int
+        Of the size among the causes' parameters.
+    apart : float
+        Between the two sizes, SI.
+    ahead, behind : callable
+    """
+
+    place: int
+    apart: float
+    ahead: Predictor
+    behind: Predictor
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +52,8 @@ class WithCauses:
     strategy : Strategy
         Calibrates what the law has of its own.
     known : mapping of str to KnownCauses or str
-        By session, from what it was not part of; or why that could not be known. Its sizes are taken for
-        true, also in the standard deviations of what is predicted.
+        By session, from what it was not part of; or why that could not be known. What is not sure of them
+        goes into the standard deviations of what is predicted, and what they explain leaves the scatter.
     """
 
     strategy: Strategy
@@ -43,17 +66,71 @@ class WithCauses:
 
     def choose(self, task: Task) -> Indices:
         """See `Strategy.choose`."""
-        return self.strategy.choose(self._extended(task))
+        return self.strategy.choose(replace(task, law=_held(task, self._known(task))))
 
     def calibrate(self, task: Task, made: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return self.strategy.calibrate(self._extended(task), made)
+        known = self._known(task)
+        repeatability = _repeatability(_held(task, known), task)
 
-    def _extended(self, task: Task) -> Task:
+        def calibrated(sizes: Array) -> Predictor:
+            law = HeldLaw(task.law, known.causes, sizes)
+            return self.strategy.calibrate(replace(task, law=law, repeatability=repeatability), made)
+
+        return _unsure(known, calibrated(known.values), _neighbours(task, known, calibrated))
+
+    def _known(self, task: Task) -> KnownCauses:
         known = self.known[task.session]
         if isinstance(known, str):
             raise Unsuited(known)
-        return replace(task, law=HeldLaw(task.law, known.causes, known.values))
+        return known
+
+
+def _held(task: Task, known: KnownCauses) -> HeldLaw:
+    return HeldLaw(task.law, known.causes, known.values)
+
+
+def _repeatability(law: HeldLaw, task: Task) -> float:
+    """What is left of the scatter with the causes in the law.
+
+    Replicates hours apart also hold what the causes did between them, and what the law leaves over of the
+    other sessions also holds what it lacks: the scatter is no larger than either.
+    """
+    if task.others.empty:
+        return task.repeatability
+    found = solve(law, task.others, task.repeatability)
+    y, rounding = law.response(task.others)
+    residual = y - law.predict(task.others, found.values[found.groups.of_row])
+    freedom = int(len(y) - found.known.sum())
+    left_over = pooled(residual, rounding, freedom, "residuals")
+    return min(task.repeatability, left_over.value) if left_over.freedom >= ENOUGH else task.repeatability
+
+
+def _neighbours(task: Task, known: KnownCauses, calibrated: Callable[[Array], Predictor]) -> list[Neighbour]:
+    """What would be predicted if each size that has an error bar were a little different.
+
+    The calibration is made again: what a wrong size does to the traverses to predict, it did to those that
+    were calibrated from, too.
+    """
+    scales = _held(task, known).extended.sizes
+    found = []
+    for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
+        step = APART * scales[k]
+        aside = step * (np.arange(len(scales)) == k)
+        ahead, behind = (calibrated(known.values + way * aside) for way in (1, -1))
+        found.append(Neighbour(int(k), 2 * step, ahead, behind))
+    return found
+
+
+def _unsure(known: KnownCauses, middle: Predictor, neighbours: Sequence[Neighbour]) -> Predictor:
+    def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
+        mean, sd = middle(rows)
+        slopes = np.zeros((len(rows), len(known.values)))
+        for near in neighbours:
+            slopes[:, near.place] = (near.ahead(rows)[0] - near.behind(rows)[0]) / near.apart
+        return mean, np.hypot(sd, spread(slopes, known.covariance))
+
+    return predict
 
 
 def from_other_sessions(

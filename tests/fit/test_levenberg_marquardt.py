@@ -65,7 +65,7 @@ def test_a_step_out_of_the_models_domain_is_not_taken(problem):
 
 
 def test_a_slow_group_does_not_make_the_others_work_on(problem):
-    """A valley without end keeps one group busy; all the same, most rows are evaluated only while they move."""
+    """A valley without end keeps one group busy; most rows are evaluated only while they move."""
     groups, x, y = problem
     y = np.where(groups.of_row == 7, np.tile(np.r_[1.0, np.zeros(39)], 50), y)
     ones, evaluated = np.ones((50, 2)), 0

@@ -13,10 +13,10 @@ import pytest
 
 from stickslip_fit import cli
 from stickslip_fit.diagnose import Diagnosis
-from stickslip_fit.diagnose.telling.answer import answer
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Gain, NextTraverse
 from stickslip_fit.diagnose.searching.naming import probabilities
+from stickslip_fit.diagnose.telling.answer import answer
 from stickslip_fit.diagnose.telling.show import shape_of, shown
 from stickslip_fit.errors import InputError
 from stickslip_fit.report import report_html

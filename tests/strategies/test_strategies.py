@@ -59,6 +59,14 @@ def test_the_constant_step_is_measured_in_the_first_configuration(log, trials):
         assert mine["predicted"].to_numpy() == pytest.approx(step)
 
 
+def test_the_constant_step_is_that_of_fit(log, trials):
+    constant = fit.constant_step(log, fit.closed_form(log))
+    errors = attempt_all(trials, [ConstantStep()]).errors.set_index("traverse")
+    wanted = constant.predict(log.usable.loc[errors.index])["step_size"]
+    assert errors["predicted"].to_numpy() == pytest.approx(wanted.to_numpy(), rel=1e-8)
+    assert not constant.residuals["used"].loc[errors.index].any()
+
+
 @pytest.mark.parametrize("strategy", usual_strategies(2), ids=lambda strategy: strategy.name)
 def test_nothing_is_learnt_from_what_was_not_driven(strategy, trials):
     rng = np.random.default_rng(5)

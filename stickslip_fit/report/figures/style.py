@@ -149,9 +149,13 @@ def grid(
 
 
 def legend_rows(entries: Sequence[Line2D]) -> int:
-    """Lines that a legend takes up."""
-    wide = sum(ENTRY_WIDTH + LETTER_WIDTH * len(str(entry.get_label())) for entry in entries)
-    return int(np.ceil(wide / WIDTH))
+    """Lines that a legend takes up: as few as let its columns, each as wide as its longest label, fit."""
+    wide = np.array([ENTRY_WIDTH + LETTER_WIDTH * len(str(entry.get_label())) for entry in entries])
+
+    def across(rows: int) -> float:
+        return sum(column.max() for column in np.array_split(wide, -(-len(wide) // rows)))
+
+    return next((rows for rows in range(1, len(wide)) if across(rows) <= WIDTH), max(len(wide), 1))
 
 
 def legend(figure: FigureBase, entries: Sequence[Line2D], top: float = 1.0) -> None:
