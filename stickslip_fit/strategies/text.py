@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from textwrap import fill
 
 import numpy as np
@@ -14,17 +15,18 @@ from stickslip_fit.units import format_value, text_table
 from stickslip_fit.units.format import MISSING
 
 WIDTH = 110
+NO_BREAK = "\N{NO-BREAK SPACE}"
 ADJUSTED = " p allows for all pairs of a joint being compared at once (Holm); the intervals do not."
 DECIMALS = {"nm": 1, "µrad": 2, "%": 2}
 
 
 def text(found: Comparison) -> str:
     """What each strategy costs and how well it predicts, joint by joint, and what was left out."""
-    parts = [_paragraph(f"{heading(found)}{ADJUSTED if found.joints else ''}")]
+    parts = [paragraph(f"{heading(found)}{ADJUSTED if found.joints else ''}")]
     for joint in found.joints:
         parts += [
             f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})",
-            _paragraph(answer(found, joint)),
+            paragraph(answer(found, joint)),
             _absolute_text(found, joint),
             _relative_text(found, joint),
             _directions_text(found, joint),
@@ -51,7 +53,7 @@ def left_out_text(found: Comparison) -> str:
     lines = ["left out"]
     for strategy, joints, ways, sessions, why in left_out(found):
         where = f"joint {joints}, {f'direction {ways}, ' * bool(ways)}session {sessions}"
-        lines.append(_paragraph(f"{strategy}: {where}: {why}", "  ", "    "))
+        lines.append(paragraph(f"{strategy}: {where}: {why}", "  ", "    "))
     return "\n".join(lines) if len(lines) > 1 else ""
 
 
@@ -141,5 +143,15 @@ def _of(table: pd.DataFrame, joint: int) -> pd.DataFrame:
     return table[table["joint"] == joint]
 
 
-def _paragraph(said: str, first: str = "", then: str = "") -> str:
-    return fill(said, WIDTH, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)
+def paragraph(said: str, first: str = "", then: str = "") -> str:
+    """Fill lines, no number parted from its unit.
+
+    Examples
+    --------
+    >>> print(paragraph(f"{'-' * 98} within 7.5 µm").replace("-" * 98, "(98 signs)"))
+    (98 signs) within
+    7.5 µm
+    """
+    whole = re.sub(r"(?<=\d) (?=%|nm|mm|µm|µrad|min\b)", NO_BREAK, said)
+    lines = fill(whole, WIDTH, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)
+    return lines.replace(NO_BREAK, " ")

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
 import numpy as np
 import pandas as pd
 
 from stickslip_fit.machine import JOINTS, PRISMATIC
 from stickslip_fit.strategies.study.study import Study
 from stickslip_fit.strategies.study.verdict import answer, of_joint
-from stickslip_fit.strategies.text import WIDTH, between, quantity
+from stickslip_fit.strategies.text import between, paragraph, quantity
 from stickslip_fit.strategies.verdict import unit_of
 from stickslip_fit.units import format_value, text_table
 from stickslip_fit.units.format import MISSING
@@ -18,16 +16,16 @@ from stickslip_fit.units.format import MISSING
 
 def text(found: Study) -> str:
     """Which strategy survives what, joint by joint."""
-    parts = [fill(heading(found), WIDTH)]
+    parts = [paragraph(heading(found))]
     for joint in found.joints:
         parts += [
             f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})",
-            fill(answer(found, joint), WIDTH),
+            paragraph(answer(found, joint)),
             _joint_text(found, joint),
         ]
     tips = found.tips()
     if len(tips):
-        parts += [f"the tip after {moves_made(found)}", fill(tip_answer(found), WIDTH), _tips_text(tips)]
+        parts += [f"the tip after {moves_made(found)}", paragraph(tip_answer(found)), _tips_text(tips)]
     return "\n\n".join(filter(None, [*parts, left_out_text(found)]))
 
 
@@ -70,7 +68,7 @@ def left_out_text(found: Study) -> str:
     for (strategy, joint, reason), mine in table.groupby(["strategy", "joint", "reason"], sort=False):
         ways = " and ".join(dict.fromkeys(mine["direction"]))
         said = f"{strategy}: joint {joint}, direction {ways}: {reason}"
-        lines.append(fill(said, WIDTH, initial_indent="  ", subsequent_indent="    "))
+        lines.append(paragraph(said, "  ", "    "))
     return "\n".join(lines)
 
 
