@@ -235,3 +235,13 @@ def test_every_fault_of_a_log_is_told_and_nothing_is_written(run, log, tmp_path)
     assert "line 4, column joint, value '4'" in err
     assert "line 8, column time" in err
     assert not (tmp_path / "report.html").exists()
+
+
+def test_an_interrupted_run_says_so_and_leaves_nothing(run, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stickslip_fit.files.write_atomically", interrupted)
+    status, _, said = run("report", REFERENCE / "campaign.csv", "-o", str(tmp_path / "report.html"))
+    assert (status, said) == (130, "interrupted; nothing was left half-written\n")
+    assert not list(tmp_path.iterdir())

@@ -23,6 +23,8 @@ VERBS = (
     where, demo,
 )  # fmt: skip
 
+INTERRUPTED = 130  # the status that typer gives a run that was interrupted by a person
+
 app = typer.Typer(
     help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
     no_args_is_help=True,
@@ -52,9 +54,10 @@ def main() -> None:
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("interrupted; nothing was left half-written", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            print("interrupted; nothing was left half-written", file=sys.stderr)
+        raise
     except BrokenPipeError:
         # The reader of our output has gone; closing quietly is what other tools do.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
