@@ -22,8 +22,9 @@ from stickslip_fit.diagnose.worth.folds import Split
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-NATURES = 2000
+NATURES = 3000
 RANGE = 4.0  # strengths by which a cause may differ from what it seems
+DOUBT = 4.0  # nats; how much noise changes what other shapes of a rival explain
 ALIKE = 0.15  # share of the natures that come closest to what was seen
 AT_A_TIME = 2_000_000  # numbers
 LARGEST_LEVERAGE = 0.8
@@ -168,7 +169,7 @@ def _two_replicates(
         times = rng.uniform(np.maximum(1.0 - off, 0.0), 1.0 + off, (number, k))
         truth = campaign.effects @ times.T
         both.append(
-            [_shown(campaign, mine, truth + _noise(campaign, number, rng)) for mine in (splits, others)]
+            [_shown(campaign, mine, truth + _noise(campaign, number, rng), rng) for mine in (splits, others)]
         )
     first, second = (_joined([pair[which] for pair in both]) for which in range(2))
     shown = np.any(np.abs(first.lengths) > campaign.thresholds, axis=1)
@@ -193,11 +194,14 @@ def _along(campaign: Campaign, training: Indices, columns: Array, responses: Arr
     return responses[training].T @ (direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12))
 
 
-def _shown(campaign: Campaign, splits: Sequence[Split], responses: Array) -> _Shown:
+def _shown(campaign: Campaign, splits: Sequence[Split], responses: Array, rng: np.random.Generator) -> _Shown:
     m, k = responses.shape[1], len(campaign.slopes)
     squares, count = np.zeros((m, k + 1)), 0
     for split in splits:
-        made = np.stack([made_of(campaign, j, split.training, responses) for j in range(k)], axis=1)
+        doubts = [DOUBT * rng.standard_normal((m, len(each.ahead))) for each in campaign.rivals]
+        made = np.stack(
+            [made_of(campaign, j, split.training, responses, doubts[j]) for j in range(k)], axis=1
+        )
         for what in np.unique(made, axis=0):
             mine = np.flatnonzero(np.all(made == what, axis=1))
             for step in range(k + 1):
@@ -208,7 +212,9 @@ def _shown(campaign: Campaign, splits: Sequence[Split], responses: Array) -> _Sh
     return _Shown(np.sqrt(squares / count), _lengths(campaign, responses))
 
 
-def made_of(campaign: Campaign, cause: int, training: Indices, responses: Array) -> Indices:
+def made_of(
+    campaign: Campaign, cause: int, training: Indices, responses: Array, doubt: Array | float = 0.0
+) -> Indices:
     """What a search of some rows makes of a cause in each log.
 
     Parameters
@@ -218,6 +224,8 @@ def made_of(campaign: Campaign, cause: int, training: Indices, responses: Array)
     training : array of int
         Rows that are searched.
     responses : array, shape (n, m)
+    doubt : array, shape (m, r), optional
+        Nats by which each rival is likelier than that.
 
     Returns
     -------
@@ -230,7 +238,9 @@ def made_of(campaign: Campaign, cause: int, training: Indices, responses: Array)
     left = left_over(campaign.basis, training, training, responses)
     freedom = len(training) - len(np.unique(campaign.basis[training].indices))
     explained = length**2 / np.sum(left**2, axis=0)[:, None]
-    best = np.argmax(log_likelihood_ratio(explained, freedom) + np.append(0.0, rivals.ahead), axis=1)
+    likely = log_likelihood_ratio(explained, freedom)
+    likely[:, 1:] += rivals.ahead + doubt
+    best = np.argmax(likely, axis=1)
     alarm = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
     return np.where(alarm & np.append(True, rivals.names)[best], best, NOTHING)
 
