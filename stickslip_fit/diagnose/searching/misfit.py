@@ -50,6 +50,8 @@ class Misfit:
     p_value : float
     null : array, shape (flips,)
         Log evidence, over everything, in logs in which nothing is wrong.
+    times : float
+        By how much `p_value` is larger than their share that looks worse than the log.
     """
 
     residual: Array
@@ -58,10 +60,11 @@ class Misfit:
     by_cause: dict[str, float]
     p_value: float
     null: Array
+    times: float = 1.0
 
     def critical(self, level: float) -> float:
         """Log evidence, over everything, that chance exceeds with probability `level`."""
-        return float(np.quantile(self.null, 1.0 - level)) if len(self.null) else np.nan
+        return float(np.quantile(self.null, 1.0 - level / self.times)) if len(self.null) else np.nan
 
     def best_of(self, cause: str) -> Hypothesis | Memory:
         """The likeliest shape of a cause."""
@@ -80,6 +83,7 @@ def misfit(
     flips: int,
     rng: np.random.Generator,
     enough: int | None = None,
+    times: float = 1.0,
 ) -> Misfit:
     """Judge the residuals of a study.
 
@@ -93,6 +97,8 @@ def misfit(
     enough : int, optional
         Of those, that look worse than the log itself, after which no more are made (J. Besag and P.
         Clifford, Biometrika 78:301, 1991).
+    times : float, optional
+        Makes the p-value that much larger, where the rows' weights were chosen by the same residuals.
     """
     together = stack(hypotheses, study.freedom)
     kinds = [kind_of(each) for each in hypotheses]
@@ -112,8 +118,8 @@ def misfit(
         by_chance = np.concatenate([by_chance, null])
         if enough is not None and np.sum(by_chance >= total) >= enough:
             break
-    p_value = (1 + int(np.sum(by_chance >= total))) / (1 + len(by_chance)) if flips else np.nan
-    return Misfit(study.residual, tuple(hypotheses), own, each, p_value, by_chance)
+    share = (1 + int(np.sum(by_chance >= total))) / (1 + len(by_chance)) if flips else np.nan
+    return Misfit(study.residual, tuple(hypotheses), own, each, min(times * share, 1.0), by_chance, times)
 
 
 def _noise(study: Study, left: Cleared, rng: np.random.Generator) -> Callable[[int], Array]:
