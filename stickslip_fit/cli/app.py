@@ -10,6 +10,7 @@ import typer
 
 from stickslip_fit import __version__
 from stickslip_fit.cli.asking import anova, diagnose, plan
+from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.comparing import compare
 from stickslip_fit.cli.fitting import calibrate, fit, predict
 from stickslip_fit.cli.moving import steps, where
@@ -35,6 +36,7 @@ app = typer.Typer(
 )
 for verb in VERBS:
     app.command()(verb)
+app.add_typer(capture, name="capture")
 
 
 @app.callback()

@@ -1,0 +1,55 @@
+"""``python -m stickslip_fit.capture.emulator LAW``: an emulated rig for other programs to talk to."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import suppress
+from functools import partial
+
+from stickslip_fit.capture.clock import RealClock
+from stickslip_fit.capture.coarse import STEP_PERIOD
+from stickslip_fit.capture.emulator.acoustics import Acoustics
+from stickslip_fit.capture.emulator.emulator import UNITS, emulate
+from stickslip_fit.capture.emulator.serve import serve
+from stickslip_fit.capture.emulator.truth import Truth
+from stickslip_fit.errors import InputError
+from stickslip_fit.logs.plan import Noise
+from stickslip_fit.machine import load_machine
+from stickslip_fit.simulate import read_law_values
+
+
+def main() -> None:
+    """Serve until the standard input ends, or Ctrl-C."""
+    asked = _parser().parse_args()
+    try:
+        machine = load_machine(asked.machine)
+        laws = read_law_values(asked.law, machine)
+    except InputError as error:
+        sys.exit(str(error))
+    spread = {(joint, direction): asked.repeatability_pct / 100 for joint in laws.laws for direction in "+-"}
+    truth = Truth(laws, machine, Noise(spread), asked.seed)
+    rig = emulate(truth, asked.dialect, RealClock(), asked.step_period_ms / 1000)
+    microphone = rig.microphone(Acoustics(asked.snr_db, period=rig.unit.period))
+    with suppress(KeyboardInterrupt):
+        serve(rig, microphone, sys.stdin.fileno(), partial(print, flush=True))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m stickslip_fit.capture.emulator",
+        description="A manipulator that is not there, behind a pseudo-terminal. It prints the terminal's "
+        'name, and takes orders such as {"set": {"theta": 0.5}} (SI), one a line.',
+    )
+    parser.add_argument("law", help="law file (TOML) by which the joints step, with or without causes")
+    parser.add_argument("--machine", help="machine file (TOML); the nominal MM3A without it")
+    parser.add_argument("--dialect", choices=list(UNITS), default="new")
+    parser.add_argument("--repeatability-pct", type=float, default=0.27, help="spread of the counts")
+    parser.add_argument("--step-period-ms", type=float, default=1000 * STEP_PERIOD)
+    parser.add_argument("--snr-db", type=float, default=12.0, help="of the stop's sound")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,318 @@
+"""A plan gone through at a rig whose truth is known, whatever happens on the way."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
+
+import numpy as np
+import pytest
+
+from stickslip_fit.capture.campaign import begin
+from stickslip_fit.capture.controller import ControllerError, Unplugged
+from stickslip_fit.capture.person import Answer, Choice
+from stickslip_fit.errors import InputError
+from tests.capture.played import SHORT, STEP, Capture, Joints, Player, plan_of
+from tests.capture.test_journal import disk_of
+
+REPEAT, SKIP, QUIT = (Answer(choice) for choice in (Choice.REPEAT, Choice.SKIP, Choice.QUIT))
+
+
+@pytest.fixture(scope="module")
+def memory(tmp_path_factory):
+    """Where writing for good costs nothing, if there is such a place: it is done thousands of times here."""
+    place = Path("/dev/shm")
+    if not os.access(place, os.W_OK):
+        yield tmp_path_factory.mktemp("capture")
+        return
+    with TemporaryDirectory(dir=place) as name:
+        yield Path(name)
+
+
+@pytest.fixture
+def folder(memory):
+    return Path(mkdtemp(dir=memory))
+
+
+@pytest.fixture
+def short(folder):
+    return Capture(folder, plan_of(folder, SHORT))
+
+
+class Watched(Joints):
+    """Remembers how far a joint was ever driven against a stop."""
+
+    longest = 0
+
+    def step(self, joint, steps):
+        super().step(joint, steps)
+        self.longest = max(self.longest, self.against_stop)
+
+
+@pytest.fixture(scope="module")
+def captured(memory):
+    """A whole campaign in which nothing goes wrong."""
+    folder = Path(mkdtemp(dir=memory))
+    capture = Capture(folder, plan_of(folder), Watched())
+    assert capture.run()
+    return capture
+
+
+def true_count(row):
+    """Steps of one size from stop to stop, seen at the next check."""
+    steps = math.ceil(abs(row.stop - row.start) / STEP[row.joint, row.direction] - 1e-9)
+    return math.ceil(steps / row.check_every) * row.check_every
+
+
+def assert_whole(capture):
+    """The log holds every traverse of the plan once, in its order, with its true count."""
+    kept = capture.rows[capture.rows["status"] == "ok"].reset_index(drop=True)
+    planned = capture.plan.rows()
+    for name in ("session", "joint", "direction"):
+        assert kept[name].astype(str).tolist() == planned[name].astype(str).tolist()
+    for name in ("q1", "q2", "q3", "theta", "psi", "start", "stop"):
+        np.testing.assert_array_equal(kept[name], planned[name])
+    assert kept["steps"].tolist() == [true_count(row) for row in kept.itertuples()]
+
+
+def test_every_traverse_is_made_once_from_stop_to_stop(captured):
+    assert_whole(captured)
+    assert not any(reading.departure for reading in captured.player.told)
+    assert not captured.player.troubles
+
+
+def test_the_log_holds_every_step_that_a_joint_made(captured):
+    assert captured.rows.groupby("joint")["steps"].sum().to_dict() == captured.joints.made
+
+
+def test_with_a_good_ear_no_joint_is_driven_against_its_stop_for_longer_than_a_check(captured):
+    assert captured.joints.longest < 5
+
+
+def test_what_only_a_person_can_set_is_asked_for_when_it_changes(captured):
+    asked = [(round(math.degrees(each.theta)), len(each.stops)) for each in captured.player.asked]
+    visits = [(0, 0), (-90, 0), (0, 0), (-90, 0), (0, 0), (0, 1), (0, 0), (0, 1)]
+    # The second session begins as the first ended with other stops, which is a change too.
+    assert asked == visits * 2
+
+
+def test_a_position_that_is_no_stop_is_reached_by_count_and_is_no_reading(captured):
+    counted = captured.rows[captured.rows["note"].str.contains("by count")]
+    assert (counted["status"] == "excluded").all()
+    for row in counted.itertuples():
+        reached = abs(row.stop - row.start) / STEP[row.joint, row.direction]
+        assert row.steps == pytest.approx(reached, abs=0.5)
+    assert abs(captured.joints.position[3] - 0.006) < STEP[3, "+"]
+
+
+def test_without_counting_the_person_brings_joints_to_such_positions(short):
+    short.counting = None
+    short.run()
+    assert_whole(short)
+    assert short.player.brought == [(1, 0.0), (2, -math.pi / 2)]
+
+
+def test_a_doubtful_reading_is_marked_and_made_again(short):
+    short.predictor.off = 0.9
+    short.answer(Answer(), REPEAT, Answer(Choice.REPEAT, "door slammed"))
+    short.run()
+    assert_whole(short)
+    assert "11" in short.player.told[0].departure
+    doubted = short.rows[short.rows["note"].str.contains("made again")]
+    assert doubted["status"].tolist() == ["excluded"] * 2
+    assert doubted["note"].tolist() == ["doubted, and made again", "doubted, and made again; door slammed"]
+
+
+def test_a_reading_left_out_is_not_made_again(short):
+    short.answer(SKIP)
+    assert short.run()
+    kept = short.rows[short.rows["status"] == "ok"]
+    assert len(kept) == len(short.plan.rows()) - 1
+    assert len(short.player.told) == len(short.plan.rows())
+
+
+@pytest.mark.parametrize(
+    ("drive", "note"),
+    [
+        ("joint 1", "joint 1 brought to its stop at 120.00 deg; stopped by a key"),
+        ("3 of", "stopped by a key"),
+    ],
+)
+def test_a_key_breaks_a_drive_off_and_the_traverse_is_made_from_its_beginning(short, drive, note):
+    short.player.key_at, short.player.key_in = 250, drive
+    short.run()
+    assert_whole(short)
+    broken = short.rows[short.rows["status"] == "interrupted"]
+    assert broken["steps"].tolist() == [250]
+    assert broken["note"].tolist() == [note]
+    assert short.joints.stopped == 1
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("the microphone is gone")])
+def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_says_so(short, error):
+    class Ends(Player):
+        def progress(self, work, steps, heard):
+            if work.title.startswith("3 of") and steps == 100:
+                raise error
+
+    short.player = Ends(short.joints)
+    with pytest.raises(type(error)):
+        short.run()
+    assert short.joints.stopped == 1
+    assert short.rows["status"].iloc[-1] == "interrupted"
+    assert short.rows["steps"].iloc[-1] == 100
+    assert short.rows.groupby("joint")["steps"].sum().to_dict() == short.joints.made
+
+
+def test_quit_and_resumed_it_goes_on_with_the_next_traverse(short):
+    short.answer(Answer(), Answer(), Answer(Choice.QUIT, "lunch"))
+    assert not short.run()
+    assert (short.rows["status"] == "ok").sum() == 3
+    assert short.rows["note"].iloc[-1] == "lunch"
+    again = Capture(short.folder, short.plan)
+    assert again.run(again=True)
+    assert_whole(again)
+    assert len(again.player.told) == len(short.plan.rows()) - 3
+    assert again.rows["time"].is_monotonic_increasing
+
+
+def test_a_joint_whose_stop_is_not_heard_is_stopped_by_the_limit(short):
+    short.joints.deaf = True
+    short.answer(QUIT)
+    short.run()
+    assert "no stop was heard within the limit" in short.player.troubles[0]
+    row = short.rows.iloc[-1]
+    assert row["status"] == "interrupted"
+    least = abs(row["stop"] - row["start"]) / STEP[row["joint"], row["direction"]]
+    assert row["steps"] <= 1.25 * (1.01 * least + 5) + 101
+    assert short.joints.against_stop <= row["steps"]
+
+
+def test_a_controller_that_hangs_is_stopped_by_the_clock(short):
+    class Slow(Joints):
+        def step(self, joint, steps):
+            self.clock.sleep(20.0)
+            super().step(joint, steps)
+
+    short.joints = Slow()
+    short.__post_init__()
+    short.answer(QUIT)
+    short.run()
+    assert "s (" in short.player.troubles[0]
+
+
+def test_a_fault_of_the_ear_ends_the_drive(short):
+    short.joints.fault = "the microphone is dead: plug it in"
+    short.answer(QUIT)
+    short.run()
+    assert short.player.troubles == ["the microphone is dead: plug it in"]
+    assert short.rows["steps"].tolist() == [5]
+    assert short.rows["status"].tolist() == ["interrupted"]
+
+
+@pytest.mark.parametrize("commands", [1, 2, 30, 501])
+def test_unplugged_in_mid_move_it_says_so_and_goes_on_later(short, commands):
+    class Frail(Joints):
+        left = commands
+
+        def step(self, joint, steps):
+            self.left -= 1
+            if self.left == 0:
+                raise Unplugged(f"joint {joint}: the connection is lost")
+            super().step(joint, steps)
+
+    short.joints = Frail()
+    short.__post_init__()
+    with pytest.raises(Unplugged, match="lost; see to the controller, then go on with --resume"):
+        short.run()
+    driven = sum(short.joints.made.values())
+    assert driven <= short.rows["steps"].sum() <= driven + 5
+    assert short.rows["status"].iloc[-1] == "interrupted"
+    again = Capture(short.folder, short.plan)
+    assert again.run(again=True)
+    assert_whole(again)
+
+
+def test_what_the_controller_refuses_is_told_and_tried_again(short):
+    class Moody(Joints):
+        moods = iter([None] * 10 + [ControllerError("joint 1: piezo voltage breakdown")])
+
+        def step(self, joint, steps):
+            if error := next(self.moods, None):
+                raise error
+            super().step(joint, steps)
+
+    short.joints = Moody()
+    short.__post_init__()
+    assert short.run()
+    assert short.player.troubles == ["joint 1: piezo voltage breakdown"]
+    assert_whole(short)
+
+
+@pytest.mark.parametrize("size", [100, 20_000, 45_000])
+def test_on_a_full_disk_nothing_acknowledged_is_lost(short, size):
+    with disk_of(size), pytest.raises(InputError, match="make room"):
+        short.run()
+    shown = [reading.steps for reading in short.player.told]
+    again = Capture(short.folder, short.plan)
+    assert again.run(again=True)
+    assert_whole(again)
+    kept = again.rows[again.rows["status"] == "ok"]["steps"].tolist()
+    assert kept[: len(shown)] == shown
+    assert len(again.player.told) == len(kept) - len(shown)
+
+
+def test_another_plan_cannot_go_on_with_a_journal(short):
+    short.answer(QUIT)
+    short.run()
+    other = Capture(short.folder, plan_of(short.folder, SHORT.replace("= 4", "= 3")))
+    with pytest.raises(InputError, match="begun with another plan"):
+        other.run(again=True)
+
+
+def test_a_log_that_was_not_captured_is_not_written_over(short):
+    short.log.write_text("session\n")
+    with pytest.raises(InputError, match="would be written over"):
+        short.run()
+
+
+def test_a_journal_left_by_a_capture_that_never_began_is_in_nobodys_way(short):
+    begin(short.log)[0].close()
+    assert short.run()
+    assert_whole(short)
+
+
+def test_two_captures_at_once_are_refused(short):
+    with begin(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
+        short.run(again=True)
+
+
+def killed(folder, kills, seed):
+    program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
+    root = Path(__file__).parents[2]
+    found = subprocess.run(program, cwd=root, capture_output=True, text=True, timeout=550, check=False)
+    assert found.returncode == 0, found.stderr
+    return [int(steps) for steps in found.stdout.split()]
+
+
+def assert_nothing_lost(folder, kills, seed):
+    broken = killed(folder, kills, seed)
+    capture = Capture(folder, plan_of(folder, SHORT))
+    assert_whole(capture)
+    rows = capture.rows
+    interrupted = rows[rows["status"] == "interrupted"]
+    assert interrupted["steps"].tolist() == broken
+    assert interrupted["note"].eq("the capture ended in mid-traverse").all()
+
+
+def test_killed_at_random_moments_it_loses_nothing(folder):
+    assert_nothing_lost(folder, 30, 1)
+
+
+@pytest.mark.nightly
+def test_killed_at_200_random_moments_it_loses_nothing(folder):
+    assert_nothing_lost(folder, 200, 2)

@@ -1,0 +1,98 @@
+"""A whole campaign at the emulated rig: what the log says is what was hidden, history included."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import stickslip_fit.capture
+from stickslip_fit.capture.campaign import Campaign, begin
+from stickslip_fit.capture.emulator.emulator import emulate
+from stickslip_fit.capture.emulator.person import EmulatedPerson
+from stickslip_fit.capture.person import Answer
+from stickslip_fit.capture.traverse import Rig
+from stickslip_fit.laws import seen_count
+from stickslip_fit.logs import read_log
+from stickslip_fit.simulate import expected_counts
+from tests.capture.truths import MACHINE, plan_of, truth_of
+
+HIDDEN = """
+[[cause]]
+name = "thermal-warm-up"
+A = "5 %"
+tau = "20 min"
+[[cause]]
+name = "wear"
+k = "2 %"
+n0 = "5000 steps"
+[[cause]]
+name = "reversal-loss"
+L = "40 steps"
+"""
+
+
+class Willing:
+    """A person who does whatever is asked, and finds everything in order."""
+
+    def tell(self, text):
+        pass
+
+    def begin_session(self, label):
+        return Answer()
+
+    def set_up(self, wanted, before):
+        return Answer()
+
+    def bring(self, joint, position):
+        return Answer()
+
+    def begins(self, work):
+        pass
+
+    def progress(self, work, steps, heard):
+        pass
+
+    def stop_wanted(self):
+        return False
+
+    def reading(self, reading):
+        return Answer()
+
+    def trouble(self, work, why):
+        pytest.fail(why)
+
+
+def test_a_captured_log_holds_what_the_emulator_hides(tmp_path):
+    """Every count is that of the hidden law after the history that the log itself tells."""
+    truth, plan = truth_of(tmp_path, HIDDEN), plan_of(tmp_path, replicates=1)
+    rig, path = emulate(truth), tmp_path / "log.csv"
+    person = EmulatedPerson(Willing(), rig.hands, rig.clock, plan)
+    journal, ledger = begin(path)
+    with journal:
+        parts = Rig(rig.controller(pytest.fail), rig.perfect_ear(), rig.clock)
+        assert Campaign(plan, MACHINE, path, journal, ledger, parts, person).run()
+    log = read_log(path, machine=MACHINE)
+    assert log.sessions == tuple(session.label for session in plan.sessions)
+    assert len(log.usable) == len(plan.rows())
+    assert log.usable["session_seconds"].max() > 600
+    for joint in log.joints:
+        rows = log.usable[log.usable["joint"] == joint]
+        values, _ = truth.laws.of_rows(rows, joint)
+        expected = seen_count(expected_counts(truth.laws.laws[joint], rows, values), rows["check_every"])
+        assert rows["steps"].to_numpy() == pytest.approx(expected, abs=5)
+        assert np.mean(rows["steps"].to_numpy() == expected) > 0.8
+    for joint in log.joints:
+        assert rig.hands.driven(joint) == log.rows.loc[log.rows["joint"] == joint, "steps"].sum()
+
+
+def test_only_the_emulator_knows_a_law():
+    folder = Path(stickslip_fit.capture.__file__).parent
+    knowing = ("simulate", "laws", "causes", "moves", "fit", "diagnose", "strategies", "anova")
+    for path in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                assert not node.module.startswith(tuple(f"stickslip_fit.{room}" for room in knowing)), path
+                assert "capture.emulator" not in node.module, path

@@ -1,0 +1,112 @@
+"""Keys pressed at a real pseudo-terminal, and what they are taken to mean."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+import termios
+
+import pandas as pd
+import pytest
+
+from stickslip_fit.capture import terminal
+from stickslip_fit.capture.expected import Expected
+from stickslip_fit.capture.keys import Keys
+from stickslip_fit.capture.person import Answer, Choice, Reading, Setting, Work
+from stickslip_fit.capture.terminal import Terminal, Unattended, setting_text
+
+WORK = Work(
+    pd.Series({"joint": 3, "direction": "+", "start": 0.0, "stop": 0.012}),
+    "1 of 2: joint 3",
+    Expected(12300.0, 12200.0, 12400.0),
+)
+GOOD = Reading(WORK, 12305, 0.012 / 12302.5, "")
+ODD = Reading(WORK, 13005, 0.012 / 13002.5, "5.7 % more steps than predicted (12,300)")
+
+
+@pytest.fixture
+def hand(monkeypatch):
+    """Types at the terminal that the keys are read from."""
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield lambda text: os.write(master, text.encode("utf-8"))
+    os.close(master)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("\n", Answer()),
+        ("r", Answer(Choice.REPEAT)),
+        ("S", Answer(Choice.SKIP)),
+        ("q", Answer(Choice.QUIT)),
+        ("x7r", Answer(Choice.REPEAT)),
+        ("p\n", Answer()),
+        ("nTür zuu\x7f\n\n", Answer(note="Tür zu")),
+        ("nloud\nr", Answer(Choice.REPEAT, "loud")),
+    ],
+)
+def test_a_doubtful_reading_is_answered(hand, typed, meant):
+    with Keys() as keys:
+        hand(typed)
+        assert Terminal(keys).reading(ODD) == meant
+
+
+def test_a_good_reading_is_shown_with_the_law_beside_it_and_not_waited_for(hand, capsys):
+    with Keys() as keys:
+        assert Terminal(keys).reading(GOOD) == Answer()
+    assert capsys.readouterr().out.strip() == "12,305 steps, 975.41 nm a step; the law says 12,300, 975.61 nm"
+
+
+def test_where_nobody_answers_a_doubtful_reading_is_kept(hand, monkeypatch):
+    monkeypatch.setattr(terminal, "DOUBT", 0.01)
+    with Keys() as keys:
+        assert Terminal(keys).reading(ODD) == Answer()
+
+
+def test_once_somebody_has_answered_there_is_no_hurry(hand, monkeypatch):
+    monkeypatch.setattr(terminal, "DOUBT", 0.2)
+    with Keys() as keys:
+        hand("pr")
+        assert Terminal(keys).reading(ODD) == Answer(Choice.REPEAT)
+
+
+def test_repeat_is_no_answer_to_a_setting(hand):
+    with Keys() as keys:
+        hand("rs")
+        assert Terminal(keys).set_up(Setting(0.0, 0.0), None) == Answer(Choice.SKIP)
+
+
+def test_any_key_stops_a_drive_once(hand):
+    with Keys() as keys:
+        person = Terminal(keys)
+        assert not person.stop_wanted()
+        hand("\x1b[A")  # an arrow key is three bytes
+        assert person.stop_wanted()
+        assert not person.stop_wanted()
+
+
+def test_the_terminal_is_left_as_it_was(hand):
+    before = termios.tcgetattr(sys.stdin)
+    with Keys():
+        assert termios.tcgetattr(sys.stdin) != before
+    assert termios.tcgetattr(sys.stdin) == before
+
+
+def test_only_what_changes_is_asked_for():
+    before = Setting(0.0, 0.5, ((2, -1.0, 0.0),))
+    assert setting_text(Setting(0.5, 0.5, before.stops), before) == "Set theta to 28.6 deg."
+    assert setting_text(Setting(0.0, 0.5), before) == "Take the stops of joint 2 away."
+
+
+def test_where_nobody_is_there_a_drive_that_keeps_failing_ends_it():
+    nobody = Unattended()
+    answers = [nobody.trouble(WORK, "deaf").choice for _ in range(3)]
+    assert answers == [Choice.GO_ON, Choice.GO_ON, Choice.QUIT]
+    nobody = Unattended()
+    nobody.trouble(WORK, "deaf")
+    nobody.trouble(WORK, "deaf")
+    nobody.reading(GOOD)
+    assert nobody.trouble(WORK, "deaf").choice is Choice.GO_ON

@@ -1,0 +1,87 @@
+"""The verb, as it is typed, at an emulated rig."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from stickslip_fit.logs import read_log
+
+LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
+PLAN = """
+check_every = 5
+
+[sessions]
+dates = [2012-03-05]
+[[sweep]]
+joint = 3
+q2_deg = -90
+ranges_mm = [[0, 12], [2, 3]]
+"""
+ALONE = ("--emulate", "--perfect-ear", "--unattended")
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_an_emulated_campaign_is_what_simulate_makes_of_the_plan(run, plan, tmp_path):
+    log, exact = tmp_path / "log.csv", tmp_path / "law.toml"
+    # Days that do not differ, so that both counts follow from the law alone.
+    exact.write_text(re.sub("day_to_day.*", "", LAW.read_text()))
+    status, said, _ = run("capture", plan, "-o", log, *ALONE, "--truth", exact)
+    assert status == 0
+    assert "4 of 4 traverses are done" in said
+    assert run("check", log)[0] == 0
+    plan.write_text(PLAN + "[noise]\nrepeatability_pct = 0\n")
+    run("simulate", plan, "--law", exact, "-o", tmp_path / "simulated.csv")
+    captured, simulated = read_log(log).usable, read_log(tmp_path / "simulated.csv").usable
+    assert captured["steps"].tolist() == simulated["steps"].tolist()
+    assert captured["session"].tolist() == simulated["session"].tolist()
+
+
+def test_what_was_begun_is_not_begun_again_but_gone_on_with(run, plan, tmp_path):
+    log = tmp_path / "log.csv"
+    assert run("capture", plan, "-o", log, *ALONE)[0] == 0
+    status, _, complaint = run("capture", plan, "-o", log, *ALONE)
+    assert (status, "--resume" in complaint) == (2, True)
+    before = log.read_bytes()
+    assert run("capture", plan, "-o", log, "--resume", *ALONE)[0] == 0
+    assert log.read_bytes() == before
+
+
+def test_by_ear_the_stop_is_heard_within_two_checks(run, plan, tmp_path):
+    plan.write_text(PLAN.replace("[0, 12], ", ""))
+    logs = {ear: tmp_path / f"{ear}.csv" for ear in ("sound", "perfect")}
+    run("capture", plan, "-o", logs["perfect"], *ALONE)
+    status, said, _ = run("capture", plan, "-o", logs["sound"], "--emulate", "--unattended")
+    assert status == 0
+    assert "can be told apart well" in said
+    sound, perfect = (read_log(path).usable["steps"] for path in logs.values())
+    assert (sound - perfect).between(0, 10).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ((), "give --port"),
+        (("--port", "COM1"), "give --tuning"),
+        (("--by-count",), "give --law"),
+        (("--emulate", "--port", "COM1"), "--port means nothing at an emulated rig"),
+        (("--hide", "wear"), "--hide means nothing at a real rig"),
+        (("--emulate", "--hide", "temperature"), "give one of thermal-warm-up"),
+        (("--emulate", "--hide", "gremlins"), "give one of thermal-warm-up"),
+        (("--emulate", "--hide", "end-stop-misfire"), "write it into a law file"),
+        (("--resume", "--emulate", "--unattended"), "is not there; leave --resume out"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_moves(run, plan, tmp_path, options, complaint):
+    status, _, said = run("capture", plan, "-o", tmp_path / "log.csv", *options)
+    assert status == 2
+    assert complaint in said
+    assert not (tmp_path / "log.csv.journal").exists()
