@@ -51,6 +51,8 @@ def _options(
 
 def main() -> None:
     """Run the command line; bad input ends with one clear message and status 2."""
+    # The matrices are many and small: threads within one product cost more than they bring.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
     except InputError as error:

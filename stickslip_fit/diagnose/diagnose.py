@@ -145,7 +145,7 @@ def judge(
 
 def flips(alpha: float) -> int:
     """Logs in which nothing is wrong that an alarm rate needs; more than for one look, since two share it."""
-    return int(np.ceil(2 * FLIPS_PER_ALARM / alpha))
+    return int(np.ceil(1.5 * FLIPS_PER_ALARM / alpha))
 
 
 def _all_of(given: Bench, why: str) -> dict[str, str]:

@@ -27,7 +27,7 @@ MISFIRE = "end-stop-misfire"
 # the limit, faint effects often.
 # Which configurations are noisy is told by how alike the residuals within each are: so weighed, chance looks
 # like structure about twice as often as in logs of flipped signs (`benchmarks/README.md`).
-CHOSEN = 2.0
+CHOSEN = 2
 OF_WILD = 0.25
 MOST_CAUSES = 4
 ENOUGH = 50  # flipped logs that look worse than what is left: no second alarm, whatever others say
@@ -157,8 +157,9 @@ def look(
 ) -> Misfit:
     """Judge residuals by every cause but some, and by structure that none of them has."""
     causes = [cause for cause in bench.causes if cause.name not in without]
-    times = CHOSEN if np.any(bench.uneven != 1.0) else 1.0
-    return misfit(study, [*candidates(study, causes), *bench.structures(study)], flips, rng, enough, times)
+    times = CHOSEN if np.any(bench.uneven != 1) else 1
+    shapes = [*candidates(study, causes), *bench.structures(study)]
+    return misfit(study, shapes, times * flips, rng, enough, times)
 
 
 def extended(bench: Bench, named: Sequence[Found]) -> tuple[Bench, Refit, Study]:

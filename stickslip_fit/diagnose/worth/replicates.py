@@ -22,7 +22,7 @@ from stickslip_fit.diagnose.worth.folds import Split
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-NATURES = 3000
+NATURES = 2400
 RANGE = 4.0  # strengths by which a cause may differ from what it seems
 DOUBT = 4.0  # nats; how much noise changes what other shapes of a rival explain
 ALIKE = 0.15  # share of the natures that come closest to what was seen

@@ -83,7 +83,7 @@ def seek(bench: Bench, rng: np.random.Generator, alpha: float) -> Search:
 
     Wild counts would take more; those of the whole log are out already.
     """
-    return search(bench, alpha, int(np.ceil(4.0 / alpha)), rng)
+    return search(bench, alpha, int(np.ceil(2.0 / alpha)), rng)
 
 
 def _gain(
