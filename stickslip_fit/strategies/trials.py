@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.errors import InputError
@@ -128,16 +129,29 @@ def _of_direction(
         yield Trial(task, mine)
 
 
-def _attempt(strategy: Strategy, trial: Trial) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The traverses made, and what is predicted of the others."""
-    task = trial.task
+def chosen_by(strategy: Strategy, task: Task) -> npt.NDArray[np.intp]:
+    """The traverses that a strategy chooses, as positions among those offered.
+
+    Raises
+    ------
+    Unsuited
+        If the session does not offer what it needs.
+    InputError
+        If it chooses one that is not offered, or one twice.
+    """
     chosen = np.asarray(strategy.choose(task))
     if len(set(chosen.tolist())) < len(chosen) or not np.all(np.isin(chosen, np.arange(len(task.offered)))):
         raise InputError(
             f"strategy {strategy.name!r} chose traverses {chosen.tolist()}; each is to be one of "
             f"0 to {len(task.offered) - 1}, and none twice"
         )
-    made = trial.rows.loc[task.offered.index[chosen]]
+    return chosen
+
+
+def _attempt(strategy: Strategy, trial: Trial) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The traverses made, and what is predicted of the others."""
+    task = trial.task
+    made = trial.rows.loc[task.offered.index[chosen_by(strategy, task)]]
     held_out = trial.rows.drop(index=made.index)
     try:
         mean, sd = strategy.calibrate(task, made)(held_out)

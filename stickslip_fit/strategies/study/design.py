@@ -17,7 +17,8 @@ from stickslip_fit.strategies.at_hand import other_sessions
 from stickslip_fit.strategies.cost import handling_seconds
 from stickslip_fit.strategies.study.campaigns import Campaigns, usual_campaign
 from stickslip_fit.strategies.study.plan import StudyPlan
-from stickslip_fit.strategies.task import Strategy, Task, Unsuited, first_of_each
+from stickslip_fit.strategies.task import Task, Unsuited, first_of_each
+from stickslip_fit.strategies.trials import chosen_by
 
 Indices = npt.NDArray[np.intp]
 
@@ -92,7 +93,7 @@ def design(study: StudyPlan) -> Design:
         task = task_of(study, cell, usual.rows)
         for strategy in study.strategies:
             try:
-                cell.made[strategy.name] = cell.offered[_chosen(strategy, task)]
+                cell.made[strategy.name] = cell.offered[chosen_by(strategy, task)]
             except Unsuited as why:
                 left_out.append((strategy.name, cell.session, cell.law.joint, cell.direction, str(why)))
         cells.append(cell)
@@ -123,16 +124,6 @@ def _cells(study: StudyPlan, usual: Campaigns) -> Iterator[Cell]:
                 offered = first_of_each(own).index.to_numpy()
                 noise = study.repeatability[int(joint), direction]
                 yield Cell(label, direction, law, noise, offered, others, {})
-
-
-def _chosen(strategy: Strategy, task: Task) -> Indices:
-    chosen = np.asarray(strategy.choose(task))
-    if len(set(chosen.tolist())) < len(chosen) or not np.all(np.isin(chosen, np.arange(len(task.offered)))):
-        raise InputError(
-            f"strategy {strategy.name!r} chose traverses {chosen.tolist()}; each is to be one of "
-            f"0 to {len(task.offered) - 1}, and none twice"
-        )
-    return chosen
 
 
 def _paths(study: StudyPlan) -> Paths | None:
