@@ -13,17 +13,15 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.drawing import on_white
+from stickslip_fit.report.figures.pareto import COLOURS, MINUTES
 from stickslip_fit.report.figures.style import (
     BLUE,
-    GREEN,
     GREY,
     INK,
     LEGEND_LINE,
     LETTER_WIDTH,
     MARKERS,
-    PURPLE,
     TITLE_LINE,
-    VERMILLION,
     canvas,
     key_line,
     legend,
@@ -35,8 +33,6 @@ from stickslip_fit.report.wording import joint_name, plain
 from stickslip_fit.strategies.study import Study
 from stickslip_fit.units import from_si
 
-COLOURS = (BLUE, VERMILLION, GREEN, PURPLE)
-MINUTES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 LONGEST_NAME = 40
 FAINT = "#b0b0b0"
 LINE = 0.16  # inches, of a strategy
