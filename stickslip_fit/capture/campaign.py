@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,9 +20,10 @@ from stickslip_fit.capture.person import Answer, Choice, Person, Reading, Settin
 from stickslip_fit.capture.placing import Placing
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.errors import InputError, Problem
-from stickslip_fit.logs import write_log
+from stickslip_fit.files import write_atomically
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.logs.traverse import ROUNDING
+from stickslip_fit.logs.write import to_csv
 from stickslip_fit.machine import Machine
 
 
@@ -91,6 +94,9 @@ class Campaign:
     counting : Predictor, optional
         By which joints are brought to positions where there is no stop; see `Placing`.
     safety : Safety
+    conditions : dict of str to float, optional
+        At the beginning of every session, by the columns of a log, SI; what the person says of one session
+        does not hold in the next.
     """
 
     def __init__(
@@ -105,6 +111,7 @@ class Campaign:
         predictor: Predictor | None = None,
         counting: Predictor | None = None,
         safety: Safety | None = None,
+        conditions: Mapping[str, float] | None = None,
     ) -> None:
         self.plan = plan
         self.machine = machine
@@ -113,6 +120,7 @@ class Campaign:
         self.person = person
         self.driver = Driver(rig, journal, ledger, person, predictor, safety or Safety())
         self.placing = Placing(machine, self.driver, self._bring_by_hand, counting)
+        self.conditions = conditions or {}
         self.setting: Setting | None = None
 
     def run(self) -> bool:
@@ -159,6 +167,7 @@ class Campaign:
                         str(self.driver.journal.path),
                     )
                 )
+        self._keep_edited()
 
     def _go_through(self) -> None:
         rows, session, total = self.plan.rows(), "", self.plan.traverses_per_session * len(self.plan.sessions)
@@ -169,6 +178,7 @@ class Campaign:
                 if row["session"] != session:
                     session = str(row["session"])
                     self.placing.forget()
+                    self._note_conditions(self.conditions)
                     self._heed(self.person.begin_session(session))
                 self._make(row, number, f"{number + 1} of {total:,}: {row['sweep']}")
             except _SkippedError:
@@ -231,15 +241,34 @@ class Campaign:
         if answer.note:
             drive = len(self.ledger.drives) - 1
             self.driver.write({"event": "noted", "drive": drive, "text": answer.note})
+        self._note_conditions({**self.ledger.conditions, **answer.conditions})
         if answer.choice is Choice.QUIT:
             raise _QuitError
         if answer.choice is Choice.SKIP:
             raise _SkippedError
 
+    def _note_conditions(self, values: Mapping[str, float]) -> None:
+        if dict(values) != dict(self.ledger.conditions):
+            self.driver.write({"event": "conditions", "values": dict(values)})
+
     def _save(self) -> None:
         rows = self.ledger.rows()
         if len(rows):
-            write_log(rows, self.log)
+            content = to_csv(rows)
+            sha256 = hashlib.sha256(content).hexdigest()
+            # Announced first, so that a log which a crash left behind is known for the capture's own.
+            if sha256 not in self.ledger.written[-1:]:
+                self.driver.write({"event": "writing", "sha256": sha256})
+            write_atomically(self.log, content)
+
+    def _keep_edited(self) -> None:
+        """Put a log aside that somebody has changed since it was written here."""
+        log = Path(self.log)
+        if log.exists() and hashlib.sha256(log.read_bytes()).hexdigest() not in self.ledger.written:
+            names = (Path(f"{log}.edited-{number}") for number in itertools.count(1))
+            aside = next(name for name in names if not name.exists())
+            log.rename(aside)
+            self.person.tell(f"{log} was changed since it was written; what was changed is kept as {aside}")
 
 
 def plan_hash(plan: Plan) -> str:

@@ -56,15 +56,15 @@ class Keys:
             return ""
         return self._next().strip().lower()
 
-    def line(self) -> str:
-        """A line of text as it is typed."""
+    def line(self, label: str) -> str:
+        """A line of text as it is typed behind a label."""
         if self._before is None:
             return sys.stdin.readline().strip()
         text = ""
-        print("note: ", end="", flush=True)
+        print(f"{label}: ", end="", flush=True)
         while (key := self._next()) != "\n":
             text = text[:-1] if key in "\b\x7f" else text + key
-            print(f"\r\x1b[Knote: {text}", end="", flush=True)
+            print(f"\r\x1b[K{label}: {text}", end="", flush=True)
         print()
         return text.strip()
 

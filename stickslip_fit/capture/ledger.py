@@ -27,7 +27,8 @@ class Driven:
     Attributes
     ----------
     row : dict
-        session, time, joint, direction, positions (SI, None for the moving joint's own), check_every.
+        session, time, joint, direction, positions (SI, None for the moving joint's own), check_every, and the
+        conditions under which it began.
     planned : int or None
         Which traverse of the plan; None for one that only brought a joint into place.
     purpose : str
@@ -54,6 +55,8 @@ class Ledger:
         self.begun: Mapping[str, Any] | None = None
         self.drives: list[Driven] = []
         self.skipped: set[int] = set()
+        self.conditions: Mapping[str, float] = {}
+        self.written: tuple[str, ...] = ()  # hashes of the log as it was written last, and before that
 
     def take(self, event: Mapping[str, Any]) -> None:
         """Enter one more event."""
@@ -61,7 +64,12 @@ class Ledger:
             case "begun":
                 self.begun = event
             case "drive":
-                self.drives.append(Driven(event["row"], event["planned"], event["purpose"]))
+                row = {**self.conditions, **event["row"]}
+                self.drives.append(Driven(row, event["planned"], event["purpose"]))
+            case "conditions":
+                self.conditions = event["values"]
+            case "writing":
+                self.written = (*self.written[-1:], event["sha256"])
             case "commanded":
                 self.drives[-1] = replace(self.drives[-1], steps=event["steps"])
             case "ended":
@@ -87,9 +95,10 @@ class Ledger:
     def rows(self) -> pd.DataFrame:
         """The log's rows, in order of time; a drive that never made a step is none."""
         records = [_record(each) for each in self.drives if each.steps > 0]
-        rows = pd.DataFrame(records, columns=list(COLUMNS))
+        own = dict.fromkeys(name for each in records for name in each if name not in COLUMNS)
+        rows = pd.DataFrame(records, columns=[*COLUMNS, *own])
         rows["time"] = pd.to_datetime(rows["time"], utc=True)
-        numbers = [*POSITIONS, *CONDITIONS]
+        numbers = [*POSITIONS, *CONDITIONS, *own]
         return rows.astype(dict.fromkeys(numbers, float) | {"joint": "int64", "steps": "int64"})
 
     def _change(self, drive: int, note: str, **changes: Any) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
@@ -25,10 +26,20 @@ class Choice(Enum):
 
 @dataclass(frozen=True)
 class Answer:
-    """What the person wants, and a note on the drive that was just made, where there was one."""
+    """What the person wants, and what they have to say.
+
+    Attributes
+    ----------
+    choice : Choice
+    note : str
+        On the drive that was just made, where there was one.
+    conditions : dict of str to float
+        Those that have changed, by the columns of a log, SI.
+    """
 
     choice: Choice = Choice.GO_ON
     note: str = ""
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import sys
 
+from stickslip_fit.capture.conditions import EXAMPLE, conditions_of, conditions_text
 from stickslip_fit.capture.ear import Heard
 from stickslip_fit.capture.keys import Keys
 from stickslip_fit.capture.person import Answer, Choice, Reading, Setting, Work, position_text
+from stickslip_fit.errors import InputError
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.units import format_value
 
 DOUBT = 30.0  # s for which a doubtful reading is waited with, so that an unattended afternoon goes on
 SHOWN_EVERY = 20  # checks
 MOST_TROUBLES = 3  # in a row, where nobody is there to answer
-WORDS = {"r": "r makes it again", "s": "s leaves it out", "q": "q ends", "n": "n takes a note"}
+WORDS = {
+    "r": "r makes it again",
+    "s": "s leaves it out",
+    "q": "q ends",
+    "n": "n takes a note",
+    "c": "c notes conditions",
+}
 CHOICES = {"": Choice.GO_ON, "r": Choice.REPEAT, "s": Choice.SKIP, "q": Choice.QUIT}
 
 
@@ -59,15 +67,15 @@ class Terminal(Teller):
 
     def begin_session(self, label: str) -> Answer:
         """See `Person.begin_session`."""
-        return self._ask(f"Session {label}: switch on and warm up.", "sq")
+        return self._ask(f"Session {label}: switch on and warm up.", "sqc")
 
     def set_up(self, wanted: Setting, before: Setting | None) -> Answer:
         """See `Person.set_up`."""
-        return self._ask(setting_text(wanted, before), "sq")
+        return self._ask(setting_text(wanted, before), "sqc")
 
     def bring(self, joint: int, position: float) -> Answer:
         """See `Person.bring`."""
-        return self._ask(f"Bring joint {joint} to {position_text(joint, position)} by hand.", "sq")
+        return self._ask(f"Bring joint {joint} to {position_text(joint, position)} by hand.", "sqc")
 
     def stop_wanted(self) -> bool:
         """See `Person.stop_wanted`."""
@@ -76,24 +84,35 @@ class Terminal(Teller):
     def reading(self, reading: Reading) -> Answer:
         """See `Person.reading`; a doubtful one is waited with for a while, then kept."""
         self.tell(reading_text(reading))
-        return self._ask(f"kept in {DOUBT:.0f} s", "rsqn", DOUBT) if reading.departure else Answer()
+        return self._ask(f"kept in {DOUBT:.0f} s", "rsqnc", DOUBT) if reading.departure else Answer()
 
     def trouble(self, work: Work, why: str) -> Answer:
         """See `Person.trouble`."""
-        return self._ask(f"Broken off: {why}.", "sqn")
+        return self._ask(f"Broken off: {why}.", "sqnc")
 
     def _ask(self, question: str, choices: str, seconds: float | None = None) -> Answer:
         asked = ["Enter goes on", *(WORDS[each] for each in choices), "p waits"]
         self.tell(f"{question}\n  [{', '.join(asked)}]")
-        note = ""
+        note, conditions = "", dict[str, float]()
         while True:
             key = self.keys.key(seconds)
             if key == "n" and key in choices:
-                note = self.keys.line()
+                note = self.keys.line("note")
+            elif key == "c" and key in choices:
+                conditions |= self._conditions()
             elif key in CHOICES and (not key or key in choices):
-                return Answer(CHOICES[key], note)
+                return Answer(CHOICES[key], note, conditions)
             # Whoever answers is there: from now on there is no hurry.
             seconds = None
+
+    def _conditions(self) -> dict[str, float]:
+        try:
+            found = conditions_of(self.keys.line(f"conditions, e.g. {EXAMPLE}"))
+        except InputError as error:
+            self.tell(f"  {error}; nothing is changed, c once more")
+            return {}
+        self.tell(f"  from now on {conditions_text(found)}" if found else "  nothing is changed")
+        return found
 
 
 class Unattended(Teller):

@@ -6,7 +6,6 @@ import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,16 +15,13 @@ from stickslip_fit.capture.limits import CHECKS, Limits, limits_for, pair_chance
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.files import write_atomically
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = npt.NDArray[np.float64]
 
 LOWEST, HIGHEST = 500.0, 0.45  # Hz, share of the rate: what is listened to
 GAP, REACH = (
     500.0,
     2000.0,
-)  # Hz; the reference begins so far from the band's edges, and is so wide either side
+)  # Hz; from the band's edges to the reference, and the reference's width either side
 SPECTRA = ("moving", "at_stop")
 WELL, POORLY = 1e-3, 5e-2  # share of stops not found at the second check
 
@@ -106,8 +102,16 @@ class Tuning:
 
     @property
     def missed(self) -> float:
-        """Expected share of stops that are not found at the second check."""
-        return 1 - pair_chance(*self._at_last, self.stop_freedom, self.rise)
+        """Expected share of stops that are not found at the second check.
+
+        A check counts for its rise over that of its neighbours, where they rise: with a scatter s of theirs
+        that takes the mean of max(1, 1 + s z), 1 + s / sqrt(2 pi), from it, and adds the variance,
+        s^2 (1/2 - 1/(2 pi)).
+        """
+        neighbours = 2 / self.reference_freedom
+        held_back = 1 + np.sqrt(neighbours / (2 * np.pi))
+        scatter = 2 / self.stop_freedom + neighbours * (1 / 2 - 1 / (2 * np.pi))
+        return 1 - pair_chance(*self._at_last, 2 / scatter, self.rise / held_back)
 
     @property
     def false_stops(self) -> float:
@@ -123,11 +127,20 @@ class Tuning:
     def _at_last(self) -> tuple[float, float]:
         return float(self.limits.pair[-1]), float(self.limits.least[-1])
 
-    def plot_spectrum(self) -> Figure:
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import tuning_html
+
+        return tuning_html(self)
+
+    def plot_spectrum(self) -> npt.NDArray[np.object_]:
         """Both spectra with the tuned band; see `report.figures.spectrum`."""
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.spectrum import plot_spectrum
 
-        return plot_spectrum(self)
+        return panels(plot_spectrum(self))
 
     def summary(self) -> str:
         """What was found, for people."""

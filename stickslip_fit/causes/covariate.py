@@ -10,9 +10,9 @@ import pandas as pd
 
 from stickslip_fit.causes.cause import Array, Cause, CauseParameter, FactorCause, filled, missing_column
 from stickslip_fit.laws import State
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.machine import Machine
 
-PREFIX = "covariate:"
 ORDER = 3
 
 
@@ -47,7 +47,7 @@ class Covariate(FactorCause):
     @property
     def name(self) -> str:  # type: ignore[override]
         """See `Cause`."""
-        return PREFIX + self.column
+        return COVARIATE + self.column
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]

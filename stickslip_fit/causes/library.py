@@ -9,7 +9,7 @@ import pandas as pd
 from stickslip_fit.causes.bearing_runout import BearingRunout
 from stickslip_fit.causes.cable_torque import CableTorque
 from stickslip_fit.causes.cause import Cause
-from stickslip_fit.causes.covariate import PREFIX, Covariate
+from stickslip_fit.causes.covariate import Covariate
 from stickslip_fit.causes.drift import Drift
 from stickslip_fit.causes.end_stop_latency import EndStopLatency
 from stickslip_fit.causes.end_stop_misfire import EndStopMisfire
@@ -34,6 +34,7 @@ from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
 from stickslip_fit.causes.theta_offset import ThetaOffset
 from stickslip_fit.causes.wear import Wear
 from stickslip_fit.causes.worn_spot import WornSpot
+from stickslip_fit.logs.columns import COVARIATE
 
 ENTRY_POINT = "stickslip_fit.causes"
 
@@ -61,7 +62,9 @@ def library() -> tuple[Cause, ...]:
 
 def covariates(rows: pd.DataFrame) -> tuple[Covariate, ...]:
     """A cause for every numeric column that the lab added."""
-    return tuple(Covariate(name.removeprefix(PREFIX)) for name in rows.columns if name.startswith(PREFIX))
+    return tuple(
+        Covariate(name.removeprefix(COVARIATE)) for name in rows.columns if name.startswith(COVARIATE)
+    )
 
 
 def _loaded(found: object) -> Cause:

@@ -7,11 +7,12 @@ from dataclasses import fields, replace
 from typing import Any
 
 from stickslip_fit.causes.cause import Cause
-from stickslip_fit.causes.covariate import PREFIX, Covariate
+from stickslip_fit.causes.covariate import Covariate
 from stickslip_fit.causes.extended import ExtendedLaw
 from stickslip_fit.causes.library import library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import StepLaw, describe_law, restore_law
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.machine import Machine
 
 
@@ -59,7 +60,7 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
 
 def _cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
     name, bound = description["name"], {key: _tuples(value) for key, value in description.items()}
-    if name.startswith(PREFIX):
+    if name.startswith(COVARIATE):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
         raise InputError(

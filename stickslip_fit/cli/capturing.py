@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC
@@ -31,10 +31,11 @@ from stickslip_fit.capture.terminal import Terminal, Unattended
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.capture.tune import tune
 from stickslip_fit.capture.tuning import Tuning, load_tuning
+from stickslip_fit.cli.arguments import reference_law
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise, Plan
-from stickslip_fit.machine import Machine
-from stickslip_fit.simulate import LawValues
+from stickslip_fit.machine import Machine, load_machine
+from stickslip_fit.simulate import LawValues, read_law_values
 
 CHECKS = 60  # of a listen: 3 s with 5 steps of 10 ms
 BACK = 2 * CHECKS  # checks that take a joint back to the stop it came from, and against it
@@ -52,6 +53,7 @@ class Job:
     predictor: Predictor | None
     counting: Predictor | None
     safety: Safety
+    conditions: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def _opened(job: Job) -> Iterator[tuple[Journal, Ledger]]:
 
 def _capture(job: Job, journal: Journal, ledger: Ledger, rig: Rig, person: Person) -> str:
     where = (job.plan, job.machine, job.log, journal, ledger, rig, person)
-    campaign = Campaign(*where, job.predictor, job.counting, job.safety)
+    campaign = Campaign(*where, job.predictor, job.counting, job.safety, job.conditions)
     complete = campaign.run()
     total = job.plan.traverses_per_session * len(job.plan.sessions)
     made = f"{len(ledger.done):,} of {total:,} traverses are done; the log is {job.log}"
@@ -139,6 +141,7 @@ def emulated_rig(job: Job, emulation: Emulation, ledger: Ledger, person: Person)
     truth = Truth(emulation.laws, job.machine, plan.noise or Noise({}), emulation.seed)
     begins = ledger.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
     emulator = emulate(truth, emulation.dialect, VirtualClock(begins), period)
+    emulator.hands.set(**job.conditions)
     controller, clock = emulator.controller(person.tell), emulator.clock
     ear: Ear = emulator.perfect_ear()
     if not emulation.perfect_ear:
@@ -147,6 +150,24 @@ def emulated_rig(job: Job, emulation: Emulation, ledger: Ledger, person: Person)
         person.tell(tuning.summary())
         ear = Detector(microphone, tuning)
     return Rig(controller, ear, clock), EmulatedPerson(person, emulator.hands, clock, plan)
+
+
+def tune_at_rig(connection: Connection, joint: int, check_every: int, step_period: float) -> Tuning:
+    """Listen at a real rig, with a person who says when the joint has met its stop."""
+    with (
+        at_terminal() as (person, keys),
+        real_rig(connection, step_period, person) as (controller, microphone),
+    ):
+        return tune_by_hand(controller, microphone, RealClock(), joint, check_every, keys, person)
+
+
+def tune_at_nothing(check_every: int, step_period: float, snr_db: float) -> Tuning:
+    """Listen at an emulated rig."""
+    machine = load_machine()
+    truth = Truth(read_law_values(reference_law(), machine), machine, Noise({}), 0)
+    emulator = emulate(truth, "new", VirtualClock(), step_period)
+    microphone = emulator.microphone(Acoustics(snr_db, period=step_period))
+    return tune_emulated(emulator.controller(print), microphone, emulator.clock, check_every)
 
 
 def tune_emulated(controller: Controller, source: Source, clock: Clock, check_every: int) -> Tuning:

@@ -66,7 +66,14 @@ FIELDS = (
 # What an empty cell means.
 CHECK_EVERY = 5
 CONDITIONS = ("temperature", "humidity", "supply", "step_period", "payload")
+COVARIATE = "covariate:"  # begins the names of the lab's own columns that hold numbers
 
+CONDITION_SPELLINGS = {
+    f"{field.stem}_{suffix}": (field.name, SUFFIXES[suffix])
+    for field in FIELDS
+    if field.name in CONDITIONS
+    for suffix in field.suffixes
+}
 _BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.spellings}
 _COUNTS = ("joint", "steps", "check_every")
 _WITH_UNIT = {field.stem for field in FIELDS if field.suffixes}
@@ -127,7 +134,7 @@ def lay_out(names: tuple[str, ...], file: str, line: int | None, faults: Faults)
     meant: set[str] = set()
     for name, times in Counter(name for name in names if name.strip()).items():
         field = _BY_SPELLING.get(name)
-        fault = _fault_of_name(name, times)
+        fault = _doubled(times) or fault_of_name(name)
         if fault:
             faults.place(file, fault, line=line, column=name)
             meant |= _stem_fields(name)
@@ -165,9 +172,18 @@ def _unit(name: str, field: Field) -> str:
     return SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
 
 
-def _fault_of_name(name: str, times: int) -> str | None:
-    if times > 1:
-        return f"stands {times} times in the header; rename or delete all but one"
+def _doubled(times: int) -> str | None:
+    return f"stands {times} times in the header; rename or delete all but one" if times > 1 else None
+
+
+def fault_of_name(name: str) -> str | None:
+    """What is wrong with the unit of a column's name, if anything.
+
+    Examples
+    --------
+    >>> fault_of_name("temperature")
+    'has no unit; write temperature_C or temperature_K'
+    """
     if name in _BY_SPELLING:
         return None
     stem, _, suffix = name.rpartition("_")

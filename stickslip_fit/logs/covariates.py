@@ -7,6 +7,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip_fit.logs.cells import Cells, place_of
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.logs.parse import parse_numbers, text_of
 
 
@@ -30,7 +31,7 @@ def read_covariates(files: list[Cells]) -> tuple[dict[str, pd.Series], tuple[str
         empty = np.concatenate([part.empty for part in numbers])
         bad = np.concatenate([part.bad for part in numbers])
         if not bad.any() and not empty.all():
-            columns[f"covariate:{name}"] = pd.Series(
+            columns[COVARIATE + name] = pd.Series(
                 np.concatenate([part.values for part in numbers]), copy=False
             )
             continue

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.logs.columns import CONDITIONS, FIELDS
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE, FIELDS
 from stickslip_fit.logs.configurations import configurations
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.units import SUFFIXES, from_si
@@ -94,7 +94,7 @@ def _coverage(usable: pd.DataFrame) -> list[list[str]]:
 
 def _columns(rows: pd.DataFrame) -> list[list[str]]:
     given = [name for name in CONDITIONS if rows[name].notna().any()]
-    own = [name for name in rows.columns if name.startswith("covariate:")]
+    own = [name for name in rows.columns if name.startswith(COVARIATE)]
     units = {field.name: SUFFIXES[field.suffixes[0]] for field in FIELDS if field.name in given}
     table = [["column", "given", "values"]]
     for name in given + own:

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip_fit.files import write_atomically
-from stickslip_fit.logs.columns import CHECK_EVERY, CONDITIONS, FIELDS
+from stickslip_fit.logs.columns import CHECK_EVERY, CONDITIONS, COVARIATE, FIELDS
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.units import SUFFIXES, from_si, to_si
 
@@ -95,8 +95,8 @@ def _optional(rows: pd.DataFrame) -> dict[str, list[str]]:
     if (rows["note"] != "").any():
         columns["note"] = _texts(rows["note"])
     for name in rows.columns:
-        if name.startswith("covariate:"):
-            columns[name.removeprefix("covariate:")] = _numbers(rows[name])
+        if name.startswith(COVARIATE):
+            columns[name.removeprefix(COVARIATE)] = _numbers(rows[name])
         elif name.startswith("text:"):
             columns[name.removeprefix("text:")] = _texts(rows[name])
     return columns

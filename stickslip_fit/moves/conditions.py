@@ -7,23 +7,18 @@ from typing import Any
 
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.conditions import FIRST, NEEDED
-from stickslip_fit.causes.covariate import PREFIX
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import StepLaw
-from stickslip_fit.logs.columns import CONDITIONS, FIELDS
-from stickslip_fit.units import SUFFIXES, to_si
+from stickslip_fit.logs.columns import CONDITION_SPELLINGS, COVARIATE
+from stickslip_fit.units import to_si
 
 SPELLINGS = {
     "session_min": ("session_seconds", "min"),
     "session_s": ("session_seconds", "s"),
     "session_h": ("session_seconds", "h"),
     "steps_before": ("steps_before", "steps"),
-} | {
-    f"{field.stem}_{suffix}": (field.name, SUFFIXES[suffix])
-    for field in FIELDS
-    if field.name in CONDITIONS
-    for suffix in field.suffixes
+    **CONDITION_SPELLINGS,
 }
 MEANINGS = {"session_seconds": "how long the session has run", "steps_before": NEEDED["steps_before"]}
 # What follows from the drives themselves, and from which session is asked for.
@@ -54,7 +49,9 @@ def conditions_from(texts: Iterable[str], result: Result, option: str) -> dict[s
     InputError
     """
     wanted, found = _looked_at(result), dict[str, float]()
-    known = SPELLINGS | {name.removeprefix(PREFIX): (name, "1") for name in wanted if name.startswith(PREFIX)}
+    known = SPELLINGS | {
+        name.removeprefix(COVARIATE): (name, "1") for name in wanted if name.startswith(COVARIATE)
+    }
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         column, unit = known.get(name, ("", "1"))
@@ -105,7 +102,7 @@ def spelled(column: str) -> str:
     ['temperature_C', 'session_min', 'pressure_hPa']
     """
     usual = [typed for typed, (name, _) in SPELLINGS.items() if name == column]
-    return usual[0] if usual else column.removeprefix(PREFIX)
+    return usual[0] if usual else column.removeprefix(COVARIATE)
 
 
 def _looked_at(result: Result) -> tuple[str, ...]:

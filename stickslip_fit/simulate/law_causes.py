@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
-from stickslip_fit.causes.covariate import PREFIX
 from stickslip_fit.causes.load_nonlinearity import BENDS
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.logs.settings import Settings, is_number
 from stickslip_fit.units import UNITS, format_value, to_si
 
@@ -48,11 +48,11 @@ def read_causes(settings: Settings) -> tuple[tuple[Cause, ...], Array]:
 def _cause(table: Settings) -> tuple[Cause, list[float]] | None:
     name = table.text("name", "")
     known = {cause.name: cause for cause in library()}
-    if name.startswith(PREFIX) and name != PREFIX:
-        known[name] = Covariate(name.removeprefix(PREFIX))
+    if name.startswith(COVARIATE) and name != COVARIATE:
+        known[name] = Covariate(name.removeprefix(COVARIATE))
     if name not in known:
         if name:
-            table.complain("name", f"give one of {', '.join(known)}, {PREFIX}COLUMN")
+            table.complain("name", f"give one of {', '.join(known)}, {COVARIATE}COLUMN")
         return None
     cause: Any = known[name]
     given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}

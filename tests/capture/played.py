@@ -183,6 +183,7 @@ class Capture:
     joints: Joints = field(default_factory=Joints)
     predictor: Knowing | None = field(default_factory=Knowing)
     counting: Knowing | None = field(default_factory=Knowing)
+    conditions: dict[str, float] = field(default_factory=dict)
     player: Player = field(init=False)
 
     def __post_init__(self) -> None:
@@ -204,4 +205,4 @@ class Capture:
         with journal:
             rig, person = self.joints.rig, self.player
             where = (self.plan, MACHINE, self.log, journal, ledger, rig, person)
-            return Campaign(*where, self.predictor, self.counting).run()
+            return Campaign(*where, self.predictor, self.counting, conditions=self.conditions).run()

@@ -286,6 +286,38 @@ def test_a_journal_left_by_a_capture_that_never_began_is_in_nobodys_way(short):
     assert_whole(short)
 
 
+def test_a_log_changed_by_hand_is_put_aside_before_it_is_written_again(short):
+    short.answer(Answer(), QUIT)
+    short.run()
+    written = short.log.read_text()
+    short.log.write_text(written + "by hand\n")
+    again = Capture(short.folder, short.plan)
+    assert again.run(again=True)
+    assert_whole(again)
+    aside = short.log.with_name("log.csv.edited-1")
+    assert aside.read_text() == written + "by hand\n"
+    assert Capture(short.folder, short.plan).run(again=True)
+    assert not short.log.with_name("log.csv.edited-2").exists()
+
+
+def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of_the_session(folder):
+    capture = Capture(folder, plan_of(folder, SHORT.replace("03-05]", "03-05, 2012-03-06]")))
+    capture.conditions = {"supply": 80.0}
+    warm = Answer(conditions={"temperature": 295.65, "covariate:pressure_hPa": 1013.0})
+    odd = Answer(conditions={"temperature": 297.15})
+    capture.predictor.off = 0.9
+    capture.answer(Answer(), warm, Answer(), odd)
+    capture.run()
+    assert_whole(capture)
+    kept = capture.rows[capture.rows["status"] == "ok"]
+    first, second = (rows for _, rows in kept.groupby("session"))
+    assert first["temperature"].tolist()[2:] == [295.65] * 2 + [297.15] * (len(first) - 4)
+    assert first["temperature"].isna().tolist()[:2] == [True, True]
+    assert first["covariate:pressure_hPa"].tolist()[2:] == [1013.0] * (len(first) - 2)
+    assert second["temperature"].isna().all()
+    assert (kept["supply"] == 80.0).all()
+
+
 def test_two_captures_at_once_are_refused(short):
     with begin(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
         short.run(again=True)

@@ -46,6 +46,8 @@ def hand(monkeypatch):
         ("p\n", Answer()),
         ("nTür zuu\x7f\n\n", Answer(note="Tür zu")),
         ("nloud\nr", Answer(Choice.REPEAT, "loud")),
+        ("ctemperature_C=22.5 payload_g=2\n\n", Answer(conditions={"temperature": 295.65, "payload": 0.002})),
+        ("ctemperature=22.5\nccold\nchumidity_pct = 40\nr", Answer(Choice.REPEAT, "", {"humidity": 0.4})),
     ],
 )
 def test_a_doubtful_reading_is_answered(hand, typed, meant):

@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from stickslip_fit.capture.emulator.acoustics import Acoustics
+from stickslip_fit.capture.wav import write_wav
 from stickslip_fit.logs import read_log
+from tests.capture.hearing import SECONDS, steps
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
 PLAN = """
@@ -85,3 +89,66 @@ def test_what_cannot_be_is_said_before_anything_moves(run, plan, tmp_path, optio
     assert status == 2
     assert complaint in said
     assert not (tmp_path / "log.csv.journal").exists()
+
+
+def test_conditions_given_beforehand_are_in_the_log(run, plan, tmp_path):
+    log = tmp_path / "log.csv"
+    assert run("capture", plan, "-o", log, *ALONE, "--condition", "temperature_C=22.5")[0] == 0
+    assert (read_log(log).rows["temperature"] == 295.65).all()
+    status, _, said = run(
+        "capture", plan, "-o", tmp_path / "b.csv", *ALONE, "--condition", "temperature=22.5"
+    )
+    assert (status, "has no unit" in said) == (2, True)
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    """A joint that moves, one at its stop, and a traverse that meets its stop at check 61."""
+    pytest.importorskip("soundfile", reason="soundfile is not installed")
+    day = Acoustics(snr_db=6.0)
+    sounds = {
+        "moving.wav": steps(day, 60, False, 1),
+        "at_stop.wav": steps(day, 60, True, 2),
+        "traverse.wav": np.concatenate([steps(day, 60, False, 3), steps(day, 5, True, 4, 60 * SECONDS)]),
+    }
+    for name, sound in sounds.items():
+        write_wav(tmp_path / name, sound, day.rate)
+    return tmp_path
+
+
+def test_an_ear_is_tuned_by_recordings_and_hears_the_stop_in_another(run, recordings):
+    tuning, chart = recordings / "ear.json", recordings / "ear.png"
+    of = ("--moving", recordings / "moving.wav", "--at-stop", recordings / "at_stop.wav")
+    status, said, _ = run("capture", "tune", "-o", tuning, *of, "--chart", chart)
+    assert status == 0
+    assert "Listen at 6,0" in said
+    assert chart.read_bytes().startswith(b"\x89PNG")
+    _, heard, _ = run("capture", "listen", recordings / "traverse.wav", "--tuning", tuning)
+    assert "(check 62 of 65)" in heard
+    assert "a count of 305 steps" in heard
+    _, silence, _ = run("capture", "listen", recordings / "moving.wav", "--tuning", tuning)
+    assert "no stop is heard in 3.0 s" in silence
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ((), "give --port; or recordings"),
+        (("--moving", "a.wav"), "give --at-stop"),
+        (("--moving", "a.wav", "--port", "COM1"), "--port means nothing beside recordings"),
+        (("--emulate", "--moving", "a.wav"), "--moving means nothing at an emulated rig"),
+        (("--moving", "a.wav", "--at-stop", "b.wav"), "there is no such file"),
+    ],
+)
+def test_an_ear_cannot_be_tuned_by_nothing(run, tmp_path, options, complaint):
+    status, _, said = run("capture", "tune", "-o", tmp_path / "ear.json", *options)
+    assert status == 2
+    assert complaint in said
+    assert not (tmp_path / "ear.json").exists()
+
+
+def test_an_emulated_ear_can_be_tried(run, tmp_path):
+    assert "told apart well" in run("capture", "tune", "-o", tmp_path / "a.json", "--emulate")[1]
+    assert "cannot be told apart" in run(
+        "capture", "tune", "-o", tmp_path / "b.json", "--emulate", "--snr", "-9"
+    )[1].replace("\n", " ")

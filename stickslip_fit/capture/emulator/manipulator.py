@@ -11,7 +11,7 @@ import pandas as pd
 from stickslip_fit.capture.emulator.leg import Leg, leg_of
 from stickslip_fit.capture.emulator.truth import Truth
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs.columns import CONDITIONS
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.machine import JOINTS
 from stickslip_fit.machine.load import mean_load
 from stickslip_fit.simulate import draw_noise
@@ -111,7 +111,7 @@ class Manipulator:
         for name, value in quantities.items():
             if name in self._stands:
                 self._stands[name] = self._within_stops(name, value)
-            elif name in self._given or name.startswith("covariate:"):
+            elif name in self._given or name.startswith(COVARIATE):
                 self._given[name] = value
             else:
                 known = ", ".join([*self._stands, *CONDITIONS])

@@ -40,11 +40,13 @@ class EmulatedPerson:
         begins = next(each.begins for each in self.plan.sessions if each.label == label)
         self.clock.sleep((begins.replace(tzinfo=UTC) - self.clock.today()).total_seconds())
         self.hands.begin_session(label)
+        self.hands.set(**answer.conditions)
         return answer
 
     def set_up(self, wanted: Setting, before: Setting | None) -> Answer:
         """See `Person.set_up`."""
         answer = self.person.set_up(wanted, before)
+        self.hands.set(**answer.conditions)
         if answer.choice is Choice.GO_ON:
             self.clock.sleep(sum(self.plan.timing.pause) / 2)
             self.hands.set(theta=wanted.theta, psi=wanted.psi)
@@ -56,6 +58,7 @@ class EmulatedPerson:
     def bring(self, joint: int, position: float) -> Answer:
         """See `Person.bring`."""
         answer = self.person.bring(joint, position)
+        self.hands.set(**answer.conditions)
         if answer.choice is Choice.GO_ON:
             self.hands.set(**{f"q{joint}": position})
         return answer
@@ -74,8 +77,12 @@ class EmulatedPerson:
 
     def reading(self, reading: Reading) -> Answer:
         """See `Person.reading`."""
-        return self.person.reading(reading)
+        answer = self.person.reading(reading)
+        self.hands.set(**answer.conditions)
+        return answer
 
     def trouble(self, work: Work, why: str) -> Answer:
         """See `Person.trouble`."""
-        return self.person.trouble(work, why)
+        answer = self.person.trouble(work, why)
+        self.hands.set(**answer.conditions)
+        return answer

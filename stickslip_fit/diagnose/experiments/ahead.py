@@ -18,7 +18,7 @@ from stickslip_fit.diagnose.experiments.places_ahead import places_ahead
 from stickslip_fit.diagnose.laid_out.bench import Bench
 from stickslip_fit.fit.identifiability import configuration_rows
 from stickslip_fit.laws.count import rounding_variance
-from stickslip_fit.logs.columns import CONDITIONS
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.machine import Machine
 from stickslip_fit.machine.load import mean_load
 
@@ -141,7 +141,7 @@ class _Session:
 def _usual(log: pd.DataFrame, joint: int) -> dict[str, Any]:
     """Conditions as in the log's middle, and the steps that a joint has made by its end."""
     mine = log[log["joint"] == joint]
-    columns = [*CONDITIONS, *(name for name in log.columns if name.startswith("covariate:"))]
+    columns = [*CONDITIONS, *(name for name in log.columns if name.startswith(COVARIATE))]
     middle = {
         name: float(values.median()) if (values := log[name]).notna().any() else np.nan for name in columns
     }

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.units import from_si
 
 HOURS = (1.0, 2.0, 4.0, 7.0)
@@ -68,8 +69,8 @@ def _following(rows: pd.DataFrame, places: pd.DataFrame) -> Iterator[pd.DataFram
 
 
 def _conditions(rows: pd.DataFrame, log: pd.DataFrame) -> Iterator[pd.DataFrame]:
-    for name in (name for name in log.columns if name in CONDITIONS or name.startswith("covariate:")):
-        called, unit, beyond = CONDITIONS.get(name, (name.removeprefix("covariate:"), "1", 0.0))
+    for name in (name for name in log.columns if name in CONDITIONS or name.startswith(COVARIATE)):
+        called, unit, beyond = CONDITIONS.get(name, (name.removeprefix(COVARIATE), "1", 0.0))
         low, high = float(log[name].min()), float(log[name].max())
         if low == high:
             low, high = max(low - beyond, low / 2), high + beyond

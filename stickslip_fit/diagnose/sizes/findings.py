@@ -22,10 +22,10 @@ from stickslip_fit.diagnose.shapes.memory import Memory
 from stickslip_fit.diagnose.sizes.amplitude import Interval, strength_interval, threshold_length
 from stickslip_fit.diagnose.sizes.carried import carried
 from stickslip_fit.diagnose.sizes.effect import effect_of
+from stickslip_fit.logs.columns import COVARIATE
 
 Array = npt.NDArray[np.float64]
 TWO_SIDED = 1.959964
-COVARIATE = "covariate:"
 
 
 def findings(searched: Search, given: Bench, alpha: float) -> tuple[Finding, ...]:

@@ -16,8 +16,8 @@ from stickslip_fit.diagnose.telling.wording import (
     percent,
     way,
 )
+from stickslip_fit.logs.columns import COVARIATE
 
-COVARIATE = "covariate:"
 HALF_WAY = -36e-6  # m^2; of q3 (q3 - 12 mm) at 6 mm
 Parameters = tuple[SizedParameter, ...]
 Sentence = Callable[[Parameters], str]

@@ -1,0 +1,43 @@
+"""Sound for tests of the ear."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stickslip_fit.capture.emulator.acoustics import Acoustics
+from stickslip_fit.capture.emulator.sound import sound_of
+from stickslip_fit.capture.source import Samples
+from stickslip_fit.capture.tune import tune
+
+STEPS, SECONDS = 5, 0.05
+
+
+def steps(acoustics, checks, pushing, seed, began=0.0):
+    """So many checks of a joint that moves, or pushes against its stop."""
+    way = np.full(STEPS * checks, pushing)
+    return sound_of(acoustics, began, np.ones(len(way)), way, np.random.default_rng(seed))
+
+
+def tuned(acoustics, seed=1):
+    """Five seconds of each."""
+    listens = (steps(acoustics, 100, pushing, (seed, pushing)) for pushing in (False, True))
+    return tune(*listens, acoustics.rate, SECONDS)
+
+
+class Played:
+    """A source that hands out what it is told to, one `Samples` after the other."""
+
+    def __init__(self, samples, rate=Acoustics.rate):
+        self.samples = iter(samples)
+        self.rate = rate
+
+    def read(self, seconds):
+        return next(self.samples)
+
+    def close(self):
+        """Nothing to let go of."""
+
+
+def checks_of(sound, rate=Acoustics.rate):
+    """A sound in checks, as a source would hand it out."""
+    return [Samples(part) for part in sound.reshape(-1, round(SECONDS * rate))]
