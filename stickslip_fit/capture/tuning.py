@@ -127,7 +127,7 @@ class Tuning:
     def _at_last(self) -> tuple[float, float]:
         return float(self.limits.pair[-1]), float(self.limits.least[-1])
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return self.summary()
 
     def _repr_html_(self) -> str:

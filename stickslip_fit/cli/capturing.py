@@ -141,8 +141,9 @@ def emulated_rig(job: Job, emulation: Emulation, ledger: Ledger, person: Person)
     truth = Truth(emulation.laws, job.machine, plan.noise or Noise({}), emulation.seed)
     begins = ledger.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
     emulator = emulate(truth, emulation.dialect, VirtualClock(begins), period)
-    emulator.hands.set(**job.conditions)
     controller, clock = emulator.controller(person.tell), emulator.clock
+    emulator.hands.set(**job.conditions)
+    emulator.hands.remember(ledger.rows(), clock.today(), clock.now())
     ear: Ear = emulator.perfect_ear()
     if not emulation.perfect_ear:
         microphone = emulator.microphone(Acoustics(emulation.snr_db, period=period))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import ast
+from datetime import UTC
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import stickslip_fit.capture
-from stickslip_fit.capture.campaign import Campaign, begin
+from stickslip_fit.capture.campaign import Campaign, begin, resume
+from stickslip_fit.capture.clock import VirtualClock
 from stickslip_fit.capture.emulator.emulator import emulate
 from stickslip_fit.capture.emulator.person import EmulatedPerson
-from stickslip_fit.capture.person import Answer
+from stickslip_fit.capture.person import Answer, Choice
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.laws import seen_count
 from stickslip_fit.logs import read_log
@@ -65,15 +67,39 @@ class Willing:
         pytest.fail(why)
 
 
-def test_a_captured_log_holds_what_the_emulator_hides(tmp_path):
+class Leaving(Willing):
+    """Goes to lunch after so many readings."""
+
+    def __init__(self, readings):
+        self.left = readings
+
+    def reading(self, reading):
+        self.left -= 1
+        return Answer() if self.left else Answer(Choice.QUIT)
+
+
+def part(path, truth, plan, person, opened=begin):
+    """A campaign at a rig switched on for it; whether it is complete."""
+    journal, ledger = opened(path)
+    with journal:
+        began = ledger.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
+        rig = emulate(truth, clock=VirtualClock(began))
+        rig.hands.remember(ledger.rows(), rig.clock.today(), rig.clock.now())
+        parts = Rig(rig.controller(pytest.fail), rig.perfect_ear(), rig.clock)
+        person = EmulatedPerson(person, rig.hands, rig.clock, plan)
+        complete = Campaign(plan, MACHINE, path, journal, ledger, parts, person).run()
+        return complete, rig
+
+
+@pytest.mark.parametrize("lunch", [None, 7])
+def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
     """Every count is that of the hidden law after the history that the log itself tells."""
     truth, plan = truth_of(tmp_path, HIDDEN), plan_of(tmp_path, replicates=1)
-    rig, path = emulate(truth), tmp_path / "log.csv"
-    person = EmulatedPerson(Willing(), rig.hands, rig.clock, plan)
-    journal, ledger = begin(path)
-    with journal:
-        parts = Rig(rig.controller(pytest.fail), rig.perfect_ear(), rig.clock)
-        assert Campaign(plan, MACHINE, path, journal, ledger, parts, person).run()
+    path = tmp_path / "log.csv"
+    if lunch:
+        assert not part(path, truth, plan, Leaving(lunch))[0]
+    complete, rig = part(path, truth, plan, Willing(), resume if lunch else begin)
+    assert complete
     log = read_log(path, machine=MACHINE)
     assert log.sessions == tuple(session.label for session in plan.sessions)
     assert len(log.usable) == len(plan.rows())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 import pandas as pd
@@ -133,10 +134,35 @@ class Manipulator:
         self._stands[f"q{joint}"] = min(max(self._stands[f"q{joint}"], low), high)
 
     def begin_session(self, label: str) -> None:
-        """Begin another session; its clock starts with its first step."""
+        """Begin a session, if it is not the one under way; its clock starts with its first step."""
         self._end_leg()
+        if label == self._session and self._began is not None:
+            return
         self._session, self._began = label, None
         self._past = {joint: Past(steps=past.steps) for joint, past in self._past.items()}
+
+    def remember(self, rows: pd.DataFrame, today: datetime, now: float) -> None:
+        """Be worn and warmed by drives that were made before it was switched on again.
+
+        Parameters
+        ----------
+        rows : DataFrame
+            A log's rows in order of time; where they left the joints is not known.
+        today : datetime
+        now : float
+            The same moment by the clock of `step`, s.
+        """
+        self._random = np.random.default_rng([self.truth.seed, CHANCE, len(rows)])
+        if rows.empty:
+            return
+        for joint, mine in rows.groupby("joint"):
+            last = mine.iloc[[-1]]
+            ways = (last[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi"))
+            load = float(mean_load(int(joint), *ways)[0])
+            self._past[int(joint)] = Past(str(last["direction"].iloc[0]), load, int(mine["steps"].sum()))
+        self._session = str(rows["session"].iloc[-1])
+        began = rows["time"][rows["session"] == self._session].iloc[0]
+        self._began = now - (today - began).total_seconds()
 
     def position(self, joint: int) -> float:
         """Where a joint truly stands, rad or m."""
