@@ -62,7 +62,7 @@ class Keys:
             return sys.stdin.readline().strip()
         text = ""
         print(f"{label}: ", end="", flush=True)
-        while (key := self._next()) != "\n":
+        while (key := self._next()) not in "\r\n":  # Python 3.12.0 and .1 leave Enter as it comes
             text = text[:-1] if key in "\b\x7f" else text + key
             print(f"\r\x1b[K{label}: {text}", end="", flush=True)
         print()

@@ -106,8 +106,9 @@ class Terminal(Teller):
             seconds = None
 
     def _conditions(self) -> dict[str, float]:
+        self.tell(f"  as a log's columns have them, e.g. {EXAMPLE}")
         try:
-            found = conditions_of(self.keys.line(f"conditions, e.g. {EXAMPLE}"))
+            found = conditions_of(self.keys.line("conditions"))
         except InputError as error:
             self.tell(f"  {error}; nothing is changed, c once more")
             return {}

@@ -40,6 +40,8 @@ def hand(monkeypatch):
     [
         ("\n", Answer()),
         ("r", Answer(Choice.REPEAT)),
+        ("\r", Answer()),
+        ("nshut\r\r", Answer(note="shut")),
         ("S", Answer(Choice.SKIP)),
         ("q", Answer(Choice.QUIT)),
         ("x7r", Answer(Choice.REPEAT)),
