@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOG ?=
 
-.PHONY: demo test nightly format bench clean
+.PHONY: demo test nightly format bench docs lab notebooks clean
 
 demo: $(VENV)/.ready
 	$(BIN)/stickslip-fit demo $(LOG)
@@ -26,6 +26,16 @@ format: $(VENV)/.ready-test
 bench: $(VENV)/.ready-bench
 	$(BIN)/python -m benchmarks
 
+docs: $(VENV)/.ready-docs
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	@echo "built: docs/_build/html/index.html"
+
+lab: $(VENV)/.ready-lab
+	$(BIN)/jupyter lab notebooks
+
+notebooks: $(VENV)/.ready-lab
+	$(BIN)/python -m notebooks.run
+
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "No Python 3.12 or later was found; set PYTHON=/path/to/python3.12"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
@@ -34,13 +44,10 @@ $(VENV)/.ready: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	@touch $@
 
-$(VENV)/.ready-test: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+# .ready-test stands for the extra `test` of pyproject.toml, and so on.
+$(VENV)/.ready-%: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$*]'
 	@touch $@ $(VENV)/.ready
 
-$(VENV)/.ready-bench: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'
-	@touch $@ $(VENV)/.ready $(VENV)/.ready-test
-
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache docs/_build docs/generated

@@ -20,7 +20,6 @@ from stickslip_fit.simulate import read_law_values, simulate
 TRAVERSES = 100_000
 OPENED = 5
 MOST_BYTES, MOST_SECONDS = 10e6, 2.0
-FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking")
 READY = "() => performance.getEntriesByType('navigation')[0].loadEventEnd / 1000"
 POINTED = "() => document.getElementById('said').textContent !== ''"
 
@@ -65,7 +64,7 @@ def made(log: Path, page: Path, options: tuple[str, ...]) -> float:
 
 
 def opening(page: Path) -> str:
-    """How long a browser takes from the start of loading until the page is there, and until a point answers."""
+    """How long a browser takes from the start of loading to the page, and to a point's answer."""
     try:
         from tests.browser.chromium import browser_here
     except ImportError:

@@ -36,7 +36,16 @@ class Anova:
     refusals: tuple[Refusal, ...]
     components: tuple[Components, ...] = ()
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import anova_html
+
+        return anova_html(self)
+
+    def summary(self) -> str:
+        """What was asked and answered, as text."""
         from stickslip_fit.anova.text import anova_text
 
         return anova_text(self)

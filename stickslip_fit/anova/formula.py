@@ -43,7 +43,16 @@ class FormulaTable:
     lines: tuple[Line, ...]
     count: int
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import formula_html
+
+        return formula_html(self)
+
+    def summary(self) -> str:
+        """What was asked and answered, as text."""
         from stickslip_fit.anova.formula_text import formula_text
 
         return formula_text(self)

@@ -48,6 +48,7 @@ def compare(
     from stickslip_fit.fit import load_result
     from stickslip_fit.report.chart import check_suffix, write_figure
     from stickslip_fit.report.claimed import claimed_text
+    from stickslip_fit.report.figures.pareto import plot_pareto
     from stickslip_fit.report.worst import worst_text
 
     for path in (numbers, chart):
@@ -72,5 +73,5 @@ def compare(
         written = strategies.save_numbers(found, numbers)
         print(f"\n{len(written)} tables saved in {numbers}")
     if chart is not None:
-        write_figure(found.plot_pareto(), chart, "pareto")
+        write_figure(plot_pareto(found), chart, "pareto")
         print(f"\nchart written to {chart}")

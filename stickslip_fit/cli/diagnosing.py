@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,13 +37,10 @@ def refuse(json_path: Path | None, report: Path | None, law: Path | None = None)
 def diagnosed(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
     """Diagnose a log, telling how far that is where somebody watches."""
     from stickslip_fit.diagnose import diagnose
+    from stickslip_fit.diagnose.progress import shown
 
-    if not sys.stderr.isatty():
-        return diagnose(log, alpha=alpha, seed=seed)
-    try:
-        return diagnose(log, alpha=alpha, seed=seed, progress=_tell)
-    finally:
-        print(CLEAR, end="", file=sys.stderr, flush=True)
+    with shown() as tell:
+        return diagnose(log, alpha=alpha, seed=seed, progress=tell)
 
 
 def law_found(log: Log, diagnosis: Diagnosis) -> Result:
@@ -92,7 +88,3 @@ def save(diagnosis: Diagnosis, json_path: Path | None, report: Path | None) -> l
         write_atomically(report, diagnosis_page(diagnosis, command=command()))
         saved.append(f"report written to {report}")
     return saved
-
-
-def _tell(step: str, done: float) -> None:
-    print(f"{CLEAR}{step} ({done:.0%})", end="", file=sys.stderr, flush=True)

@@ -39,6 +39,7 @@ def study(
 
     from stickslip_fit.machine import load_machine
     from stickslip_fit.report.chart import write_figure
+    from stickslip_fit.report.figures.study import plot_errors, plot_tips
     from stickslip_fit.strategies import study as studies
     from stickslip_fit.strategies.study.numbers import make_folder
 
@@ -59,7 +60,7 @@ def study(
         raise
     print(found)
     written = studies.save_study(found, folder)
-    charts = {"errors": found.plot_errors} | ({"tips": found.plot_tips} if planned.moves else {})
+    charts = {"errors": plot_errors} | ({"tips": plot_tips} if planned.moves else {})
     for name, plot in charts.items():
-        write_figure(plot(), folder / f"{name}.png", name)
+        write_figure(plot(found), folder / f"{name}.png", name)
     print(f"\n{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}")

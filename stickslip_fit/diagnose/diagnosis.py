@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import astuple, dataclass
+from typing import Any, Literal
 
 import pandas as pd
 
 from stickslip_fit.diagnose.searching.search import Search
 from stickslip_fit.diagnose.sizes.amplitude import Interval
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from stickslip_fit.fit.result import AxesOf
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -182,30 +180,87 @@ class Diagnosis:
     search: Search
     alike: tuple[tuple[str, str], ...] = ()
 
-    def __str__(self) -> str:
-        from stickslip_fit.diagnose.telling.text import text
-
-        return text(self)
+    def __repr__(self) -> str:
+        return self.summary()
 
     def _repr_html_(self) -> str:
         from stickslip_fit.report.diagnosis import diagnosis_html
 
         return diagnosis_html(self)
 
-    def plot_residuals(self, finding: int = 0) -> Figure:
-        """What a finding explains: counts less the law before and after, over what carries it."""
+    def summary(self) -> str:
+        """The answer in two sentences, then sizes, rivals, gain and what could not be seen, as text."""
+        from stickslip_fit.diagnose.telling.text import text
+
+        return text(self)
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Every parameter of what was named, one row each.
+
+        cause, name, joint, direction, session (None for one of the whole campaign), unit (the one people read
+        it in), estimate, low, high: SI, 95 %.
+        """
+        columns = ["cause", "name", "joint", "direction", "session", "unit", "estimate", "low", "high"]
+        rows = [
+            (each.cause, one.name, one.joint, one.direction, one.session, one.unit, *astuple(one.size))
+            for each in self.findings
+            for one in each.parameters
+        ]
+        return pd.DataFrame(rows, columns=columns)
+
+    @property
+    def residuals(self) -> pd.DataFrame:
+        """The log's rows with before and after, counts less the law's, relative.
+
+        Before under the published law, after with all that was named in it; what recalibration absorbs is
+        taken out, and counts that misfired are not among them.
+        """
+        first, last = self.search.bench.study(), self.search.study
+        return self.search.bench.rows.assign(
+            before=first.residual * first.scale, after=last.residual * last.scale
+        )
+
+    @property
+    def ranking(self) -> pd.DataFrame:
+        """Every cause that was asked about, likeliest first.
+
+        cause, probability (NaN where the log cannot show it), untestable: why it cannot.
+        """
+        table = pd.DataFrame({"cause": list(self.inclusion), "probability": list(self.inclusion.values())})
+        table["probability"] = table["probability"].astype(float)
+        table["untestable"] = table["cause"].map(dict(self.untestable)).fillna("")
+        return table.sort_values("probability", ascending=False, kind="stable", ignore_index=True)
+
+    def plot_residuals(self, finding: int = 0) -> AxesOf:
+        """What a finding explains: counts less the law before and after, over what carries it.
+
+        Raises
+        ------
+        InputError
+            If there is no such finding, or it has no shape.
+        """
         from stickslip_fit.report.diagnosis import plot_residuals
+        from stickslip_fit.report.figures.axes import panels
 
-        return plot_residuals(self, finding)
+        return panels(plot_residuals(self, finding))
 
-    def plot_ranking(self) -> Figure:
+    def plot_ranking(self) -> AxesOf:
         """How likely each cause is, at each look at the residuals."""
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.ranking import plot_ranking
 
-        return plot_ranking(self)
+        return panels(plot_ranking(self))
 
-    def plot_gain(self) -> Figure:
-        """Errors on held-out traverses by session, before and after."""
+    def plot_gain(self) -> AxesOf:
+        """Errors on held-out traverses by session, before and after.
+
+        Raises
+        ------
+        InputError
+            If nothing was named, so that nothing was gained.
+        """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.gains import plot_gain
 
-        return plot_gain(self)
+        return panels(plot_gain(self))

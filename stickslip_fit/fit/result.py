@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +17,8 @@ from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.laws import StepLaw, travel
 from stickslip_fit.machine import Machine
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = npt.NDArray[np.float64]
+AxesOf = npt.NDArray[np.object_]  # of a figure, panel by panel; see `report.figures.axes.Panels`
 EVERYWHERE = 0  # in place of a joint, where something is said of all of them
 
 
@@ -94,12 +91,21 @@ class Result:
     remarks: tuple[Remark, ...]
     provenance: Provenance
 
+    def __repr__(self) -> str:
+        return self.summary()
+
     def _repr_html_(self) -> str:
         from stickslip_fit.report.display import result_html
 
         return result_html(self)
 
-    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> Figure:
+    def summary(self) -> str:
+        """The parameters of every joint by session and direction, then what is wrong with them, as text."""
+        from stickslip_fit.fit.summary import summary
+
+        return summary(self)
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesOf:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.
 
         Raises
@@ -107,11 +113,12 @@ class Result:
         InputError
             If there is no such session, joint or direction, or its parameters have no error bars.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.corner import plot_covariance
 
-        return plot_covariance(self, joint, direction, session)
+        return panels(plot_covariance(self, joint, direction, session))
 
-    def plot_forest(self, joint: int) -> Figure:
+    def plot_forest(self, joint: int) -> AxesOf:
         """Every session's parameters of a joint with their 95 % intervals.
 
         Raises
@@ -119,15 +126,17 @@ class Result:
         InputError
             If the joint was not fitted.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.forest import plot_forest
 
-        return plot_forest(self, joint)
+        return panels(plot_forest(self, joint))
 
-    def plot_control(self) -> Figure:
+    def plot_control(self) -> AxesOf:
         """Every parameter by session, within the limits that the sessions before it set."""
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.control import plot_control
 
-        return plot_control(self)
+        return panels(plot_control(self))
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -174,7 +174,12 @@ def _parse(records: Records, numeric: list[int], block: int) -> tuple[pa.Table, 
     kinds = dict.fromkeys(names, pa.large_string()) | {str(position): pa.float64() for position in numeric}
     cells = csv.read_csv(
         pa.BufferReader(pa.py_buffer(records.raw).slice(records.start)),
-        read_options=csv.ReadOptions(column_names=names, block_size=block),
+        read_options=csv.ReadOptions(
+            column_names=names,
+            block_size=block,
+            # Threads would bring nothing, and may be alive when a faulty log ends the program.
+            use_threads=len(records.raw) > block,
+        ),
         parse_options=csv.ParseOptions(newlines_in_values=records.quoted, invalid_row_handler=skip),
         convert_options=csv.ConvertOptions(
             column_types=kinds, null_values=[""], strings_can_be_null=False, check_utf8=False

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
@@ -46,7 +47,7 @@ class Log:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return self.summary()
 
     def _repr_html_(self) -> str:
@@ -80,6 +81,24 @@ class Log:
     def summary(self) -> str:
         """What the log holds, for people."""
         return summarise(self.rows, self.sources, self.notes)
+
+    def plot_readings(self) -> npt.NDArray[np.object_]:
+        """The mean step size of every usable traverse, in the order in which they were made.
+
+        Returns
+        -------
+        array of Axes
+            One for each joint; see `report.figures.axes.Panels`.
+
+        Raises
+        ------
+        InputError
+            If no traverse is usable.
+        """
+        from stickslip_fit.report.figures.axes import panels
+        from stickslip_fit.report.figures.readings import plot_readings
+
+        return panels(plot_readings(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the log in its file format; see `write.write_log`."""

@@ -1,4 +1,4 @@
-"""Pages for people: the accuracy report of a log. Reads results, computes none."""
+"""Pages for people: the report of a log. Reads results, computes none."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from stickslip_fit.diagnose import Diagnosis
+    from stickslip_fit.errors import InputError
     from stickslip_fit.fit import Result
     from stickslip_fit.logs import Log
     from stickslip_fit.strategies import Comparison
@@ -19,11 +20,11 @@ def report_html(
     constant: Result,
     fit: Result,
     *,
-    diagnosis: Diagnosis | None = None,
-    comparison: Comparison | None = None,
+    diagnosis: Diagnosis | InputError | None = None,
+    comparison: Comparison | InputError | None = None,
     command: str = "",
 ) -> str:
-    """The accuracy report of a log; see `page.report_html`."""
+    """The report of a log; see `page.report_html`."""
     from stickslip_fit.report.page import report_html as build
 
     return build(log, calibration, constant, fit, diagnosis=diagnosis, comparison=comparison, command=command)

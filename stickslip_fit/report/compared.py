@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import pandas as pd
 
 from stickslip_fit.report.claimed import claimed_table
-from stickslip_fit.report.display import provenance_of
 from stickslip_fit.report.figures.pareto import pareto_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.implied import implied_table
-from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     MINUS,
@@ -24,7 +22,7 @@ from stickslip_fit.report.wording import (
 )
 from stickslip_fit.report.worst import worst_table
 from stickslip_fit.strategies import Comparison
-from stickslip_fit.strategies.text import heading, left_out, left_out_text
+from stickslip_fit.strategies.text import heading, left_out
 from stickslip_fit.strategies.verdict import against_best, answer
 from stickslip_fit.units.format import MISSING
 
@@ -71,8 +69,15 @@ class Compared:
     left_out: Table | None
 
 
-def compared(found: Comparison) -> Compared:
-    """All parts of a comparison, pictures drawn."""
+def compared(found: Comparison, sessions: int = 0) -> Compared:
+    """All parts of a comparison, pictures drawn.
+
+    Parameters
+    ----------
+    found : Comparison
+    sessions : int, optional
+        Of the log; said where the comparison is over fewer.
+    """
     joints = [
         Joint(
             joint_name(joint).capitalize(),
@@ -83,25 +88,7 @@ def compared(found: Comparison) -> Compared:
         )
         for joint in found.joints
     ]
-    return Compared(typeset(heading(found)), joints, left_out_table(found))
-
-
-def comparison_html(found: Comparison) -> str:
-    """One small piece of HTML that needs nothing but itself."""
-    unsuited = left_out_text(found)
-    tables = []
-    for joint in found.joints:
-        table = comparison_table(found, joint)
-        answered = replace(table, note=f"{_said(answer(found, joint))} {table.note}")
-        tables += [answered, implied_table(found, joint), claimed_table(found, joint)]
-    return template("display.html.j2").render(
-        title="Calibration strategies compared",
-        said=[typeset(heading(found))],
-        remarks=[],
-        tables=tables,
-        folded=[("Left out", unsuited)] if unsuited else [],
-        provenance=provenance_of(found.provenance),
-    )
+    return Compared(typeset(heading(found)) + _of_all(found, sessions), joints, left_out_table(found))
 
 
 def comparison_table(found: Comparison, joint: int) -> Table:
@@ -141,6 +128,13 @@ def left_out_table(found: Comparison) -> Table | None:
     )
     columns = tuple(Column(head, text=True) for head in heads)
     return Table("Left out", columns, body) if body else None
+
+
+def _of_all(found: Comparison, sessions: int) -> str:
+    seen = {*found.spent["session"], *found.left_out["session"]} - {""}
+    if len(seen) >= sessions:
+        return ""
+    return f" Compared on the latest {len(seen)} of {sessions:,} sessions; stickslip-fit compare takes all."
 
 
 def _said(text: str) -> str:

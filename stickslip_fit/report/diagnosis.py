@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.telling.answer import answer
-from stickslip_fit.diagnose.telling.show import shape_of, shown
+from stickslip_fit.diagnose.telling.show import Shown, shape_of, shown
 from stickslip_fit.diagnose.telling.text import unseen, untestable_text
 from stickslip_fit.errors import InputError
 from stickslip_fit.report import diagnosis_tables as tables
@@ -21,6 +22,7 @@ from stickslip_fit.report.figures.gains import gain_picture
 from stickslip_fit.report.figures.likeness import likeness_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.ranking import ranking_picture
+from stickslip_fit.report.interactive.trusted import trusted
 from stickslip_fit.report.jinja import template
 from stickslip_fit.report.table import Table
 from stickslip_fit.report.wording import listed, typeset
@@ -64,7 +66,10 @@ def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
         As typed.
     """
     return template("diagnosis.html.j2").render(
-        title=_title(diagnosis), diagnosed=diagnosed(diagnosis), provenance=_provenance(diagnosis, command)
+        title=_title(diagnosis),
+        diagnosed=diagnosed(diagnosis),
+        provenance=_provenance(diagnosis, command),
+        trusted=trusted(script=False),
     )
 
 
@@ -84,7 +89,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
 
 def diagnosed(diagnosis: Diagnosis) -> Diagnosed:
     """All parts of a diagnosis, pictures drawn."""
-    left, study = shown(diagnosis.search, diagnosis.seed), diagnosis.search.bench.study()
+    left, study = numbered(diagnosis), diagnosis.search.bench.study()
     found = {each.cause: each for each in diagnosis.search.found}
     evidence = [
         finding_picture(finding, found[finding.cause], shape_of(found[finding.cause], study), left)
@@ -101,6 +106,16 @@ def diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         _unseen(diagnosis),
         _remarks(diagnosis),
     )
+
+
+def numbered(diagnosis: Diagnosis) -> Shown:
+    """What is left over, each row by its number among the log's usable traverses: misfires are not shown."""
+    left = shown(diagnosis.search, diagnosis.seed)
+    misfired = [
+        row for each in diagnosis.findings if each.traverses is not None for row in each.traverses.index
+    ]
+    numbers = np.delete(np.arange(len(left.rows) + len(misfired)), np.array(misfired, dtype=int))
+    return replace(left, rows=left.rows.set_axis(numbers))
 
 
 def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:

@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from stickslip_fit.anova import Anova, Answer, FormulaTable
+from stickslip_fit.anova.formula_text import formula_text
+from stickslip_fit.anova.linear import RESIDUAL
+from stickslip_fit.anova.text import told_by_joint
+from stickslip_fit.anova.verdict import doubts, reasons
+from stickslip_fit.anova.wording import bare_probability
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.provenance import Provenance
@@ -19,14 +25,30 @@ from stickslip_fit.report.jinja import template
 from stickslip_fit.report.measured import coverage_table, facts, sessions_table
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import count, joint_name, listed, percent, uncertain, way
+from stickslip_fit.report.wording import (
+    MINUS,
+    count,
+    joint_name,
+    listed,
+    number,
+    percent,
+    step_unit,
+    typeset,
+    uncertain,
+    way,
+)
+from stickslip_fit.strategies import Comparison
+from stickslip_fit.strategies.text import heading, left_out_text
+from stickslip_fit.strategies.verdict import answer
 
 if TYPE_CHECKING:
+    from stickslip_fit.capture.tuning import Tuning
     from stickslip_fit.fit.bayes import Posterior
 
 MOST_SESSIONS = 12
 MOST_FILES = 3
 MOST_REMARKS = 8
+OF_COMPARISON = (0, 1, 2, 6, 7, 8, 10)  # columns for which a notebook has the width
 ALL_SESSIONS = "all sessions"
 FLAGS = {
     "at_bound": "at the edge of what is possible",
@@ -64,6 +86,116 @@ def log_html(log: Log) -> str:
             (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
         ],
     )
+
+
+def anova_html(found: Anova) -> str:
+    """Which factors matter: the sentences, a table of answers for each joint, and all else as text."""
+    told = told_by_joint(found)
+    joints = sorted({each.question.joint for each in found.answers})
+    return template("display.html.j2").render(
+        title="Which factors matter",
+        said=[f"Joint {joint}. {typeset(' '.join(said))}" for joint, said in told.items()]
+        or ["Nothing can be answered from this log."],
+        remarks=[typeset(each) for each in (*doubts(found.answers), *reasons(found.refusals))][:MOST_REMARKS],
+        tables=[_answers_table(joint, found.answers) for joint in joints],
+        folded=[("Everything as text", found.summary())],
+        provenance=[],
+    )
+
+
+def formula_html(found: FormulaTable) -> str:
+    """A formula's table, what it shows in a sentence."""
+    heads = ("sum of squares", "degrees of freedom", "F")
+    columns = (Column("term", text=True), *map(Column, heads), Column("p"), Column("p, adjusted"))
+    body = tuple(
+        (
+            str(row.term),
+            f"{row.ss:.4g}",
+            f"{row.df}",
+            *_tested(row),
+        )
+        for row in found.table.itertuples(index=False)
+    )
+    note = f"Type {found.kind}; {count(found.count, 'reading')}. Sums of squares in the response's SI unit."
+    return template("display.html.j2").render(
+        title=found.formula,
+        said=[typeset(formula_text(found).partition("\n")[0])],
+        remarks=[],
+        tables=[Table(f"Analysis of variance, {joint_name(found.joint)}", columns, body, note=note)],
+        folded=[],
+        provenance=[],
+    )
+
+
+def comparison_html(found: Comparison) -> str:
+    """Strategies compared: for each joint what they cost and reach, and what the thesis claims beside it."""
+    from stickslip_fit.report.claimed import claimed_table
+    from stickslip_fit.report.compared import comparison_table
+    from stickslip_fit.report.implied import implied_table
+
+    unsuited = left_out_text(found)
+    tables = []
+    for joint in found.joints:
+        whole = comparison_table(found, joint)
+        said = typeset(answer(found, joint)).replace("(-)", f"({MINUS})")
+        short = replace(
+            whole,
+            columns=tuple(whole.columns[k] for k in OF_COMPARISON),
+            rows=tuple(tuple(row[k] for k in OF_COMPARISON) for row in whole.rows),
+            note=f"{said} {whole.note}",
+        )
+        tables += [short, implied_table(found, joint), claimed_table(found, joint)]
+    return template("display.html.j2").render(
+        title="Calibration strategies compared",
+        said=[typeset(heading(found))],
+        remarks=[],
+        tables=tables,
+        folded=[("Left out", unsuited)] if unsuited else [],
+        provenance=provenance_of(found.provenance),
+    )
+
+
+def tuning_html(tuning: Tuning) -> str:
+    """What to listen for, in words."""
+    return template("display.html.j2").render(
+        title="Tuning of the ear", said=[tuning.summary()], remarks=[], tables=[], folded=[], provenance=[]
+    )
+
+
+def _answers_table(joint: int, answers: Sequence[Answer]) -> Table:
+    unit = step_unit(joint)
+    columns = (
+        Column("question", text=True),
+        Column("session", text=True),
+        Column("largest difference", unit),
+        Column("95 % interval", unit),
+        Column("p, adjusted"),
+        Column("would show", unit),
+    )
+    mine = [each for each in answers if each.question.joint == joint]
+    note = (
+        "Adjusted: for everything asked (Holm). Would show: the smallest difference that is seen at 5 % in "
+        "80 of 100 such logs."
+    )
+    return Table(joint_name(joint).capitalize(), columns, tuple(map(_answer_row, mine)), stubs=2, note=note)
+
+
+def _answer_row(answer: Answer) -> tuple[str, ...]:
+    asked, effect, unit = answer.question, answer.effect, step_unit(answer.question.joint)
+    return (
+        f"{asked.analysis} {way(asked.direction)}" if asked.direction else asked.analysis,
+        asked.session or "all",
+        number(effect.difference, unit),
+        f"{number(effect.low, unit)} to {number(effect.high, unit)}",
+        bare_probability(answer.p_holm),
+        number(answer.detectable, unit),
+    )
+
+
+def _tested(row: Any) -> list[str]:
+    if row.term == RESIDUAL or not row.df:
+        return ["", "", ""]
+    return [f"{row.F:.3g}", bare_probability(row.p), bare_probability(row.p_holm)]
 
 
 def parameters_table(result: Result, joint: int) -> Table:

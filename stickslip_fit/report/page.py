@@ -1,4 +1,4 @@
-"""The accuracy report: one self-contained page made of a log and what was fitted to it."""
+"""The report: one self-contained page made of a log and what was fitted to it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pandas as pd
 
 from stickslip_fit.anova import analyse
 from stickslip_fit.diagnose import Diagnosis
+from stickslip_fit.errors import InputError
 from stickslip_fit.fit import Result
 from stickslip_fit.fit import errors as errors_of
 from stickslip_fit.logs import Log
@@ -19,11 +20,13 @@ from stickslip_fit.report.d_table import d_table
 from stickslip_fit.report.diagnosis import diagnosed
 from stickslip_fit.report.factors import cautions, factors
 from stickslip_fit.report.gallery import gallery
+from stickslip_fit.report.interactive.traverses import shown_traverses
+from stickslip_fit.report.interactive.trusted import embedded, trusted
 from stickslip_fit.report.jinja import template
 from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.report.remarks import remarks
 from stickslip_fit.report.table import Table
-from stickslip_fit.report.wording import joint_name
+from stickslip_fit.report.wording import joint_name, typeset
 from stickslip_fit.strategies import Comparison
 
 
@@ -33,11 +36,11 @@ def report_html(
     constant: Result,
     fit: Result,
     *,
-    diagnosis: Diagnosis | None = None,
-    comparison: Comparison | None = None,
+    diagnosis: Diagnosis | InputError | None = None,
+    comparison: Comparison | InputError | None = None,
     command: str = "",
 ) -> str:
-    """The accuracy report of a log.
+    """The report of a log.
 
     Parameters
     ----------
@@ -48,22 +51,24 @@ def report_html(
         The constant step of each session and direction.
     fit : Result
         Least squares.
-    diagnosis : Diagnosis, optional
-        For a section on what the laws get wrong.
-    comparison : Comparison, optional
-        For a section on calibration strategies.
+    diagnosis : Diagnosis or InputError, optional
+        For a section on what the laws get wrong; or why this log has none.
+    comparison : Comparison or InputError, optional
+        For a section on calibration strategies; or why this log has none.
     command : str, optional
         As typed; where empty, the fit's own.
 
     Returns
     -------
     str
-        An HTML page that needs nothing but itself: no script, no request. The same input gives the same page.
+        An HTML page that needs nothing but itself: it makes no request, runs no script but its own, and says
+        the same without that. The same input gives the same page.
     """
     errors = errors_of(log, calibration, constant)
     coefficients = load_coefficients(log, calibration, fit)
     both = calibrated.compared(calibration, fit)
     variance = analyse(log)
+    traverses = shown_traverses(log, calibration, fit)
     return template("report.html.j2").render(
         title=_title(log),
         answer=answer(log, calibration, errors),
@@ -80,12 +85,21 @@ def report_html(
         accuracy=_accuracy(errors, log),
         claims=claims_table(errors) if len(errors) else None,
         factors=factors(variance),
-        diagnosed=diagnosed(diagnosis) if diagnosis else None,
-        compared=compared(comparison) if comparison else None,
+        diagnosed=diagnosed(diagnosis) if isinstance(diagnosis, Diagnosis) else None,
+        not_diagnosed=_why_not(diagnosis),
+        compared=compared(comparison, len(log.sessions)) if isinstance(comparison, Comparison) else None,
+        not_compared=_why_not(comparison),
         cautions=cautions(variance),
         remarks=remarks(calibration, fit),
         provenance=_provenance(log, fit, command),
+        joints=traverses["joints"],
+        traverses=embedded(traverses),
+        trusted=trusted(script=True),
     )
+
+
+def _why_not(section: object) -> str:
+    return typeset(str(section)) if isinstance(section, InputError) else ""
 
 
 def _title(log: Log) -> str:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from stickslip_fit.fit.provenance import Provenance
+from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.accuracy import CONFIGURATIONS, SESSIONS, summarise
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +55,21 @@ class Comparison:
     machine: Machine
     provenance: Provenance
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from stickslip_fit.report.display import comparison_html
+
+        return comparison_html(self)
+
+    def summary(self) -> str:
+        """The answer for each joint, then every strategy's cost and error, as text."""
         from stickslip_fit.strategies.text import text
 
         return text(self)
 
-    def _repr_html_(self) -> str:
-        from stickslip_fit.report.compared import comparison_html
-
-        return comparison_html(self)
-
-    def plot_pareto(self) -> Figure:
+    def plot_pareto(self) -> AxesOf:
         """Calibration time against held-out error, with the Cramer-Rao bound and the repeatability floor.
 
         Raises
@@ -76,9 +77,10 @@ class Comparison:
         InputError
             If no session is shared.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.pareto import plot_pareto
 
-        return plot_pareto(self)
+        return panels(plot_pareto(self))
 
     @property
     def joints(self) -> tuple[int, ...]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import JOINTS, forward, jacobian
 from stickslip_fit.moves import Paths, StepsFor, Truth, driven, steps_to_command
@@ -18,9 +18,6 @@ from stickslip_fit.moves.truth import Group
 from stickslip_fit.simulate import draw_noise
 from stickslip_fit.strategies.task import Predictor
 from stickslip_fit.units import format_value, text_table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
 Seed = int | np.random.SeedSequence
@@ -44,7 +41,7 @@ class TipErrors:
 
     table: pd.DataFrame
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The summary as text, in µm and %."""
         shown = self.summary()
         lengths = ("rms", "median", "often", "worst", "bias")
@@ -60,7 +57,7 @@ class TipErrors:
         header = ["strategy", "moves", "unknown", "rms (µm)", "median", "95 % within", "worst", "along"]
         return text_table([*header, *of_joints], lines)
 
-    def plot_tip_errors(self) -> Figure:
+    def plot_tip_errors(self) -> AxesOf:
         """The distribution of each strategy's errors, and what each joint has in it.
 
         Raises
@@ -68,9 +65,10 @@ class TipErrors:
         InputError
             If no strategy moved the tip.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.tip_errors import plot_tip_errors
 
-        return plot_tip_errors(self)
+        return panels(plot_tip_errors(self))
 
     def summary(self, *by: str) -> pd.DataFrame:
         """The distribution of each strategy's errors.

@@ -116,7 +116,7 @@ def test_no_tuning_at_all_is_refused(tmp_path):
 
 
 def test_the_figure_shows_both_spectra_the_band_and_the_finding(tuning):
-    figure = tuning.plot_spectrum()
+    figure = tuning.plot_spectrum().figure
     above, below = figure.axes
     colours = {to_hex(line.get_color()): line.get_ydata() for line in above.lines}
     assert len(colours) == 2

@@ -14,7 +14,7 @@ from stickslip_fit.fit import Result, closed_form, constant_step, least_squares
 from stickslip_fit.logs import Log, read_log
 from stickslip_fit.report import report_html
 
-VOID = {"br", "meta"}
+VOID = {"br", "input", "meta"}
 
 
 class Page(HTMLParser):
@@ -24,6 +24,7 @@ class Page(HTMLParser):
         super().__init__(convert_charrefs=True)
         self.elements: list[tuple[str, dict[str, str]]] = []
         self.texts: list[str] = []
+        self.scripts: list[str] = []
         self.heads: dict[str, list[str]] = {}
         self.tables: dict[str, list[list[str]]] = {}
         self._open: list[str] = []
@@ -60,7 +61,9 @@ class Page(HTMLParser):
             self.tables[self._caption] = self._rows
 
     def handle_data(self, data: str) -> None:
-        if not {"style", "svg"} & set(self._open):
+        if self._open[-1:] == ["script"]:
+            self.scripts.append(data)
+        elif not {"style", "svg"} & set(self._open):
             self.texts.append(data)
         if "caption" in self._open:
             self._caption += data

@@ -20,7 +20,7 @@ from stickslip_fit.diagnose.telling.answer import answer
 from stickslip_fit.diagnose.telling.show import shape_of, shown
 from stickslip_fit.errors import InputError
 from stickslip_fit.report import report_html
-from stickslip_fit.report.diagnosis import diagnosis_html, diagnosis_page
+from stickslip_fit.report.diagnosis import diagnosis_html, diagnosis_page, numbered
 from stickslip_fit.report.figures.evidence import draw_everything, draw_finding
 from stickslip_fit.report.figures.gains import draw_gain
 from stickslip_fit.report.figures.likeness import rates_of
@@ -128,7 +128,7 @@ def test_nothing_is_fetched_and_nothing_is_run(page):
     tags = {tag for tag, _ in page.elements}
     assert not tags & {"script", "img", "link", "iframe"}
     references = [attrs.get("href", "#") for _, attrs in page.elements]
-    assert all(reference.startswith("#") for reference in references)
+    assert all(reference.startswith(("#", "data:image/png;base64,")) for reference in references)
     names = [attrs["id"] for _, attrs in page.elements if "id" in attrs]
     assert len(names) == len(set(names))
 
@@ -218,9 +218,9 @@ def test_confusion_falls_with_strength_and_hard_pairs_stay_hard(found):
 
 
 def test_a_picture_of_what_is_not_there_is_refused(found):
-    assert found.plot_residuals().axes
-    assert found.plot_ranking().axes
-    assert found.plot_gain().axes
+    assert found.plot_residuals().size
+    assert found.plot_ranking().size
+    assert found.plot_gain().size
     with pytest.raises(InputError, match="there is no finding 1"):
         found.plot_residuals(1)
     with pytest.raises(InputError, match="no gain"):
@@ -295,3 +295,13 @@ def test_a_log_that_cannot_be_read_leaves_no_file(run, campaign, tmp_path):
     assert (status, out) == (2, "")
     assert "steps" in err
     assert not (tmp_path / "out.json").exists()
+
+
+def test_points_of_the_evidence_are_numbered_as_in_the_log(found, made, monkeypatch):
+    usable = made.log.usable
+    assert list(numbered(found).rows.index) == list(usable.index)
+    wild = pd.DataFrame(index=[0, 5])
+    left = replace(shown(found.search, 0), rows=usable.drop(index=wild.index).reset_index(drop=True))
+    monkeypatch.setattr("stickslip_fit.report.diagnosis.shown", lambda *_: left)
+    rows = numbered(replace(found, findings=(replace(found.findings[0], traverses=wild),))).rows
+    assert (rows["time"] == usable.loc[rows.index, "time"]).all()

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import replace
 
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from stickslip_fit.anova import analyse, formula
+from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit import least_squares
 from stickslip_fit.fit.bayes import bayes
 from stickslip_fit.logs import read_log
+from stickslip_fit.strategies import ClosedForm, ConstantStep, compare
 
 CALIBRATION = (
     {"joint": 3, "q2_deg": -90.0},
@@ -107,12 +114,12 @@ def test_the_fragment_needs_and_touches_nothing_but_itself(months):
 
 @pytest.mark.parametrize("name", [SCRIPT, IMAGE, JINJA, CLOSING, "A</details>B"])
 def test_a_hostile_session_name_is_shown_as_it_is_written(campaign, fitted, read_page, name):
-    table = campaign(settings=CALIBRATION, replicates=1)
+    table = campaign(settings=CALIBRATION, replicates=3)
     table.loc[table["session"] == "2012-03-06", "session"] = name
     found = fitted(table)
-    for shown in (found.log, found.fit, found.calibration):
+    for shown in (found.log, found.fit, found.calibration, analyse(found.log)):
         page = read_page(shown._repr_html_())
-        assert name in [row[0] for rows in page.tables.values() for row in rows]
+        assert name in [cell for rows in page.tables.values() for row in rows for cell in row]
         assert not {"script", "img"} & {tag for tag, _ in page.elements}
         assert not any(key.startswith("on") for _, attributes in page.elements for key in attributes)
 
@@ -151,16 +158,127 @@ def test_a_posterior_that_has_not_converged_shows_no_numbers(months, read_page):
     assert all(row[2:5] == ["not known"] * 3 for row in page.tables[CAPTION])
 
 
-def test_figures_show_themselves_in_a_notebook(months, posterior):
-    """As pictures of a size, on white: ink on a dark notebook could not be read."""
-    for figure in (
+def plotted(months, posterior):
+    return (
         months.fit.plot_corner(3, "+"), months.fit.plot_forest(3), months.fit.plot_control(),
         posterior.plot_corner(3, "-"), posterior.plot_forest(3), posterior.plot_control(),
-    ):  # fmt: skip
-        picture, size = figure._repr_png_()
+    )  # fmt: skip
+
+
+def test_figures_show_themselves_in_a_notebook(months, posterior):
+    """As pictures of a size, on white: ink on a dark notebook could not be read."""
+    for shown in plotted(months, posterior):
+        picture, size = shown._repr_png_()
         assert picture.startswith(b"\x89PNG")
-        assert size["width"] == pytest.approx(100 * figure.get_figwidth(), abs=1)
-        assert figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+        assert size["width"] == pytest.approx(100 * shown.figure.get_figwidth(), abs=1)
+        assert shown.figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_plots_give_the_axes_and_leave_nothing_open(months, posterior):
+    """A figure that pyplot knew of would be shown a second time below its cell."""
+    import matplotlib.pyplot as plt
+
+    for shown in plotted(months, posterior):
+        assert shown.size
+        assert all(isinstance(axes, Axes) and axes.get_visible() for axes in shown)
+        assert repr(shown) == f"{shown.size} panels of a figure"
+    assert plt.get_fignums() == []
+    assert months.fit.plot_corner(3, "+").size == 6, "the upper right of a corner is empty"
+
+
+def test_what_is_changed_is_shown_changed_and_written(months, tmp_path):
+    shown, before = months.fit.plot_forest(3), months.fit.plot_forest(3)._repr_png_()[0]
+    assert shown._repr_png_()[0] == before
+    shown[0].set_title("of our own")
+    assert shown._repr_png_()[0] != before
+    shown.savefig(tmp_path / "forest.svg")
+    assert "of our own" in (tmp_path / "forest.svg").read_text("utf-8")
+
+
+def test_what_shows_itself_prints_as_its_summary(months, posterior):
+    for shown in (months.log, months.fit, posterior, analyse(months.log)):
+        assert str(shown) == repr(shown) == shown.summary()
+        assert len(shown.summary()) < 20_000
+        assert "2012-03-14" in shown.summary()
+
+
+def test_a_log_draws_every_usable_reading(months):
+    (axes,) = months.log.plot_readings()
+    rows = months.log.usable
+    drawn = np.concatenate([line.get_xydata() for line in axes.lines if line.get_marker() in "os"])
+    step = 12e6 / (rows["steps"] - 2.5)
+    assert drawn[np.argsort(drawn[:, 0]), 1] == pytest.approx(step.to_numpy())
+    assert len(axes.get_xticklabels()) == 7, "14 sessions have no room for all their names"
+
+
+def test_a_posterior_has_the_parameters_of_its_result(posterior):
+    assert posterior.parameters.equals(posterior.result.parameters)
+
+
+@pytest.fixture(scope="module")
+def factors(months):
+    return analyse(months.log)
+
+
+def test_factors_are_shown_with_sizes_and_adjusted_p(factors, read_page):
+    page = read_page(factors._repr_html_())
+    table = page.tables["Joint 3 (prismatic)"]
+    assert len(table) == len(factors.answers)
+    sizes = [number(cell) for cell in page.column("Joint 3 (prismatic)", "largest differencenm")]
+    assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.answers], abs=0.051)
+    told = [row[4] for row in table]
+    assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.answers]
+    assert "No change from session to session shows" in page.text
+
+
+def test_a_log_of_which_nothing_can_be_asked_says_so(campaign, fitted, read_page):
+    single = fitted(campaign(settings=CALIBRATION[:1], replicates=1, sessions=("2012-03-05",)))
+    page = read_page(analyse(single.log.select(single.log.rows["direction"] == "+"))._repr_html_())
+    assert "Nothing can be answered from this log." in page.text
+    assert not page.tables
+
+
+def test_a_formula_shows_its_terms(months, read_page):
+    (found,) = formula(months.log, "step_size ~ C(session) + direction")
+    page = read_page(found._repr_html_())
+    (table,) = page.tables.values()
+    assert [row[0] for row in table] == ["C(session)", "direction", "residual"]
+    assert float(table[1][3]) == pytest.approx(found.table["F"][1], rel=0.005)
+    assert table[2][3:] == ["", "", ""]
+    assert found.formula in page.text
+
+
+def test_a_comparison_has_its_verdicts_in_view(months, read_page):
+    found = compare(months.log, [ConstantStep(), ClosedForm()])
+    caption = "Strategies for joint 3 (prismatic)"
+    page = read_page(found._repr_html_())
+    assert len(page.heads[caption]) == 7, "more do not fit a notebook"
+    assert page.column(caption, "verdict") == ["worse", "least rms"]
+    cost = found.cost().set_index("strategy")["seconds"]["closed form"] / 60
+    assert float(page.column(caption, "timemin")[1]) == pytest.approx(cost, abs=0.51)
+
+
+def test_a_diagnosis_gives_its_numbers_as_tables(months):
+    """Of a drift that was put into the counts, 3 % an hour."""
+    rows = months.log.rows.copy()
+    rows["steps"] = (rows["steps"] * (1 + 0.03 * rows["session_seconds"] / 3600)).round().astype(int)
+    found = decide(replace(months.log, rows=rows))
+    assert found.verdict != "nothing wrong"
+    of = found.parameters
+    assert set(of["cause"]) == {each.cause for each in found.findings if each.parameters}
+    sizes = [one.size for each in found.findings for one in each.parameters]
+    assert of[["estimate", "low", "high"]].to_numpy() == pytest.approx(
+        np.array([(size.estimate, size.low, size.high) for size in sizes])
+    )
+    ranked = found.ranking
+    assert dict(zip(ranked["cause"], ranked["untestable"], strict=True)).items() >= found.untestable.items()
+    assert ranked["probability"].isna().sum() == len(found.untestable)
+    assert ranked["probability"].dropna().is_monotonic_decreasing
+    left = found.residuals
+    assert list(left["steps"]) == list(rows["steps"])
+    assert np.sqrt((left["before"] ** 2).mean()) == pytest.approx(found.misfit)
+    assert (left["after"] ** 2).mean() < (left["before"] ** 2).mean() / 4
+    assert repr(found) == found.summary()
 
 
 def test_what_was_not_fitted_is_refused(months, posterior):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import warnings
 
 import pandas as pd
@@ -16,10 +17,11 @@ JINJA = "{{ 7 * 7 }}{% raw %}"
 FORMULA = r"$\frac{1}{$"
 ENTITY = "&lt;b&gt;&amp;#10;--><!--"
 LONG = "Montag " * 40
+BELL = "bell \x07 \ufffe"
 SCRIPTS_OF_THE_WORLD = "第三次 тест \u202egnirts"
 
 
-SESSIONS = (SCRIPT, IMAGE, JINJA, FORMULA, ENTITY, LONG.strip(), SCRIPTS_OF_THE_WORLD)
+SESSIONS = (SCRIPT, IMAGE, JINJA, FORMULA, BELL, ENTITY, LONG.strip(), SCRIPTS_OF_THE_WORLD)
 SETTINGS = (
     {"joint": 3, "q2_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
@@ -50,13 +52,27 @@ def figures(page):
 
 def test_nothing_hostile_becomes_an_element(hostile):
     tags = {tag for tag, _ in hostile.page.elements}
-    assert not tags & {"script", "img", "b"}
+    assert not tags & {"img", "b"}
+    assert [attributes for tag, attributes in hostile.page.elements if tag == "script"] == [
+        {"type": "application/json", "id": "traverses"},
+        {},
+    ]
     assert not any(name.startswith("on") for _, attributes in hostile.page.elements for name in attributes)
 
 
 def test_hostile_text_is_shown_as_it_was_written(hostile):
     for text in (*SESSIONS, 'a<b>&"c.csv'):
         assert text in hostile.page.text
+
+
+def test_hostile_text_reaches_the_script_as_data(hostile):
+    source, script = hostile.page.scripts
+    assert not set(source) & set("<>&\u2028\u2029")
+    data = json.loads(source)
+    assert data["sessions"] == [*hostile.log.sessions]
+    assert set(data["joints"][0]["notes"].values()) == {SCRIPT, IMAGE, JINJA}
+    assert "<b>pressure</b>" not in source
+    assert not any(name in script for name in SESSIONS)
 
 
 def test_session_names_stay_inert_within_figures(hostile):

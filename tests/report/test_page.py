@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 import tomllib
 from pathlib import Path
@@ -32,12 +34,29 @@ def half_a_digit(cell):
 
 def test_the_page_needs_nothing_but_itself(whole):
     for tag, attributes in whole.page.elements:
-        assert tag not in {"script", "link", "iframe", "object", "embed", "base", "img", "form"}
+        assert tag not in {"link", "iframe", "object", "embed", "base", "img", "form"}
         for name, value in attributes.items():
             assert not name.startswith("on"), (tag, name)
+            assert name != "style", tag
             if name in {"href", "xlink:href", "src", "action", "data"}:
                 assert value.startswith(("#", "data:image/png;base64,")), (tag, name, value)
-    assert not re.search(r"https?:|//[a-z]|@import|url\((?!#)", whole.source)
+    assert not re.search(r"https?:|//[a-z]|@import|url\((?!#)|fetch\(|XMLHttp|innerHTML|eval\(", whole.source)
+
+
+def test_the_policy_trusts_this_style_and_this_script_alone(whole):
+    (policy,) = [a["content"] for _, a in whole.page.elements if a.get("http-equiv")]
+    rules = {name: set(rest) for name, *rest in map(str.split, policy.split(";"))}
+    (style,) = re.findall(r"<style>(.*?)</style>", whole.source, re.DOTALL)
+    (script,) = re.findall(r"<script>(.*?)</script>", whole.source, re.DOTALL)
+    assert rules["default-src"] == rules["base-uri"] == rules["form-action"] == {"'none'"}
+    assert rules["style-src"] == {sha256(style)}
+    assert rules["script-src"] == {sha256(script)}
+    assert rules["img-src"] == {"data:"}
+    assert whole.source.index("http-equiv") < whole.source.index("<style>")
+
+
+def sha256(text):
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def test_anchors_and_names_are_unique_and_lead_somewhere(whole):

@@ -107,7 +107,7 @@ def test_a_chart_of_all_joints_has_the_parameters_of_each(whole):
 
 
 def test_the_forest_has_every_session_in_order(days):
-    axes = panel(days.fit.plot_forest(3), "c", 1)
+    axes = panel(days.fit.plot_forest(3).figure, "c", 1)
     mine = days.fit.parameters.query("name == 'c' and direction == '-'")
     assert drawn(axes, "o") == pytest.approx(np.column_stack([1e9 * mine["estimate"], range(8)]))
     ends = [path.vertices[:, 0] for path in axes.collections[0].get_paths()]
@@ -116,7 +116,7 @@ def test_the_forest_has_every_session_in_order(days):
 
 
 def test_the_forest_of_a_posterior_shows_the_campaign_s_mean(posterior):
-    axes = panel(posterior.plot_forest(3), "a")
+    axes = panel(posterior.plot_forest(3).figure, "a")
     mean = 1e9 * posterior.draws(3, "+", "mean")[:, 0]
     (band,) = axes.patches
     low, high = band.get_x(), band.get_x() + band.get_width()
@@ -125,7 +125,7 @@ def test_the_forest_of_a_posterior_shows_the_campaign_s_mean(posterior):
 
 def test_what_all_sessions_share_is_a_band_of_the_forest(days):
     shared = least_squares(days.log, shared=["b"])
-    axes = panel(shared.plot_forest(3), "b")
+    axes = panel(shared.plot_forest(3).figure, "b")
     (row,) = shared.parameters.query("name == 'b' and direction == '+'").itertuples()
     (band,) = axes.patches
     assert (band.get_x(), band.get_width()) == pytest.approx((row.low, row.high - row.low))
@@ -146,9 +146,8 @@ def test_regions_of_the_corner_hold_what_they_say(days, freedom):
     """With few degrees of freedom the scale is uncertain too, and the ellipses have to be wider."""
     fit = days.fit.joints[3]
     known = {way: replace(found, freedom=freedom) for way, found in fit.repeatability.items()}
-    figure = replace(days.fit, joints={3: replace(fit, repeatability=known)}).plot_corner(
-        3, "+", "2012-03-04"
-    )
+    doubted = replace(days.fit, joints={3: replace(fit, repeatability=known)})
+    figure = doubted.plot_corner(3, "+", "2012-03-04").figure
     (index,) = np.flatnonzero((fit.groups["session"] == "2012-03-04") & (fit.groups["direction"] == "+"))
     rng, size = np.random.default_rng(0), 40_000
     scale = np.sqrt(rng.chisquare(freedom, (size, 1)) / freedom)
@@ -165,7 +164,7 @@ def test_regions_of_the_corner_hold_what_they_say(days, freedom):
 
 
 def test_contours_of_a_posterior_hold_what_they_say(posterior):
-    figure = posterior.plot_corner(3, "-")
+    figure = posterior.plot_corner(3, "-").figure
     draws = NANO * posterior.draws(3, "-", "parameters")[:, -1]
     axes = cells(figure, 3)
     for row, column in ((1, 0), (2, 0), (2, 1)):
@@ -177,7 +176,7 @@ def test_contours_of_a_posterior_hold_what_they_say(posterior):
 
 def test_the_latest_session_is_drawn_unless_one_is_named(days, posterior):
     for shown in (days.fit, posterior):
-        latest, named = shown.plot_corner(3, "+"), shown.plot_corner(3, "+", "2012-03-01")
+        latest, named = (shown.plot_corner(3, "+", day).figure for day in (None, "2012-03-01"))
         assert "session 2012-03-08" in latest.texts[0].get_text()
         assert "session 2012-03-01" in named.texts[0].get_text()
         assert cells(latest, 3)[0, 0].get_xlim() != cells(named, 3)[0, 0].get_xlim()
@@ -185,7 +184,7 @@ def test_the_latest_session_is_drawn_unless_one_is_named(days, posterior):
 
 def test_the_prior_is_drawn_beside_the_draws(posterior):
     """As the prior predicts a session: far wider than the counts leave it."""
-    x, density = cells(posterior.plot_corner(3, "+"), 3)[0, 0].lines[-1].get_data()
+    x, density = cells(posterior.plot_corner(3, "+").figure, 3)[0, 0].lines[-1].get_data()
     prior = posterior.priors.prior(3, "+")
     normal = (
         np.exp(-0.5 * ((x / 1e9 - prior.centre[0]) / prior.width[0]) ** 2)

@@ -32,7 +32,7 @@ def found(log):
 
 
 def test_the_picture_has_every_strategy_the_bound_and_the_floor(found):
-    figure = found.plot_pareto()
+    figure = found.plot_pareto().figure
     assert [axis.get_title() for axis in figure.axes] == [
         "joint 1 (rotary)", "joint 2 (rotary)", "joint 3 (prismatic)"
     ]  # fmt: skip

@@ -137,7 +137,7 @@ def test_the_picture_has_every_strategys_errors_and_joints():
     lost = dict.fromkeys(VALUES, lambda rows: np.full(len(rows), np.nan))
     named = {"<b>right</b>": steps_by_truth(truth), "lost": lost, "wrong": off_by(VALUES, 3, 0.05)}
     found = tip_errors(paths, truth, named, [1])
-    errors, shares = found.plot_tip_errors().axes
+    errors, shares = found.plot_tip_errors()
     assert [label.get_text() for label in errors.get_yticklabels()] == ["<b>right</b>", "wrong"]
     summary = found.summary().dropna(subset="rms")
     dots, crosses = ([line for line in errors.lines if line.get_marker() == mark] for mark in "ox")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,10 +17,8 @@ from stickslip_fit.fit.bayes.sample import Sample, sample
 from stickslip_fit.fit.bayes.together import sample_together
 from stickslip_fit.fit.bayes.traverses import each_group
 from stickslip_fit.fit.bayes.tree import branch_name, plant
+from stickslip_fit.fit.progress import bar
 from stickslip_fit.logs import Log
-
-if TYPE_CHECKING:
-    from tqdm import tqdm
 
 
 def bayes(
@@ -81,10 +77,10 @@ def bayes(
     """
     priors = weak_priors(log) if priors is None else priors
     if causes:
-        with _bar(progress, "all joints") as bar:
+        with bar(progress, desc="all joints", unit=" steps") as shown:
             samples, priors = sample_together(
                 log, causes, priors, seed=seed, target_ess=target_ess, max_steps=max_steps,
-                backend=backend, on_step=bar.update,
+                backend=backend, on_step=shown.update,
             )  # fmt: skip
     else:
         samples = _one_by_one(log, priors, seed, target_ess, max_steps, backend, progress)
@@ -112,7 +108,8 @@ def _one_by_one(
     for joint, direction, traverses in each_group(log):
         prior, name = priors.prior(joint, direction), branch_name(joint, direction)
         walks = in_memory() if backend is None else in_file(backend, name, traverses, prior, seed)
-        with _bar(progress, f"joint {joint}, direction {direction}") as bar:
+        # Most walks end long before `max_steps`, so a share of it would mislead.
+        with bar(progress, desc=f"joint {joint}, direction {direction}", unit=" steps") as shown:
             samples[joint, direction] = sample(
                 traverses,
                 prior,
@@ -120,13 +117,6 @@ def _one_by_one(
                 seed=(seed, joint, int(direction == "-")),
                 target_ess=target_ess,
                 max_steps=max_steps,
-                on_step=bar.update,
+                on_step=shown.update,
             )
     return samples
-
-
-def _bar(progress: bool, description: str) -> AbstractContextManager[tqdm]:
-    from tqdm import tqdm
-
-    # Most walks end long before `max_steps`, so a share of it would mislead.
-    return tqdm(desc=description, unit=" steps", disable=not progress, leave=False)

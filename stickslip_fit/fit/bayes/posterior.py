@@ -12,11 +12,10 @@ import pandas as pd
 from stickslip_fit.fit.bayes.means import BOUNDS
 from stickslip_fit.fit.bayes.priors import Priors
 from stickslip_fit.fit.bayes.tree import branch_name
-from stickslip_fit.fit.result import Result
+from stickslip_fit.fit.result import AxesOf, Result
 from stickslip_fit.fit.summary import summary
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from xarray import Dataset, DataTree
 
 Array = npt.NDArray[np.float64]
@@ -42,15 +41,24 @@ class Posterior:
     priors: Priors
     diagnostics: pd.DataFrame
 
-    def __str__(self) -> str:
-        return f"{summary(self.result)}\n\n{self.quality}\n\nPriors\n{self.priors}"
+    def __repr__(self) -> str:
+        return self.summary()
 
     def _repr_html_(self) -> str:
         from stickslip_fit.report.display import posterior_html
 
         return posterior_html(self)
 
-    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> Figure:
+    def summary(self) -> str:
+        """As a result's, with how good the draws are, and the priors."""
+        return f"{summary(self.result)}\n\n{self.quality}\n\nPriors\n{self.priors}"
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """See `Result.parameters`; means of the draws, and intervals between their quantiles."""
+        return self.result.parameters
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesOf:
         """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
 
         Raises
@@ -58,11 +66,12 @@ class Posterior:
         InputError
             If there is no such session, joint or direction, or its draws have not converged.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.corner import plot_draws
 
-        return plot_draws(self, joint, direction, session)
+        return panels(plot_draws(self, joint, direction, session))
 
-    def plot_forest(self, joint: int) -> Figure:
+    def plot_forest(self, joint: int) -> AxesOf:
         """Every session's parameters of a joint beside the campaign's mean.
 
         Raises
@@ -70,11 +79,12 @@ class Posterior:
         InputError
             If the joint was not fitted.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.forest import plot_forest
 
-        return plot_forest(self.result, joint, self.campaign_means())
+        return panels(plot_forest(self.result, joint, self.campaign_means()))
 
-    def plot_control(self) -> Figure:
+    def plot_control(self) -> AxesOf:
         """See `Result.plot_control`."""
         return self.result.plot_control()
 

@@ -17,6 +17,7 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
+from stickslip_fit.report.figures.svg import name_traverses
 from stickslip_fit.report.figures.sweep_picture import direction_kinds
 from stickslip_fit.report.figures.traverses import thinned
 from stickslip_fit.report.wording import count, joint_name, percent
@@ -58,7 +59,8 @@ def draw_departures(rows: pd.DataFrame, limit: float) -> Figure:
             for direction, colour in DIRECTION_COLOURS.items():
                 mine = (rows["direction"] == direction).to_numpy()
                 y = 100 * np.clip(rows["departure"].to_numpy()[mine], -limit, limit)
-                axis.plot(x[mine], y, ls="", marker="o", ms=2.0, mew=0, alpha=0.6, color=colour)
+                (points,) = axis.plot(x[mine], y, ls="", marker="o", ms=2.0, mew=0, alpha=0.6, color=colour)
+                name_traverses(points, rows.index[mine])
             axis.set_xlabel(label)
             if "°" in label:
                 angle_ticks(axis, np.nanmin(x), np.nanmax(x), 3 if len(quantities) > 5 else 4)

@@ -25,6 +25,7 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
+from stickslip_fit.report.figures.svg import name_traverses
 from stickslip_fit.report.quantities import label_of, quantities
 from stickslip_fit.report.wording import joint_name, percent, way
 
@@ -36,6 +37,7 @@ QUANTILE, ZOOM = 0.98, 1.35
 BAND = "#dcdcd8"
 TWO_SIDED = 1.96
 ACROSS = 4  # panels side by side
+SMALLEST = 0.01  # %: a law with as many parameters as traverses leaves nothing
 FURTHEST = 3.0  # times what is left: the scale cuts what was there before
 POINT = "traverse"
 BEFORE = "the traverse before (%)"
@@ -136,7 +138,7 @@ def draw_everything(joint: int, shown: Shown) -> Figure:
             _ticks(axis, label, values[kept], 4)
         for axis in axes.ravel()[len(columns) :]:
             axis.set_axis_off()
-        limit = 1.1 * max(reach, min(before, FURTHEST * reach))
+        limit = 1.1 * max(reach, min(before, FURTHEST * reach), SMALLEST)
         axes[0, 0].set_ylim(-limit, limit)
         for axis in axes[:, 0]:
             axis.set_ylabel("count less law (%)")
@@ -160,7 +162,8 @@ def _points(axis: Axes, values: Array, residual: Array, mine: Mask, limit: float
         if len(rows) > POINTS:
             rows = np.sort(np.random.default_rng(0).choice(rows, POINTS, replace=False))
         y = np.clip(100 * residual[rows], -limit, limit)
-        axis.plot(values[rows], y, ls="", marker="o", ms=1.8, mew=0, alpha=0.35, color=colour)
+        (points,) = axis.plot(values[rows], y, ls="", marker="o", ms=1.8, mew=0, alpha=0.35, color=colour)
+        name_traverses(points, shown.rows.index[rows])
 
 
 def _means(axis: Axes, values: Array, residual: Array, chance: Array, mine: Mask, shown: Shown) -> float:

@@ -26,6 +26,7 @@ from stickslip_fit.report.figures.style import (
     legend_rows,
     look,
 )
+from stickslip_fit.report.figures.svg import name_traverses
 from stickslip_fit.units import from_si
 
 POINTS_A_PANEL = 400
@@ -119,13 +120,14 @@ def _draw_step_sizes(
     axes: Axes, panel: Panel, kinds: dict[str, Kind], sessions: list[str], unit: str
 ) -> None:
     for (kind, session), points in panel.points.groupby(["kind", "session"], sort=False, observed=True):
-        axes.errorbar(
+        drawn = axes.errorbar(
             points["x"],
             from_si(points["step_size"].to_numpy(), unit),
             yerr=from_si(points["error"].to_numpy(), unit),
             xerr=points["half_width"] if points["half_width"].any() else None,
             **_style(kinds[kind], sessions.index(session)),
         )
+        name_traverses(drawn[0], points.index)
 
 
 def _draw_departures(
@@ -141,7 +143,9 @@ def _draw_departures(
         shown = np.clip(departure, -limit, limit)
         style = _style(kinds[kind], sessions.index(session))
         error = 100 * (points["error"] / points["step_size"]).to_numpy()
-        axes.errorbar(points["x"] + aside, shown, yerr=np.where(shown == departure, error, 0.0), **style)
+        bars = np.where(shown == departure, error, 0.0)
+        drawn = axes.errorbar(points["x"] + aside, shown, yerr=bars, **style)
+        name_traverses(drawn[0], points.index)
         beyond = shown != departure
         axes.plot(
             (points["x"] + aside)[beyond], shown[beyond], ls="", marker="x", ms=6, color=INK, clip_on=False

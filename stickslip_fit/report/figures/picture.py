@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -11,8 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from stickslip_fit.report.figures.style import look
-
-_NAMED = re.compile(r'(\bid="|href="#|url\(#)')
+from stickslip_fit.report.figures.svg import compact
 
 
 @dataclass(frozen=True)
@@ -55,10 +53,4 @@ def to_svg(figure: Figure, key: str) -> str:
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with look(), mpl.rc_context({"svg.hashsalt": key}):
         figure.savefig(stream, format="svg", metadata=nothing)
-    text = stream.getvalue()
-    head, body = text[text.index("<svg") :].split(">", 1)
-    view_box = re.findall(r'viewBox="[^"]*"', head)[0]
-    # Groups are named alike in every figure, and nothing refers to them.
-    body = re.sub(r'<g id="[^"]*">', "<g>", body)
-    body = re.sub(r"<[^>]*>", lambda tag: _NAMED.sub(rf"\1{key}-", tag[0]), body)
-    return f'<svg {view_box} aria-hidden="true">{body.strip()}'
+    return compact(stream.getvalue(), key)

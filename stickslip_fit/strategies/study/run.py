@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from stickslip_fit.errors import InputError
+from stickslip_fit.fit.progress import bar
 from stickslip_fit.strategies.study.backends import Backend, Cores
 from stickslip_fit.strategies.study.campaigns import APART
 from stickslip_fit.strategies.study.chunk import Chunk
@@ -94,10 +95,8 @@ def _from_store(
 def _worked_on(
     chunks: Sequence[Chunk], backend: Backend, progress: bool, done: int
 ) -> Iterator[tuple[int, pd.DataFrame]]:
-    from tqdm import tqdm
-
     total = done + sum(map(len, chunks))
-    shown = tqdm(total=total, initial=done, unit=" campaigns", disable=None if progress else True)
+    shown = bar(progress, total=total, initial=done, unit=" campaigns")
     with shown, closing(backend.run(chunks)) as results:
         for place, table in results:
             shown.update(len(chunks[place]))

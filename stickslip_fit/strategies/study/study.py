@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.strategies.study.chunk import TIP
 from stickslip_fit.strategies.study.design import Design
 from stickslip_fit.strategies.study.plan import StudyPlan
 from stickslip_fit.strategies.study.summary import summarise, summarise_tips
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,23 +32,28 @@ class Study:
     campaigns: pd.DataFrame
     command: str = ""
 
-    def __str__(self) -> str:
-        from stickslip_fit.strategies.study.text import text
-
-        return text(self)
+    def __repr__(self) -> str:
+        return self.summary()
 
     def _repr_html_(self) -> str:
         from stickslip_fit.report.study import study_html
 
         return study_html(self)
 
-    def plot_errors(self) -> Figure:
+    def summary(self) -> str:
+        """The answer for each joint and for the tip, then every number, as text."""
+        from stickslip_fit.strategies.study.text import text
+
+        return text(self)
+
+    def plot_errors(self) -> AxesOf:
         """Calibration time against the error of the mean step size, scenario by scenario."""
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.study import plot_errors
 
-        return plot_errors(self)
+        return panels(plot_errors(self))
 
-    def plot_tips(self) -> Figure:
+    def plot_tips(self) -> AxesOf:
         """The tip's error after open-loop moves, by scenario and strategy.
 
         Raises
@@ -59,9 +61,10 @@ class Study:
         InputError
             If the study made no moves.
         """
+        from stickslip_fit.report.figures.axes import panels
         from stickslip_fit.report.figures.study import plot_tips
 
-        return plot_tips(self)
+        return panels(plot_tips(self))
 
     @property
     def joints(self) -> tuple[int, ...]:

@@ -70,7 +70,7 @@ def test_files_hold_every_number_in_peoples_units(found, tmp_path):
 
 
 def test_charts_show_every_scenario_joint_and_strategy(found):
-    figure = found.plot_errors()
+    figure = found.plot_errors().figure
     assert len(figure.axes) == 2 * 3
     shown = [text.get_text() for text in figure.legends[0].get_texts()]
     assert shown[:3] == ["constant step", "closed form", "least squares, I-optimal +2"]
@@ -79,7 +79,7 @@ def test_charts_show_every_scenario_joint_and_strategy(found):
         line.get_ydata()[0] for line in figure.axes[-1].lines if line.get_marker() not in ("None", "", None)
     )
     np.testing.assert_allclose(drawn, np.sort(100 * accuracy["a warm-up"][3]))
-    assert len(found.plot_tips().axes) == 2
+    assert len(found.plot_tips()) == 2
 
 
 def test_a_notebook_shows_it(found):

@@ -1,0 +1,64 @@
+"""The Python API room by room: one page for each, of what the room's own list of names has."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from types import ModuleType
+
+ROOMS = {
+    "units": ("stickslip_fit.units", "stickslip_fit.errors"),
+    "machine": ("stickslip_fit.machine",),
+    "logs": ("stickslip_fit.logs", "stickslip_fit.logs.plan", "stickslip_fit.logs.read_plan"),
+    "laws": ("stickslip_fit.laws",),
+    "causes": ("stickslip_fit.causes",),
+    "simulate": ("stickslip_fit.simulate",),
+    "fit": ("stickslip_fit.fit", "stickslip_fit.fit.predict", "stickslip_fit.fit.bayes"),
+    "anova": ("stickslip_fit.anova",),
+    "diagnose": ("stickslip_fit.diagnose", "stickslip_fit.diagnose.diagnosis"),
+    "moves": ("stickslip_fit.moves",),
+    "strategies": ("stickslip_fit.strategies", "stickslip_fit.strategies.study"),
+    "capture": (
+        "stickslip_fit.capture",
+        "stickslip_fit.capture.controller",
+        "stickslip_fit.capture.ear",
+        "stickslip_fit.capture.expected",
+        "stickslip_fit.capture.person",
+        "stickslip_fit.capture.source",
+        "stickslip_fit.capture.tuning",
+    ),
+    "report": ("stickslip_fit.report",),
+}
+
+
+def pages() -> dict[str, str]:
+    """The page of each room."""
+    return {room: "\n\n".join([f"# {room}", *map(_section, names)]) for room, names in ROOMS.items()}
+
+
+def _section(name: str) -> str:
+    module = import_module(name)
+    names = _names(module)
+    listed = "\n".join(f"   {each}" for each in names)
+    directives = "\n\n".join(f".. auto{_kind(getattr(module, each))}:: {each}" for each in names)
+    summary = f".. autosummary::\n   :nosignatures:\n\n{listed}\n\n{directives}" if names else ""
+    rst = f".. automodule:: {name}\n   :no-members:\n\n.. currentmodule:: {name}\n\n{summary}"
+    return f"## {name}\n\n```{{eval-rst}}\n{rst}\n```"
+
+
+def _names(module: ModuleType) -> list[str]:
+    """What the module offers: its own list, or else what it defines."""
+    listed = getattr(module, "__all__", None)
+    if listed is not None:
+        return list(listed)
+    return [
+        name
+        for name, thing in vars(module).items()
+        if not name.startswith("_") and getattr(thing, "__module__", "") == module.__name__
+    ]
+
+
+def _kind(thing: object) -> str:
+    if inspect.isclass(thing):
+        return "exception" if issubclass(thing, BaseException) else "class"
+    return "function" if callable(thing) and hasattr(thing, "__code__") else "data"

@@ -1,0 +1,1 @@
+"""What a page's script is given, and a policy that lets nothing else run."""

@@ -1,0 +1,140 @@
+"""Every command and snippet of README, CONTRIBUTING and docs is run, page by page and in order."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import shutil
+import tomllib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import pytest
+from joblib import parallel_config
+
+from tests.docs.commands import ROOT, lines, obey
+from tests.docs.fences import Fence, fences
+from tests.docs.files import make_files
+from tests.docs.remembered import Remembered
+
+Run = Callable[..., tuple[int, str, str]]
+LOOSELY = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+NOT_OURS = ("generated", "_build")
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not {*page.parts} & {*NOT_OURS}),
+]
+WITH_CODE = [page for page in PAGES if any(fences(page))]
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    make_files(folder)
+    return folder
+
+
+@pytest.fixture
+def desk(files, tmp_path, monkeypatch) -> Path:
+    """A folder like the one that a reader is in."""
+    shutil.copytree(files, tmp_path, symlinks=True, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    # Without processes of their own, whose imports would take longer than these small jobs.
+    with mpl.rc_context({"backend": "agg"}), parallel_config(backend="sequential"):
+        yield tmp_path
+
+
+@pytest.fixture(scope="session")
+def remembered() -> Remembered:
+    return Remembered()
+
+
+@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_does_what_it_says(page: Path, desk: Path, run: Run, remembered: Remembered) -> None:
+    run = partial(remembered.run, run)
+    found = list(fences(page))
+    for fence in found:
+        if fence.shows:
+            (desk / fence.shows).write_text(fence.text, "utf-8")
+    names: dict[str, Any] = {"__name__": page.stem}
+    for fence in found:
+        reader = READERS.get(fence.language)
+        assert reader is not None, f"{page}:{fence.line}: no test knows what to do with {fence.language!r}"
+        reader(fence, page, names, run)
+
+
+def _python(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    # Empty lines before it, so that a traceback names the page's own line.
+    exec(compile("\n" * (fence.line - 1) + fence.text, str(page), "exec"), names)
+
+
+def _doctest(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    test = doctest.DocTestParser().get_doctest(fence.text, names, page.name, str(page), fence.line - 1)
+    failed: list[str] = []
+    doctest.DocTestRunner(optionflags=LOOSELY).run(test, out=failed.append, clear_globs=False)
+    names.update(test.globs)
+    assert not failed, "".join(failed)
+
+
+def _shell(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    for line in lines(fence.text, fence.line):
+        try:
+            obey(line, run)
+        except Exception as error:
+            pytest.fail(f"{page}:{line.number}: {line.text}\n{error}")
+
+
+def _console(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    """Commands after ``$``, each with what it prints; ``refused`` where that is why it is refused."""
+    for number, command, shown in _dialogue(fence):
+        if "refused" in fence.words:
+            status, _, said = run(*command.split()[1:])
+            assert status == 2, f"{page}:{number}: {command}: ends with status {status}, not 2"
+        else:
+            (line,) = lines(command, number)
+            try:
+                said = obey(line, run)
+            except AssertionError as error:
+                pytest.fail(f"{page}:{number}: {command}\n{error}")
+        fine = doctest.OutputChecker().check_output(shown, said, LOOSELY)
+        assert fine, f"{page}:{number}: {command}\nthe page shows\n{shown}\nit prints\n{said}"
+
+
+def _dialogue(fence: Fence) -> list[tuple[int, str, str]]:
+    found: list[tuple[int, str, str]] = []
+    for number, line in enumerate(fence.text.splitlines(), start=fence.line):
+        if line.startswith("$ "):
+            found.append((number, line[2:], ""))
+        else:
+            place, command, shown = found[-1]
+            found[-1] = (place, command, f"{shown}{line}\n")
+    return found
+
+
+def _toml(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    tomllib.loads(fence.text)
+
+
+def _json(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    json.loads(fence.text)
+
+
+def _csv(fence: Fence, page: Path, names: dict[str, Any], run: Run) -> None:
+    widths = {line.count(",") for line in fence.text.splitlines()}
+    assert len(widths) == 1, f"{page}:{fence.line}: rows of different length"
+
+
+READERS = {
+    "python": _python,
+    "pycon": _doctest,
+    "sh": _shell,
+    "console": _console,
+    "toml": _toml,
+    "json": _json,
+    "csv": _csv,
+    "text": lambda *_: None,
+}
