@@ -40,7 +40,9 @@ def _section(title: str, verb: Any) -> str:
 
 
 def _metavar(argument: Any) -> str:
-    return argument.metavar or argument.name.upper()
+    name = argument.metavar or argument.name.upper()
+    several = f"{name}..." if argument.nargs == -1 else name
+    return several if argument.required else f"[{several}]"
 
 
 def _records(options: list[Any], context: Any) -> list[tuple[str, str]]:

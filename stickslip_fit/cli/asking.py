@@ -79,7 +79,7 @@ def diagnose(
 def plan(
     source: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...|PLAN", help="A campaign log, or the plan of a campaign (TOML)."),
+        typer.Argument(metavar="LOG|PLAN", help="A campaign log, or the plan of a campaign (TOML)."),
     ],
     law: Annotated[
         Path | None,

@@ -10,7 +10,7 @@ import typer
 
 LogPath = Annotated[
     list[Path],
-    typer.Argument(metavar="LOG...", help="Campaign log: CSV or Parquet files, or a folder of them."),
+    typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them."),
 ]
 MachinePath = Annotated[
     Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
@@ -24,9 +24,7 @@ Chart = Annotated[
 PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")]
 Calibration = Annotated[
     list[Path],
-    typer.Argument(
-        metavar="LOG|RESULT...", help="A campaign log to fit, or a result saved with `fit --json`."
-    ),
+    typer.Argument(metavar="LOG|RESULT", help="A campaign log to fit, or a result saved with `fit --json`."),
 ]
 Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
 Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]

@@ -57,7 +57,7 @@ def report(
 
 def demo(
     log: Annotated[
-        list[Path] | None, typer.Argument(metavar="[LOG...]", help="The reference campaign without it.")
+        list[Path] | None, typer.Argument(metavar="LOG", help="The reference campaign without it.")
     ] = None,
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
