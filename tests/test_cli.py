@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -245,3 +247,14 @@ def test_an_interrupted_run_says_so_and_leaves_nothing(run, monkeypatch, tmp_pat
     status, _, said = run("report", REFERENCE / "campaign.csv", "-o", str(tmp_path / "report.html"))
     assert (status, said) == (130, "interrupted; nothing was left half-written\n")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.nightly
+def test_a_faulty_log_ends_with_status_2_every_time(tmp_path):
+    """Threads that outlive the message used to abort one run in fifteen."""
+    path = tmp_path / "log.csv"
+    path.write_text("session,time,joint,direction,steps,q1_deg,q2_deg,q3_mm,theta_deg,psi_deg\n"
+                    "a,2026-03-02T08:30:00,3,+,12150.5,0,-90,,0,0\n")  # fmt: skip
+    program = [sys.executable, "-m", "stickslip_fit", "check", str(path)]
+    ended = [subprocess.run(program, capture_output=True, check=False).returncode for _ in range(100)]
+    assert ended == [2] * 100

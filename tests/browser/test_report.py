@@ -47,12 +47,16 @@ def example(page):
 @pytest.fixture(scope="module")
 def hostile(campaign, tmp_path_factory):
     """The report of a log that tries everything, in a file whose name does too."""
-    days = [f"2012-03-{day:02d}" for day in range(5, 5 + len(HOSTILE))]
-    table = campaign(tuple(days), SETTINGS)
+    days = tuple(f"2012-03-{day:02d}" for day in range(5, 5 + len(HOSTILE)))
+    table = campaign(days, SETTINGS)
     table["session"] = table["session"].replace(dict(zip(days, HOSTILE, strict=True)))
     table["note"] = NOTE
     table["<i onclick=alert(6)>column</i>"] = range(len(table))
-    path = tmp_path_factory.mktemp("hostile") / "<img src=x onerror=alert(7)>.csv"
+    return reported(table, tmp_path_factory.mktemp("hostile") / "<img src=x onerror=alert(7)>.csv")
+
+
+def reported(table, path):
+    """Where the report of a table is."""
     table.to_csv(path, index=False)
     log = read_log(path)
     calibration = closed_form(log)
@@ -199,7 +203,7 @@ def test_axe_finds_nothing(visit, axe, scheme):
 
 
 def test_on_paper_there_are_no_controls_and_nothing_is_cut(visit):
-    paper = {"width": 688, "height": 1000}  # what the margins leave of A4, at 96 pixels an inch
+    paper = {"width": 703, "height": 1000}  # what the margins leave of A4, at 96 pixels an inch
     page = visit(viewport=paper, color_scheme="dark").open(EXAMPLE)
     page.locator("#session").select_option(label=DAY)
     page.emulate_media(media="print")
@@ -236,6 +240,17 @@ def test_a_hostile_log_is_inert(page, hostile, axe):
     assert page.locator("img, b, i, [onclick], [onload], [onerror], body svg script").count() == 0
     assert page.evaluate("() => window.ran") is None
     assert axe(page) == []
+
+
+def test_a_log_of_one_traverse_of_a_joint_is_shown_too(page, campaign, tmp_path):
+    table = campaign(("2012-03-05",), (SETTINGS[0], {"joint": 1}), ("+",), replicates=1)
+    page.goto(reported(table, tmp_path / "few.csv").as_uri())
+    for joint in (1, 3):
+        chosen_joint(page, joint)
+        page.locator("#sizes").focus()
+        assert "2012-03-05" in said(page)
+        assert dots(page, "sizes", "path.plus") == 1
+        page.locator("#departures").focus()
 
 
 def test_the_policy_stops_what_is_not_the_page_s_own(visit):

@@ -63,6 +63,7 @@ def test_a_law_that_is_not_known_is_null(campaign, reported):
     (joint,) = json.loads(page.scripts[0])["joints"]
     assert joint["repeatability"][1] is None
     assert len(joint["seen"]) == 1
+    assert [each["label"] for each in joint["quantities"]] == ["hours in session"]
 
 
 def test_of_very_many_traverses_the_drawn_the_furthest_and_some_others_are_kept():

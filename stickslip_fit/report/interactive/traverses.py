@@ -15,7 +15,7 @@ from stickslip_fit.fit import Result
 from stickslip_fit.logs import Log
 from stickslip_fit.report.figures.departures import POINTS
 from stickslip_fit.report.figures.traverses import POSITION, recent, repeatability_of, thinned, traverses_of
-from stickslip_fit.report.quantities import quantities
+from stickslip_fit.report.quantities import HOURS, quantities
 from stickslip_fit.report.wording import DECIMALS, configuration, joint_name, step_unit, way
 from stickslip_fit.units import from_si
 
@@ -82,7 +82,7 @@ def _joint(
         "seen": _scaled(from_si(rows["step_size"].to_numpy(float), unit), per),
         "law": _scaled(from_si(rows["model"].to_numpy(float), unit), per),
         "notes": {str(row): shorten(str(note), LONGEST_NOTE) for row, note in rows["note"].items() if note},
-        "quantities": [_quantity(label, values) for label, values in quantities(rows).items()],
+        "quantities": [_quantity(label, values) for label, values in _axes(rows).items()],
     }
 
 
@@ -94,6 +94,11 @@ def _configurations(rows: pd.DataFrame, span: float) -> tuple[list[int], list[st
     texts = [configuration(row, span) for _, row in first.iterrows()]
     different = list(dict.fromkeys(texts))  # both directions of a full traverse read alike
     return [different.index(texts[place]) for place in places], different
+
+
+def _axes(rows: pd.DataFrame) -> dict[str, Array]:
+    """What varied; the hours where nothing did."""
+    return quantities(rows) or {HOURS: from_si(rows["session_seconds"].to_numpy(float), "h")}
 
 
 def _quantity(label: str, values: Array) -> dict[str, Any]:

@@ -17,7 +17,6 @@
   for (const joint of data.joints) joint.row.forEach((row, k) => places.set(row, { joint, k }));
 
   // ---- what is told of a traverse
-
   const counted = (value) => value.toLocaleString("en");
   const decimals = (value, digits) => value.toFixed(digits).replace("-", MINUS);
   const departure = (joint, k) => joint.law[k] === null ? null : 100 * (joint.seen[k] / joint.law[k] - 1);
@@ -25,7 +24,8 @@
     new Date(1000 * (data.begun + joint.time[k])).toISOString().slice(0, 19).replace("T", " ");
 
   function told(joint, k) {
-    const size = (value) => `${decimals(value / joint.per, Math.log10(joint.per) - 1)}${SPACE}${joint.unit}`;
+    const digits = Math.round(Math.log10(joint.per)) - 1;
+    const size = (value) => `${decimals(value / joint.per, digits)}${SPACE}${joint.unit}`;
     const off = departure(joint, k), note = joint.notes[joint.row[k]];
     const law = off === null ? "the law is not known" : `law ${size(joint.law[k])}`;
     const less = off === null ? "" : `, seen less law ${off > 0 ? "+" : ""}${decimals(off, 2)}${SPACE}%`;
@@ -50,9 +50,7 @@
     for (const chart of charts) chart.mark();
   }
 
-  function hide() {
-    tip.hidden = true;
-  }
+  const hide = () => { tip.hidden = true; };
 
   // ---- charts drawn here
 
@@ -98,9 +96,8 @@
       const [x, y] = [this.what.x(joint), this.what.y(joint)];
       const wanted = (k) => x[k] !== null && y[k] !== null && (!state.sign || joint.sign[k] === state.sign);
       this.order = joint.row.map((_, k) => k).filter(wanted).sort((a, b) => x[a] - x[b] || a - b);
-      const what = `${this.what.yLabel(joint)} against ${this.what.xLabel()}`;
-      const keys = "Arrow keys go from traverse to traverse, Enter follows its session.";
-      this.svg.setAttribute("aria-label", `${what}. ${keys}`);
+      const title = `${this.what.yLabel(joint)} against ${this.what.xLabel()}`;
+      this.svg.setAttribute("aria-label", `${title}. Arrow keys: next traverse. Enter: follow its session.`);
       this.wide = this.svg.clientWidth || 600;
       this.tall = this.svg.clientHeight || 240;
       this.svg.setAttribute("viewBox", `0 0 ${this.wide} ${this.tall}`);
@@ -122,8 +119,7 @@
 
     axes(across, up, ends, reach) {
       const floor = this.tall - MARGIN.bottom, right = this.wide - MARGIN.right, label = this.what.xLabel();
-      const level = (value, kind) =>
-        make("path", { class: kind, d: `M${MARGIN.left} ${up(value)}H${right}` });
+      const level = (at, kind) => make("path", { class: kind, d: `M${MARGIN.left} ${up(at)}H${right}` });
       const text = (x, y, kind, what) => make("text", { x, y, class: kind }, what);
       const inReach = ([value]) => value >= reach[0] && value <= reach[1];
       const name = make("text", { transform: `translate(14 ${floor / 2}) rotate(-90)`, class: "middle" });
@@ -176,8 +172,8 @@
     key(event) {
       const now = this.order.indexOf(state.at), last = this.order.length - 1;
       const [next, before] = [Math.min(now + 1, last), Math.max(now - 1, 0)];
-      const arrows = { ArrowRight: next, ArrowUp: next, ArrowLeft: before, ArrowDown: before };
-      const moves = { ...arrows, Home: 0, End: last };
+      const right = { ArrowRight: next, ArrowUp: next, End: last };
+      const moves = { ...right, ArrowLeft: before, ArrowDown: before, Home: 0 };
       if (event.key in moves) this.go(this.order[moves[event.key]]);
       else if (["Enter", " "].includes(event.key) && now >= 0) follow(state.joint.session[state.at]);
       else if (event.key === "Escape") follow(-1);
@@ -219,8 +215,7 @@
   function pointsOf(svg) {
     return [...svg.querySelectorAll("[data-traverses]")].flatMap((group) => {
       const named = group.dataset.traverses.split("."), drawn = [...group.querySelectorAll("use")];
-      const isWhole = named.length === drawn.length;
-      return isWhole ? drawn.map((point, k) => [point, places.get(Number(named[k]))]) : [];
+      return named.length === drawn.length ? drawn.map((each, k) => [each, places.get(+named[k])]) : [];
     });
   }
 
@@ -245,7 +240,6 @@
   }
 
   // ---- controls
-
   const within = (values) => {
     const sizes = values.map(Math.abs).sort((a, b) => a - b);
     const limit = 1.05 * Math.min(sizes.at(-1), ZOOM * sizes[Math.floor(QUANTILE * (sizes.length - 1))]) || 1;
@@ -288,11 +282,10 @@
     for (const chart of charts) chart.draw();
   }
 
-  if (!state.joint || !state.joint.quantities.length) return;
   for (const part of document.querySelectorAll("[data-script]")) part.hidden = false;
   find("session").replaceChildren(option(-1, "none"), ...data.sessions.map((name, k) => option(k, name)));
   box.addEventListener("change", ({ target }) => {
-    if (target.name === "joint") state.joint = data.joints.find(({ joint }) => joint === Number(target.value));
+    if (target.name === "joint") state.joint = data.joints.find(({ joint }) => joint === +target.value);
     if (target.name === "sign") state.sign = target.value;
     if (target.id === "session") return follow(Number(target.value));
     if (target.id !== "quantity") return redraw();
