@@ -62,5 +62,12 @@ html_theme_options = {
 
 
 def setup(app: Any) -> None:
-    """CSV is shown as it is."""
+    """CSV is shown as it is; code that is too wide for the page can be scrolled by keyboard."""
     app.add_lexer("csv", TextLexer)
+    app.connect("html-page-context", _reach_by_keyboard)
+
+
+def _reach_by_keyboard(app: Any, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    if "body" in context:
+        body = context["body"].replace("<pre>", '<pre tabindex="0">')
+        context["body"] = body.replace('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper')

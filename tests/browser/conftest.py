@@ -103,7 +103,7 @@ def axe() -> Callable[..., list[str]]:
         page.locator("svg[aria-hidden=true]").evaluate_all("all => all.forEach(svg => svg.replaceChildren())")
         # Set by the debugger, not by the page: the page's own policy would refuse it.
         page.evaluate(source)
-        options = {"runOnly": RULES, "resultTypes": ["violations"]}
+        options = {"runOnly": RULES, "resultTypes": ["violations"], "preload": False}
         found = page.evaluate("options => axe.run(document, options)", options)["violations"]
         return [
             f"{each['id']} ({len(each['nodes'])}): {each['help']}; {each['nodes'][0]['html'][:200]}"

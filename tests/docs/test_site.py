@@ -1,46 +1,30 @@
-"""The built site: no warnings, links inside it lead somewhere, and nothing is fetched from elsewhere.
-
-One test, since the site takes half a minute to build.
-"""
+"""The built site: no warnings, links inside it lead somewhere, and nothing is fetched from elsewhere."""
 
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import SplitResult, unquote, urlsplit
 
-import pytest
-
 from stickslip_fit.causes import library
 from stickslip_fit.logs.columns import FIELDS
-from tests.docs.commands import ROOT, all_options
+from tests.docs.commands import all_options
+from tests.docs.site import built_site
 
 FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "srcset", "video": "src"}
 NO_FETCH = ("index", "search", "next", "prev", "canonical")
 FETCHED_BY_STYLE = re.compile(r"""(?:@import\s+|url\()\s*['"]?([^'")]+)""")
 
 
-def test_the_site_is_whole_and_keeps_to_itself(tmp_path):
-    for package in ("sphinx", "myst_nb", "numpydoc", "furo", "latex2mathml"):
-        pytest.importorskip(package, reason=f"{package} is not installed: pip install 'stickslip-fit[docs]'")
-    site = _built(tmp_path)
+def test_the_site_is_whole_and_keeps_to_itself(tmp_path_factory):
+    site = built_site(tmp_path_factory)
     pages = {path: _read(path) for path in sorted(site.rglob("*.html"))}
     _links_lead_somewhere(pages)
     _nothing_is_fetched_from_another_host(site, pages)
     _equations_are_drawn_without_a_script(site)
     _the_reference_has_every_option_cause_and_column(site)
-
-
-def _built(folder: Path) -> Path:
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
-    where = ["-d", str(folder / "doctrees"), str(ROOT / "docs"), str(folder / "html")]
-    built = subprocess.run([*command, *where], capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stderr
-    return folder / "html"
 
 
 @dataclass
