@@ -239,6 +239,14 @@ def test_every_fault_of_a_log_is_told_and_nothing_is_written(run, log, tmp_path)
     assert not (tmp_path / "report.html").exists()
 
 
+def test_what_was_asked_for_is_saved_whoever_stops_reading(log, tmp_path):
+    program = [sys.executable, "-m", "stickslip_fit", "fit", log, "--json", str(tmp_path / "fit.json")]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as fitting:
+        fitting.stdout.close()
+    assert fitting.returncode == 141
+    assert (tmp_path / "fit.json").exists()
+
+
 def test_an_interrupted_run_says_so_and_leaves_nothing(run, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -225,12 +225,12 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     assert "published, since no cause was named" in diagnosing.save_law(nothing, Path("plain.json"))
 
 
-def test_the_readme_s_example_comes_out_as_printed_there(run):
-    readme = (REFERENCE.parents[1] / "README.md").read_text("utf-8")
-    causes = re.search(r"```toml\n(.*?)```", readme, re.S)[1]
-    printed = re.search(r"```\n(departures from the published laws.*?)```", readme, re.S)[1]
-    Path("readme.toml").write_text(causes + (REFERENCE / "law.toml").read_text("utf-8"))
-    run("simulate", REFERENCE / "plan.toml", "--law", "readme.toml", "-o", "readme.csv")
+def test_the_guide_s_example_comes_out_as_printed_there(run):
+    guide = (REFERENCE.parents[1] / "docs" / "howto" / "extend-the-law.md").read_text("utf-8")
+    causes = re.search(r"```toml\n(.*?)```", guide, re.S)[1]
+    printed = re.search(r"```\n(departures from the published laws.*?)```", guide, re.S)[1]
+    Path("guide.toml").write_text(causes + (REFERENCE / "law.toml").read_text("utf-8"))
+    run("simulate", REFERENCE / "plan.toml", "--law", "guide.toml", "-o", "guide.csv")
     names = re.findall(r'name = "(.*)"', causes)
-    out = run("fit", "readme.csv", *(word for name in names for word in ("--cause", name)))[1]
+    out = run("fit", "guide.csv", *(word for name in names for word in ("--cause", name)))[1]
     assert printed in out

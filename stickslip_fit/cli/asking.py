@@ -41,10 +41,10 @@ def anova(
         tables = by_formula(campaign, formula, joint=joint, session=session, kind=kind)
         text = "\n\n".join(map(str, tables))
         records = [record for table in tables for record in table.to_json()]
-    print(text)
     if json is not None:
         save_records(records, json)
-        print(f"\nsaved to {json}")
+        text += f"\n\nsaved to {json}"
+    print(text)
 
 
 def diagnose(
@@ -69,11 +69,10 @@ def diagnose(
     diagnosing.refuse(json, report, save_law)
     campaign = log_of(log, machine, since, until)
     found = diagnosing.diagnosed(campaign, alpha, seed)
-    print(found)
-    if saved := diagnosing.save(found, json, report):
-        print("\n" + "\n".join(saved))
-    if save_law is not None:
-        print("\n" + diagnosing.save_law(diagnosing.law_found(campaign, found), save_law))
+    # Saved before anything is said: whoever reads the answer may stop reading.
+    saved = diagnosing.save(found, json, report)
+    law = diagnosing.save_law(diagnosing.law_found(campaign, found), save_law) if save_law else ""
+    print("\n\n".join(filter(None, [str(found), "\n".join(saved), law])))
 
 
 def plan(
@@ -111,6 +110,5 @@ def plan(
         found = planning.before_data(planned, truth, chosen, alpha, seed)
     else:
         found = planning.after_log(log_of(source, machine, since, until), alpha, seed)
-    print(found.text)
-    if saved := planning.save(found, json, chart):
-        print("\n" + "\n".join(saved))
+    saved = planning.save(found, json, chart)
+    print("\n\n".join(filter(None, [found.text, "\n".join(saved)])))

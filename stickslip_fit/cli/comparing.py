@@ -68,10 +68,11 @@ def compare(
         known = strategies.from_result(campaign, load_result(causes_from))
         compared += strategies.causes_strategies(known, more)
     found = strategies.compare(campaign, compared, at_hand=at_hand, command=command())
-    print("\n\n".join(filter(None, (str(found), worst_text(found), claimed_text(found)))))
+    told = [str(found), worst_text(found), claimed_text(found)]
     if numbers is not None:
         written = strategies.save_numbers(found, numbers)
-        print(f"\n{len(written)} tables saved in {numbers}")
+        told.append(f"{len(written)} tables saved in {numbers}")
     if chart is not None:
         write_figure(plot_pareto(found), chart, "pareto")
-        print(f"\nchart written to {chart}")
+        told.append(f"chart written to {chart}")
+    print("\n\n".join(filter(None, told)))

@@ -110,10 +110,11 @@ def predict(
     planned = read_plan(plan, result.machine)
     conditions = plan_conditions_of(condition, result)
     predicted = predict_plan(fitted, planned, session, conditions)
+    if output is not None:
+        write_atomically(output, predictions_csv(planned, predicted))
     print(predictions_text(result, planned, predicted))
     tell_of_conditions(result, conditions)
     if output is not None:
-        write_atomically(output, predictions_csv(planned, predicted))
         print(f"\nall {len(predicted):,} written to {output}")
 
 
@@ -127,6 +128,5 @@ def _fit(
 ) -> None:
     refuse(how, outputs)
     found = estimate(log_of(paths, machine, since, until), how)
-    print(found.text)
-    if saved := save(found, outputs):
-        print("\n" + "\n".join(saved))
+    saved = save(found, outputs)
+    print("\n\n".join(filter(None, [found.text, "\n".join(saved)])))

@@ -58,9 +58,9 @@ def study(
     except KeyboardInterrupt:
         print(f"\ninterrupted; the same command carries on from what {folder} keeps", file=sys.stderr)
         raise
-    print(found)
     written = studies.save_study(found, folder)
     charts = {"errors": plot_errors} | ({"tips": plot_tips} if planned.moves else {})
     for name, plot in charts.items():
         write_figure(plot(found), folder / f"{name}.png", name)
-    print(f"\n{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}")
+    saved = f"{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}"
+    print(f"{found}\n\n{saved}")

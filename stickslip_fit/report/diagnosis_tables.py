@@ -68,7 +68,7 @@ def gain_tables(diagnosis: Diagnosis) -> list[Table]:
         ("a new session, by its calibration", diagnosis.gain_new_session),
     ]
     rows = tuple(_gain(name, gain) for name, gain in lines if gain is not None)
-    if not rows or not diagnosis.findings:
+    if not rows or not named:
         return []
     columns = (
         Column("predicted", text=True),

@@ -12,6 +12,7 @@ from stickslip_fit.diagnose.diagnosis import Finding
 from stickslip_fit.diagnose.searching.search import Found
 from stickslip_fit.diagnose.shapes.memory import Memory
 from stickslip_fit.diagnose.telling.show import Shown, by_class, carrier, classes_of
+from stickslip_fit.report.figures.folded import folded
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,
@@ -65,7 +66,8 @@ def finding_picture(finding: Finding, found: Found, shape: Array, shown: Shown) 
 def draw_finding(finding: Finding, found: Found, shape: Array, shown: Shown) -> tuple[str, Figure]:
     """Joints side by side, before above after; what carries the finding, and the figure."""
     joints = [joint for joint in finding.joints if (shown.rows["joint"] == joint).any()]
-    label, values = _along(found, shape, shown, shown.rows["joint"].isin(joints).to_numpy())
+    mine = shown.rows["joint"].isin(joints).to_numpy()
+    label, values = folded(finding.carrier, shown.rows, shape) or _along(found, shape, shown, mine)
     sides = [("after", shown.after, shown.chance_after)]
     if found.version is not None:
         sides.insert(0, ("before", shown.before, shown.chance_before))
