@@ -40,6 +40,7 @@ def execute(notebook: NotebookNode) -> NotebookNode:
         notebook,
         timeout=SECONDS,
         record_timing=False,
+        coalesce_streams=True,  # in how many pieces a text arrives is chance
         resources={"metadata": {"path": str(HERE)}},
         extra_arguments=["--log-level=ERROR"],  # no word on how the kernel is reached
     )

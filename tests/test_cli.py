@@ -252,7 +252,8 @@ def test_an_interrupted_run_says_so_and_leaves_nothing(run, monkeypatch, tmp_pat
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stickslip_fit.files.write_atomically", interrupted)
-    status, _, said = run("report", REFERENCE / "campaign.csv", "-o", str(tmp_path / "report.html"))
+    quick = ("--no-diagnosis", "--no-strategies", "-o", str(tmp_path / "report.html"))
+    status, _, said = run("report", REFERENCE / "campaign.csv", *quick)
     assert (status, said) == (130, "interrupted; nothing was left half-written\n")
     assert not list(tmp_path.iterdir())
 

@@ -50,6 +50,7 @@ tau = "{TAU / 60:g} min"
 name = "reversal-loss"
 L = "{LOST} steps"
 """
+QUICK = ("--no-diagnosis", "--no-strategies")
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 
 
@@ -192,7 +193,7 @@ def test_a_session_to_come_is_simulated_from_a_result_and_calibrated_with_its_ca
 
 
 def test_the_report_is_of_the_extended_law(run):
-    assert run("report", "log.csv", "--cause", "thermal-warm-up", "-o", "with.html")[0] == 0
+    assert run("report", "log.csv", "--cause", "thermal-warm-up", "-o", "with.html", *QUICK)[0] == 0
     page = Path("with.html").read_text("utf-8")
     assert page.count("thermal-warm-up.A</") == 1
     assert "Departures from the published laws" in page
@@ -228,7 +229,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
 def test_the_guide_s_example_comes_out_as_printed_there(run):
     guide = (REFERENCE.parents[1] / "docs" / "howto" / "extend-the-law.md").read_text("utf-8")
     causes = re.search(r"```toml\n(.*?)```", guide, re.S)[1]
-    printed = re.search(r"```\n(departures from the published laws.*?)```", guide, re.S)[1]
+    printed = re.search(r"```text\n(departures from the published laws.*?)```", guide, re.S)[1]
     Path("guide.toml").write_text(causes + (REFERENCE / "law.toml").read_text("utf-8"))
     run("simulate", REFERENCE / "plan.toml", "--law", "guide.toml", "-o", "guide.csv")
     names = re.findall(r'name = "(.*)"', causes)
