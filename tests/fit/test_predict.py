@@ -53,10 +53,11 @@ def days(count):
     return ", ".join(f"2012-03-{day:02d}" for day in range(5, 5 + count))
 
 
+@pytest.mark.parametrize("campaigns", [80, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("estimator", [closed_form, least_squares])
-def test_intervals_hold_the_counts_of_a_plan(planned, estimator):
-    """200 campaigns; what a count is rounded up to adds half a per cent to the 95."""
-    campaigns, first, then = 200, planned(CALIBRATION), planned(FRESH)
+def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
+    """What a count is rounded up to adds half a per cent to the 95."""
+    first, then = planned(CALIBRATION), planned(FRESH)
     hits = np.empty((campaigns, len(then.rows())))
     for seed in range(campaigns):
         fit = estimator(simulate(first, truth(), load_machine(), seed=seed))
