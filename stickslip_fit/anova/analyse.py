@@ -16,6 +16,7 @@ from stickslip_fit.anova.normal_force import normal_force
 from stickslip_fit.anova.question import Choose, Question, Refusal, most_read
 from stickslip_fit.anova.readings import readings, selected
 from stickslip_fit.anova.record import COLUMNS, record
+from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs import Log
 
 
@@ -49,6 +50,19 @@ class Anova:
         from stickslip_fit.anova.text import anova_text
 
         return anova_text(self)
+
+    def plot_factor(self, joint: int, factor: str) -> AxesOf:
+        """One joint's readings by ``day``, ``direction`` or ``normal-force``.
+
+        Raises
+        ------
+        InputError
+            If that was not answered.
+        """
+        from stickslip_fit.report.figures.axes import panels
+        from stickslip_fit.report.figures.factors import plot_factor
+
+        return panels(plot_factor(joint, factor, self.answers))
 
     @property
     def table(self) -> pd.DataFrame:

@@ -42,8 +42,11 @@ class TipErrors:
     table: pd.DataFrame
 
     def __repr__(self) -> str:
-        """The summary as text, in µm and %."""
-        shown = self.summary()
+        return self.summary()
+
+    def summary(self) -> str:
+        """The distribution of each strategy's errors as text, in µm and %."""
+        shown = self.distribution()
         lengths = ("rms", "median", "often", "worst", "bias")
         lines = [
             [
@@ -70,7 +73,7 @@ class TipErrors:
 
         return panels(plot_tip_errors(self))
 
-    def summary(self, *by: str) -> pd.DataFrame:
+    def distribution(self, *by: str) -> pd.DataFrame:
         """The distribution of each strategy's errors.
 
         Parameters
@@ -148,11 +151,11 @@ def tip_errors(
     >>> wrong = right | {(3, "+"): steps_by_parameters(laws[3], values[3, "+"] * [1.01, 1.0, 1.01])}
     >>> paths = random_paths(machine, count=200, seed=1)
     >>> found = tip_errors(paths, Truth(["Monday"], laws, values), {"right": right, "wrong": wrong}, [1])
-    >>> found.summary("number")[["strategy", "number", "moves"]]
+    >>> found.distribution("number")[["strategy", "number", "moves"]]
       strategy  number  moves
     0    right       0    200
     1    wrong       0    200
-    >>> for _, row in found.summary().iterrows():
+    >>> for _, row in found.distribution().iterrows():
     ...     print(f"{row.strategy}: rms {row.rms * 1e6:.1f} µm, {row.share_3:.0%} of the square joint 3's")
     right: rms 1.9 µm, 2% of the square joint 3's
     wrong: rms 4.4 µm, 81% of the square joint 3's

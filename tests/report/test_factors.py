@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.anova import analyse
+from stickslip_fit.errors import InputError
 from stickslip_fit.report.factors import factors
 from stickslip_fit.report.figures.factors import draw_days, draw_directions, draw_rotations, factor_pictures
 
@@ -104,3 +105,11 @@ def test_more_answers_than_a_table_has_room_for_are_counted(campaign, fitted):
     (part,) = factors(analyse(fitted(campaign(days, ROTATION)).log))
     assert {row[1] for row in part.tables[0].rows} == {"all"}
     assert "Not shown: 27 answers within single sessions." in part.tables[0].note
+
+
+def test_a_notebook_is_given_the_axes_of_a_factor(found):
+    both = found.plot_factor(3, "day")
+    assert [axis.get_ylabel() for axis in both] == ["direction + (nm)", "direction − (nm)"]
+    assert len(found.plot_factor(3, "direction")) == 1
+    with pytest.raises(InputError, match=r"weather was not answered for joint 3; what was: .*joint 3's day"):
+        found.plot_factor(3, "weather")

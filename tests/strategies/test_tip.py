@@ -78,7 +78,7 @@ def test_what_does_not_repeat_adds_up_as_it_should():
     squares = np.sum((slopes_by_hand(paths.stands[:, -1]) * (spread * way)[:, None]) ** 2, axis=1)
     for kind in ("gaussian", "t5"):
         found = tip_errors(paths, truth, {"right": steps_by_truth(truth)}, range(500), kind)
-        summary = found.summary().iloc[0]
+        summary = found.distribution().iloc[0]
         assert summary["rms"] ** 2 == pytest.approx(squares.sum(axis=1).mean(), rel=0.04)
         shares = squares.mean(axis=0) / squares.sum(axis=1).mean()
         assert [summary[f"share_{joint}"] for joint in LAWS] == pytest.approx(shares, abs=0.02)
@@ -114,7 +114,7 @@ def test_what_is_summed_up_is_what_the_errors_are():
     some[3, "-"] = lambda rows: np.full(len(rows), np.nan)
     found = tip_errors(paths, truth, {"right": steps_by_truth(truth), "some": some}, [1, 2])
     back = paths.stands[:, -1, 2] < paths.stands[:, 0, 2]
-    by_session = found.summary("number")
+    by_session = found.distribution("number")
     assert by_session["unknown"].tolist() == [0, 0, back.sum(), back.sum()]
     one = by_session.iloc[2]
     mine = found.table.query("strategy == 'some' and number == 0")
@@ -139,7 +139,7 @@ def test_the_picture_has_every_strategys_errors_and_joints():
     found = tip_errors(paths, truth, named, [1])
     errors, shares = found.plot_tip_errors()
     assert [label.get_text() for label in errors.get_yticklabels()] == ["<b>right</b>", "wrong"]
-    summary = found.summary().dropna(subset="rms")
+    summary = found.distribution().dropna(subset="rms")
     dots, crosses = ([line for line in errors.lines if line.get_marker() == mark] for mark in "ox")
     assert [dot.get_xdata()[0] for dot in dots] == pytest.approx(summary["median"] * 1e6)
     assert [cross.get_xdata()[0] for cross in crosses] == pytest.approx(summary["worst"] * 1e6)
@@ -174,7 +174,7 @@ def test_strategies_calibrated_on_a_log_move_the_tip(log):
         group: steps_by_parameters(constant_law(LAWS[group[0]]), _constant(group)) for group in VALUES
     }
     found = tip_errors(random_paths(MACHINE, 300, seed=6), truth, calibrations, [1])
-    rms = found.summary().set_index("strategy")["rms"]
+    rms = found.distribution().set_index("strategy")["rms"]
     # Joint 1 is calibrated with the arm far out, and steps another way where it is close in.
     assert rms["the truth"] < rms["closed form"] < 25e-6
     assert rms["constant step"] == pytest.approx(rms["constant, no noise"], rel=0.1)

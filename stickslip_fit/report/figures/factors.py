@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip_fit.anova import Answer
-from stickslip_fit.errors import shorten
+from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.picture import Picture, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,
@@ -23,7 +23,7 @@ from stickslip_fit.report.figures.style import (
     look,
 )
 from stickslip_fit.report.figures.traverses import thinned
-from stickslip_fit.report.wording import count, joint_name, step_unit, typeset, way
+from stickslip_fit.report.wording import count, joint_name, listed, step_unit, typeset, way
 from stickslip_fit.units import from_si
 
 MOST_SESSIONS = 30
@@ -35,12 +35,41 @@ SPREAD = 0.16  # how far beside its level's place a reading may be drawn
 
 def factor_pictures(joint: int, answers: Sequence[Answer]) -> list[Picture]:
     """The figures that a joint's answers can fill."""
-    by_name = {
-        name: [each for each in answers if each.question.analysis == name and each.question.joint == joint]
-        for name in ("day", "direction", "normal-force")
-    }
-    drawers = {"day": _day, "direction": _direction, "normal-force": _normal_force}
-    return [drawers[name](joint, mine) for name, mine in by_name.items() if mine]
+    pictures = {"day": _day, "direction": _direction, "normal-force": _normal_force}
+    by_name = {name: _of(joint, name, answers) for name in pictures}
+    return [pictures[name](joint, mine) for name, mine in by_name.items() if mine]
+
+
+def plot_factor(joint: int, factor: str, answers: Sequence[Answer]) -> Figure:
+    """The readings of one joint by one factor.
+
+    Raises
+    ------
+    InputError
+        If that was not answered.
+    """
+    mine = _of(joint, factor, answers)
+    if not mine:
+        known = sorted({(each.question.joint, each.question.analysis) for each in answers})
+        said = listed([f"joint {number}'s {name}" for number, name in known]) or "nothing"
+        raise InputError(f"{factor} was not answered for joint {joint}; what was: {said}")
+    return _drawn(factor, mine)
+
+
+def _of(joint: int, factor: str, answers: Sequence[Answer]) -> list[Answer]:
+    return [each for each in answers if each.question.analysis == factor and each.question.joint == joint]
+
+
+def _drawn(factor: str, answers: Sequence[Answer]) -> Figure:
+    if factor == "normal-force":
+        return draw_rotations(_over(answers))
+    draw = draw_days if factor == "day" else draw_directions
+    return draw(answers, _sessions(answers)[-MOST_SESSIONS:])
+
+
+def _over(answers: Sequence[Answer]) -> list[Answer]:
+    """Those over all sessions, where there are any."""
+    return [each for each in answers if each.question.session is None] or list(answers)
 
 
 def _day(joint: int, answers: Sequence[Answer]) -> Picture:
@@ -51,7 +80,7 @@ def _day(joint: int, answers: Sequence[Answer]) -> Picture:
         "that differ."
     )
     title = f"Step size by day, {joint_name(joint)} (as Fig. 4.4 of the thesis)"
-    return picture(f"day-{joint}", title, caption, draw_days(answers, sessions[-MOST_SESSIONS:]))
+    return picture(f"day-{joint}", title, caption, _drawn("day", answers))
 
 
 def _direction(joint: int, answers: Sequence[Answer]) -> Picture:
@@ -61,11 +90,11 @@ def _direction(joint: int, answers: Sequence[Answer]) -> Picture:
         "two directions in a session. Lines of one slope are a difference that holds in every session."
     )
     title = f"Step size by direction, {joint_name(joint)} (as Fig. 4.6 of the thesis)"
-    return picture(f"direction-{joint}", title, caption, draw_directions(answers, sessions[-MOST_SESSIONS:]))
+    return picture(f"direction-{joint}", title, caption, _drawn("direction", answers))
 
 
 def _normal_force(joint: int, answers: Sequence[Answer]) -> Picture:
-    over = [each for each in answers if each.question.session is None] or list(answers)
+    over = _over(answers)
     rows = sum(len(each.question.readings) for each in over)
     caption = (
         f"{count(rows, 'reading')} at {_where(over[0])}, each less the mean of its session; bars: the mean "
@@ -73,7 +102,7 @@ def _normal_force(joint: int, answers: Sequence[Answer]) -> Picture:
         "that a level row says that the force across it does not matter."
     )
     title = f"Step size by rotation about the axis, {joint_name(joint)} (as Fig. 5.1 of the thesis)"
-    return picture(f"normal-force-{joint}", title, caption, draw_rotations(over))
+    return picture(f"normal-force-{joint}", title, caption, _drawn("normal-force", answers))
 
 
 def draw_days(answers: Sequence[Answer], sessions: Sequence[str]) -> Figure:

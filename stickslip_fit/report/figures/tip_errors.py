@@ -40,7 +40,7 @@ SMALLEST = 1e-8  # m; below, a logarithmic axis would show nothing but luck
 
 def tip_errors_picture(found: TipErrors) -> Picture:
     """The distribution of each strategy's errors, and which joint they come from."""
-    summary = found.summary().dropna(subset="rms")
+    summary = found.distribution().dropna(subset="rms")
     if summary.empty:
         return not_drawn(KEY, TITLE, "It would need a strategy that calibrates every joint that is driven.")
     one = found.table["strategy"] == summary["strategy"].iloc[0]
@@ -71,7 +71,7 @@ def plot_tip_errors(found: TipErrors) -> Figure:
 
 def draw_tip_errors(found: TipErrors) -> Figure:
     """A line for each strategy: errors on the left, shares of the joints on the right."""
-    summary = found.summary().dropna(subset="rms")
+    summary = found.distribution().dropna(subset="rms")
     names = [shorten(str(name), LONGEST_NAME) for name in summary["strategy"]]
     with look():
         entries = [

@@ -68,7 +68,7 @@ def tip_distributions(
     found = tip_errors(paths, _truth(study, campaigns), calibrations, seeds, study.kind)
     table = found.table
     table["place"] = table["number"] // campaigns.sessions
-    return found.summary("place")[["place", "strategy", *COLUMNS]].astype({"strategy": object})
+    return found.distribution("place")[["place", "strategy", *COLUMNS]].astype({"strategy": object})
 
 
 def _truth(study: StudyPlan, campaigns: Campaigns) -> Truth:
