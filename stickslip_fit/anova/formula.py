@@ -15,10 +15,11 @@ from stickslip_fit.anova.record import COLUMNS
 from stickslip_fit.anova.terms import model_terms
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.columns import COVARIATE
 
 KINDS = {1: sequential, 2: marginal, 3: partial}
 EXACT = 1e-12  # relative scatter that is the rounding of doubles
-OWN_COLUMNS = ("covariate:", "text:")
+OWN_COLUMNS = (COVARIATE, "text:")
 
 
 @dataclass(frozen=True)

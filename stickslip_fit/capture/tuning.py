@@ -18,10 +18,7 @@ from stickslip_fit.files import write_atomically
 Array = npt.NDArray[np.float64]
 
 LOWEST, HIGHEST = 500.0, 0.45  # Hz, share of the rate: what is listened to
-GAP, REACH = (
-    500.0,
-    2000.0,
-)  # Hz; from the band's edges to the reference, and the reference's width either side
+GAP, REACH = 500.0, 2000.0  # Hz; from the band's edges to the reference, and its width either side
 SPECTRA = ("moving", "at_stop")
 WELL, POORLY = 1e-3, 5e-2  # share of stops not found at the second check
 

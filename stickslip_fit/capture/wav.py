@@ -60,25 +60,3 @@ def read_wav(path: str | Path) -> Recording:
     except soundfile.SoundFileError as error:
         raise InputError(Problem(f"is no sound file ({error}); give a WAV file", str(path))) from None
     return Recording(np.ascontiguousarray(values[:, 0]), int(rate))
-
-
-def write_wav(path: str | Path, values: Sound, rate: int) -> None:
-    """Keep a sound as 16-bit WAV.
-
-    Raises
-    ------
-    InputError
-        If soundfile is not installed, or the file cannot be written.
-    """
-    try:
-        import soundfile
-    except ImportError:
-        raise InputError(
-            Problem("can only be written with soundfile; install it: pip install soundfile", str(path))
-        ) from None
-    try:
-        soundfile.write(path, values, rate, subtype="PCM_16", format="WAV")
-    except (soundfile.SoundFileError, OSError):
-        raise InputError(
-            Problem("cannot be written; give a path in an existing folder of yours", str(path))
-        ) from None

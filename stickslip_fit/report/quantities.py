@@ -9,12 +9,12 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.causes.reversal_loss import reversed_before
+from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.machine.load import mean_load
 from stickslip_fit.units import from_si
 
 Array = npt.NDArray[np.float64]
 
-COVARIATE = "covariate:"
 BETWEEN = 0.04  # of all hours, between two sessions drawn one after the other
 ONE_AFTER_THE_OTHER = "hours, sessions in a row"
 HOURS = "hours in session"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import wave
+
 import numpy as np
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
@@ -41,3 +43,12 @@ class Played:
 def checks_of(sound, rate=Acoustics.rate):
     """A sound in checks, as a source would hand it out."""
     return [Samples(part) for part in sound.reshape(-1, round(SECONDS * rate))]
+
+
+def write_wav(path, sound, rate):
+    """A sound as 16-bit WAV, by the standard library."""
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(rate)
+        file.writeframes(np.round(32767 * sound).astype("<i2").tobytes())

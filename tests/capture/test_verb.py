@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.wav import write_wav
 from stickslip_fit.logs import read_log
-from tests.capture.hearing import SECONDS, steps
+from tests.capture.hearing import SECONDS, steps, write_wav
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
 PLAN = """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,6 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 BAND = 2000.0  # Hz; the signal-to-noise ratio is that of a band so wide about the stop's peak
-LOWEST_PEAK, HIGHEST_PEAK = 3500.0, 9000.0  # Hz
-DAYS_SPREAD = 3.0  # dB, standard deviation of the stop's height from day to day
 CORNER = 800.0  # Hz; below it the room's noise grows as 1/f
 CLICK_TONE, CLICK_DECAY = 1800.0, 4e-4  # Hz, s: each step rings so
 FLAT_TOP = 8  # exponent of the peak's shape: the higher, the flatter its top and the steeper its sides
@@ -110,15 +108,6 @@ class Acoustics:
     def stop_power(self) -> float:
         """Mean power in the band that the stop adds."""
         return float(10 ** (self.snr_db / 10) * self.noise_power)
-
-    def on_another_day(self, rng: np.random.Generator) -> Acoustics:
-        """The same laboratory with the stop's peak elsewhere and of another height."""
-        return replace(
-            self,
-            peak=float(rng.uniform(LOWEST_PEAK, HIGHEST_PEAK)),
-            snr_db=float(self.snr_db + rng.normal(0, DAYS_SPREAD)),
-            seed=int(rng.integers(2**31)),
-        )
 
     def _band(self) -> Array:
         return np.linspace(self.peak - BAND / 2, self.peak + BAND / 2, 401)
