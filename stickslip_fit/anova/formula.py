@@ -1,25 +1,62 @@
-"""Any model over a log's columns, written as a formula: ``step_size ~ C(session) * direction``."""
+"""Linear models of any columns of a log, written as a formula: ``step_size ~ C(session) * direction``.
+
+patsy reads the formula. Sums of squares of types I, II and III are differences between the residual sums of
+squares of two least-squares fits, whatever the coding of the factors and the balance of the design.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.anova.comparison import shift
 from stickslip_fit.anova.holm import holm
-from stickslip_fit.anova.linear import RESIDUAL, Line, Term, marginal, partial, sequential
+from stickslip_fit.anova.projection import indicator, orthonormal
 from stickslip_fit.anova.readings import readings, selected
 from stickslip_fit.anova.record import COLUMNS
-from stickslip_fit.anova.terms import model_terms
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.columns import COVARIATE
 
-KINDS = {1: sequential, 2: marginal, 3: partial}
+Array = npt.NDArray[np.float64]
+
+RESIDUAL = "residual"
+TYPES = (1, 2, 3)
 EXACT = 1e-12  # relative scatter that is the rounding of doubles
 OWN_COLUMNS = (COVARIATE, "text:")
+
+
+@dataclass(frozen=True)
+class ModelTerm:
+    """One term of a model.
+
+    Attributes
+    ----------
+    name : str
+    factors : frozenset of str
+        What it is a product of.
+    columns : array, shape (n, p)
+        Its part of the design matrix.
+    """
+
+    name: str
+    factors: frozenset[str]
+    columns: Array
+
+
+@dataclass(frozen=True)
+class AnovaRow:
+    """Sum of squares and degrees of freedom of a term, or of the residual."""
+
+    name: str
+    squares: float
+    freedom: int
 
 
 @dataclass(frozen=True)
@@ -32,7 +69,7 @@ class FormulaTable:
     formula : str
     kind : {1, 2, 3}
         Type of the sums of squares.
-    lines : tuple of Line
+    lines : tuple of AnovaRow
         The terms in the order of the formula, then the residual.
     count : int
         Readings.
@@ -41,7 +78,7 @@ class FormulaTable:
     joint: int
     formula: str
     kind: int
-    lines: tuple[Line, ...]
+    lines: tuple[AnovaRow, ...]
     count: int
 
     def __repr__(self) -> str:
@@ -133,10 +170,10 @@ def with_plain_names(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _analysed(rows: pd.DataFrame, joint: int, text: str, kind: int) -> FormulaTable:
-    if kind not in KINDS:
+    if kind not in TYPES:
         raise InputError(f"type {kind} of sums of squares is none of 1, 2, 3")
     values, terms = model_terms(rows, text, sums_to_zero=kind == 3)
-    lines = KINDS[kind](values, terms)
+    lines = anova_rows(values, terms, kind)
     rest, rounding = lines[-1], EXACT * float(np.abs(values).max())
     if rest.freedom < 1 or rest.squares <= rest.freedom * rounding**2:
         raise InputError(f"joint {joint}: {text!r} leaves no scatter to compare with; leave a term out")
@@ -145,10 +182,153 @@ def _analysed(rows: pd.DataFrame, joint: int, text: str, kind: int) -> FormulaTa
     return FormulaTable(joint, text, kind, tuple(lines), len(values))
 
 
-def _refuse_gaps(terms: Sequence[Term], lines: Sequence[Line]) -> None:
+def _refuse_gaps(terms: Sequence[ModelTerm], lines: Sequence[AnovaRow]) -> None:
     for term, line in zip(terms, lines, strict=False):
         if line.freedom < term.columns.shape[1]:
             raise InputError(
                 f"type 3 cannot separate {term.name} from the other terms, or lacks readings of some "
                 "combination of its levels; ask for type 1 or 2 (--type)"
             )
+
+
+def anova_rows(values: Array, terms: Sequence[ModelTerm], kind: int) -> list[AnovaRow]:
+    """The terms' sums of squares, each from the model with it and the model without it, and the residual's.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+    terms : sequence of ModelTerm
+        Without the intercept, which is always there.
+    kind : {1, 2, 3}
+        What a term is added to: the terms before it; all that do not contain it; all others, which needs
+        columns that are coded by sum-to-zero contrasts.
+
+    Examples
+    --------
+    >>> session = ModelTerm("session", frozenset({"session"}), np.array([[1.0], [1], [0], [0]]))
+    >>> rows = anova_rows(np.array([1.0, 2, 3, 4]), [session], kind=1)
+    >>> [(row.name, round(row.squares, 9), row.freedom) for row in rows]
+    [('session', 4.0, 1), ('residual', 1.0, 2)]
+    """
+    values, rows = shift(values), []
+    for index, term in enumerate(terms):
+        if kind == 1:
+            others = list(terms[:index])
+        elif kind == 2:
+            others = [other for other in terms if not term.factors <= other.factors]
+        else:
+            others = [other for other in terms if other is not term]
+        without, with_term = _residual(values, others), _residual(values, [*others, term])
+        df = without.freedom - with_term.freedom
+        rows.append(AnovaRow(term.name, max(0.0, without.squares - with_term.squares) if df else 0.0, df))
+    return [*rows, _residual(values, terms)]
+
+
+def _residual(values: Array, terms: Sequence[ModelTerm]) -> AnovaRow:
+    """Of ordinary least squares.
+
+    Columns that others span are taken out first: OLS's pseudo-inverse keeps singular values down to 1e-15
+    of the largest, and what rounding leaves of such columns is often more. The fit then follows noise.
+    """
+    from statsmodels.regression.linear_model import OLS
+
+    intercept = np.full((len(values), 1), len(values) ** -0.5)
+    columns = np.hstack([np.empty((len(values), 0)), *(term.columns for term in terms)])
+    fit = OLS(values, np.hstack([intercept, orthonormal(columns, beyond=intercept)])).fit(method="pinv")
+    return AnovaRow(RESIDUAL, float(fit.ssr), int(fit.df_resid))
+
+
+def model_terms(rows: pd.DataFrame, text: str, *, sums_to_zero: bool) -> tuple[Array, list[ModelTerm]]:
+    """The response and the terms, main effects first, else in the order of the formula, as R has them.
+
+    Parameters
+    ----------
+    rows : DataFrame
+    text : str
+    sums_to_zero : bool
+        Code factors by contrasts that sum to zero, which type III needs; else by one column for each level,
+        of which only what they span matters.
+
+    Raises
+    ------
+    InputError
+        If the formula cannot be read or evaluated.
+    """
+    import patsy
+
+    environment = patsy.EvalEnvironment([{"np": np}])
+    data = {name: _plain(rows[name]) for name in rows.columns}
+    try:
+        wanted = patsy.ModelDesc.from_formula(text)
+        response, design = patsy.dmatrices(wanted, data, environment, NA_action="raise")
+        known = {
+            factor.name(): _values(info, data) for factor, info in design.design_info.factor_infos.items()
+        }
+    except Exception as error:  # a formula is code, and may fail in any way
+        raise InputError(f"the formula {text!r} cannot be used: {_reason(error)}") from None
+    products = [tuple(factor.name() for factor in term.factors) for term in wanted.rhs_termlist]
+    products.sort(key=len)
+    _refuse(text, response.shape[1], products)
+    asked = {frozenset(product) for product in products}
+    return np.asarray(response)[:, 0], [
+        ModelTerm(":".join(product), frozenset(product), _columns(product, known, asked, sums_to_zero))
+        for product in products
+        if product
+    ]
+
+
+def _refuse(text: str, responses: int, products: list[tuple[str, ...]]) -> None:
+    if responses != 1:
+        raise InputError(f"the formula {text!r} must have one numeric response before its ~, e.g. step_size")
+    if () not in products:
+        raise InputError(f"the formula {text!r} leaves out the general mean; drop the 0 or -1")
+    if len(products) == 1:
+        raise InputError(f"the formula {text!r} has nothing after its ~ to look at, e.g. C(session)")
+
+
+def _plain(column: pd.Series) -> Any:
+    """Numbers as they are and everything else as text: what patsy takes for covariates and for factors."""
+    if pd.api.types.is_numeric_dtype(column):
+        return column.to_numpy()
+    return column.astype(str).to_numpy(object)
+
+
+def _values(info: Any, data: dict[str, Any]) -> tuple[bool, npt.NDArray[Any]]:
+    """Whether a factor is categorical, and its codes or its numbers, shape (n,) or (n, p)."""
+    from patsy import NAAction
+    from patsy.categorical import categorical_to_int
+
+    found = info.factor.eval(info.state, data)
+    if info.type == "categorical":
+        return True, np.asarray(categorical_to_int(found, info.categories, NAAction()), dtype=np.intp)
+    return False, np.asarray(found, float).reshape(len(found), -1)
+
+
+def _columns(
+    product: tuple[str, ...],
+    known: dict[str, tuple[bool, npt.NDArray[Any]]],
+    asked: set[frozenset[str]],
+    sums_to_zero: bool,
+) -> Array:
+    """Products of the factors' columns, shape (n, p).
+
+    A factor is coded by contrasts where the term without it is in the model too; where it is not, the factor
+    is nested, and has a column for each level.
+    """
+    parts = []
+    for name in product:
+        categorical, values = known[name]
+        if categorical:
+            nested = frozenset(product) - {name} not in asked
+            values = indicator(values)
+            values = values if nested or not sums_to_zero else values[:, :-1] - values[:, -1:]
+        parts.append(values)
+    return reduce(lambda one, other: (one[:, :, None] * other[:, None, :]).reshape(len(one), -1), parts)
+
+
+def _reason(error: Exception) -> str:
+    """The first line of what went wrong, without patsy's drawing of where."""
+    line = str(error).splitlines()[0] if str(error) else type(error).__name__
+    if "NaN" in line or "missing values" in line:
+        return f"a column has empty cells or no numbers for this joint ({line}); leave it out"
+    return line

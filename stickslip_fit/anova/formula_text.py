@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from stickslip_fit.anova.linear import RESIDUAL
+from stickslip_fit.anova.formula import RESIDUAL
 from stickslip_fit.anova.verdict import LEVEL
 from stickslip_fit.anova.wording import bare_probability, listed, probability
 from stickslip_fit.units import text_table

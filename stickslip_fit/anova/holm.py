@@ -1,4 +1,4 @@
-"""Holm's adjustment of p-values for how many questions were asked."""
+"""Holm's adjustment of p-values for the number of tests."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ import numpy.typing as npt
 
 
 def holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """p-values that hold over all of them at once, in the order given.
+    """p-values that hold over all of them at once, in the order given; none where there is none.
 
     Examples
     --------
     >>> holm([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.06, 0.06]
     """
+    from statsmodels.stats.multitest import multipletests
+
     p_values = np.asarray(p_values, float)
-    order = np.argsort(p_values, kind="stable")
-    left = len(p_values) - np.arange(len(p_values))
-    stepped = np.minimum(1.0, np.maximum.accumulate(p_values[order] * left))
-    adjusted = np.empty_like(stepped)
-    adjusted[order] = stepped
-    return adjusted
+    return multipletests(p_values, method="holm")[1] if p_values.size else p_values

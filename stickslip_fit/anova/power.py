@@ -25,10 +25,9 @@ def power(noncentrality: float, freedom: tuple[int, int], level: float = LEVEL) 
     >>> round(power(0.0, (1, 4)), 6)
     0.05
     """
-    from scipy.special import fdtri, ncfdtr
+    from statsmodels.stats.power import ftest_power_f2
 
-    critical = fdtri(*freedom, 1.0 - level)
-    return float(1.0 - ncfdtr(*freedom, noncentrality, critical))
+    return float(ftest_power_f2(noncentrality / sum(freedom), *freedom, level, ncc=0))
 
 
 def noncentrality(difference: float, spread: float, comparison: Comparison) -> float:
@@ -58,6 +57,7 @@ def smallest_difference(spread: float, comparison: Comparison) -> float:
     """
     from scipy.optimize import brentq
 
+    # FTestPower.solve_power stops within 1e-5 of the root, and FTestPowerF2's stays at its start for few df.
     most = 10.0
     while power(most, comparison.freedom) < POWER:
         most *= 4.0

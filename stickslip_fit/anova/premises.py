@@ -8,7 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit.anova.comparison import Codes, compare, sums_of_squares
-from stickslip_fit.anova.scatter import DRAWS, MOST_NUMBERS, crookedness, p_value, residual, unevenness
+from stickslip_fit.anova.scatter import (
+    DRAWS,
+    MOST_NUMBERS,
+    brown_forsythe,
+    monte_carlo_p,
+    residual,
+    shapiro_francia,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -64,7 +71,7 @@ def _normal(values: Array, cell: Codes) -> Premise:
     if _repeats(cell) < FEWEST_RESIDUALS or not np.any(residual(values, cell)):
         return _few(name, "too few readings to tell whether they scatter normally")
     doubt = "the readings do not scatter normally: trust the permutation p more than the F test's"
-    found = p_value(crookedness, values, cell)
+    found = monte_carlo_p(shapiro_francia, values, cell)
     return _tested(name, found, "the readings scatter as normal ones would", doubt)
 
 
@@ -76,7 +83,7 @@ def _equal(values: Array, cell: Codes) -> Premise:
     if mine.max(initial=0) < 1 or not np.any(residual(left, mine)):
         return _few(name, "too few readings at one level to tell whether all levels scatter alike")
     doubt = "levels do not scatter alike: where their numbers of readings differ, the F test's p may be off"
-    return _tested(name, p_value(unevenness, left, mine), "all levels scatter alike", doubt)
+    return _tested(name, monte_carlo_p(brown_forsythe, left, mine), "all levels scatter alike", doubt)
 
 
 def _no_trend(values: Array, time: Array, cell: Codes) -> Premise:

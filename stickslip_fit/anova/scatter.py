@@ -1,35 +1,42 @@
-"""How readings scatter about the mean of their cell: normally, and alike in all cells."""
+"""Tests of residuals from the cells' means: normality (Shapiro-Francia), equal variances (Brown-Forsythe)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.anova.comparison import Codes, compare, shift, sums_of_squares
+from stickslip_fit.anova.comparison import Codes, shift
 
 Array = npt.NDArray[np.float64]
 Statistic = Callable[[Array, Codes], Array]
-"""Readings, shape (..., n), and the cell of each; the larger, the less the premise holds."""
+"""Of readings, shape (..., n), and the cell of each; the larger, the less the assumption holds."""
 
 DRAWS, MOST_NUMBERS = 999, 500_000
 
 
-def p_value(statistic: Statistic, values: Array, cell: Codes) -> float:
-    """Share of normal readings of the same design that hold to the premise as little as these.
+def monte_carlo_p(statistic: Statistic, values: Array, cell: Codes) -> float:
+    """Share of normal readings of the same design whose statistic is as large as that of these.
 
     Drawn, not looked up: cells of a few readings each are far from what tables of these statistics are for.
     """
+    from scipy.stats import monte_carlo_test
+
     order = np.argsort(cell, kind="stable")
-    null = _null(statistic, tuple(map(int, np.bincount(cell))))
-    seen = statistic(values[None, order], cell[order])[0]
-    return float((1 + np.sum(null >= seen)) / (1 + len(null)))
+    tested = monte_carlo_test(
+        values[order],
+        np.random.default_rng(0).standard_normal,
+        lambda drawn, axis: statistic(drawn, cell[order]),
+        vectorized=True,
+        n_resamples=max(199, min(DRAWS, MOST_NUMBERS // len(cell))),
+        alternative="greater",
+    )
+    return float(tested.pvalue)
 
 
-def crookedness(values: Array, cell: Codes) -> Array:
-    """How far ordered residuals are from normal scores (after Shapiro and Francia)."""
+def shapiro_francia(values: Array, cell: Codes) -> Array:
+    """1 - W', of ordered residuals from the cells' means and normal scores."""
     from scipy.special import ndtri
 
     n = values.shape[-1]
@@ -38,13 +45,12 @@ def crookedness(values: Array, cell: Codes) -> Array:
     return 1.0 - (ordered @ scores) / np.sqrt(np.sum(ordered**2, axis=-1) * np.sum(scores**2))
 
 
-def unevenness(values: Array, cell: Codes) -> Array:
-    """F of the distances from each cell's median, between cells (Brown and Forsythe)."""
-    distance = shift(values)
-    for one in np.unique(cell):
-        mine = distance[..., cell == one]
-        distance[..., cell == one] = np.abs(mine - np.median(mine, axis=-1, keepdims=True))
-    return sums_of_squares(distance, compare(cell)).statistic
+def brown_forsythe(values: Array, cell: Codes) -> Array:
+    """F of the distances from each cell's median, between cells."""
+    from scipy.stats import levene
+
+    samples = [values[..., cell == one] for one in np.unique(cell)]
+    return levene(*samples, center="median", axis=-1).statistic
 
 
 def residual(values: Array, cell: Codes) -> Array:
@@ -52,10 +58,3 @@ def residual(values: Array, cell: Codes) -> Array:
     values = shift(values)
     share = (cell[:, None] == np.unique(cell)).astype(float)
     return values - (values @ share / share.sum(axis=0)) @ share.T
-
-
-@cache
-def _null(statistic: Statistic, sizes: tuple[int, ...]) -> Array:
-    cell = np.repeat(np.arange(len(sizes)), sizes)
-    count = max(199, min(DRAWS, MOST_NUMBERS // len(cell)))
-    return statistic(np.random.default_rng(0).standard_normal((count, len(cell))), cell)

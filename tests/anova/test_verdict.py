@@ -8,7 +8,7 @@ import pytest
 
 from stickslip_fit.anova import analyse
 from stickslip_fit.anova.analyse import answered
-from stickslip_fit.anova.reconstruct import reconstruct
+from tests.thesis.reconstruct import reconstruct
 
 DAYS = {"Mon": 976e-9, "Tue": 951e-9}
 WAYS = {"+": 976e-9, "-": 903e-9}

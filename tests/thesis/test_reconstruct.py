@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from stickslip_fit.anova.analyse import answered
-from stickslip_fit.anova.reconstruct import LABEL, implied, implied_difference, implied_spread, reconstruct
+from tests.thesis.reconstruct import LABEL, implied, implied_difference, implied_spread, reconstruct
 from stickslip_fit.errors import InputError
 
 PUBLISHED = Path(__file__).parents[2] / "data" / "published" / "published.toml"
