@@ -218,14 +218,17 @@ def anova_rows(values: Array, terms: Sequence[ModelTerm], kind: int) -> list[Ano
             others = [other for other in terms if not term.factors <= other.factors]
         else:
             others = [other for other in terms if other is not term]
-        without, with_term = _residual(values, others), _residual(values, [*others, term])
-        df = without.freedom - with_term.freedom
-        rows.append(AnovaRow(term.name, max(0.0, without.squares - with_term.squares) if df else 0.0, df))
-    return [*rows, _residual(values, terms)]
+        smaller, larger = _least_squares(values, others), _least_squares(values, [*others, term])
+        df = int(smaller.df_resid - larger.df_resid)
+        # What the residual sums of squares differ by, without the digits that their difference would lose.
+        squares = float(np.sum((smaller.resid - larger.resid) ** 2)) if df else 0.0
+        rows.append(AnovaRow(term.name, squares, df))
+    full = _least_squares(values, terms)
+    return [*rows, AnovaRow(RESIDUAL, float(full.ssr), int(full.df_resid))]
 
 
-def _residual(values: Array, terms: Sequence[ModelTerm]) -> AnovaRow:
-    """Of ordinary least squares.
+def _least_squares(values: Array, terms: Sequence[ModelTerm]) -> Any:
+    """The fit of ordinary least squares with these terms and an intercept.
 
     Columns that others span are taken out first: OLS's pseudo-inverse keeps singular values down to 1e-15
     of the largest, and what rounding leaves of such columns is often more. The fit then follows noise.
@@ -234,8 +237,8 @@ def _residual(values: Array, terms: Sequence[ModelTerm]) -> AnovaRow:
 
     intercept = np.full((len(values), 1), len(values) ** -0.5)
     columns = np.hstack([np.empty((len(values), 0)), *(term.columns for term in terms)])
-    fit = OLS(values, np.hstack([intercept, orthonormal(columns, beyond=intercept)])).fit(method="pinv")
-    return AnovaRow(RESIDUAL, float(fit.ssr), int(fit.df_resid))
+    design = np.hstack([intercept, orthonormal(columns, beyond=intercept)])
+    return OLS(values, design).fit(method="pinv")
 
 
 def model_terms(rows: pd.DataFrame, text: str, *, sums_to_zero: bool) -> tuple[Array, list[ModelTerm]]:

@@ -50,7 +50,7 @@ def brown_forsythe(values: Array, cell: Codes) -> Array:
     from scipy.stats import levene
 
     samples = [values[..., cell == one] for one in np.unique(cell)]
-    return levene(*samples, center="median", axis=-1).statistic
+    return np.asarray(levene(*samples, center="median", axis=-1).statistic)
 
 
 def residual(values: Array, cell: Codes) -> Array:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from stickslip_fit.anova import Anova, Answer, FormulaTable
-from stickslip_fit.anova.formula_text import formula_text
 from stickslip_fit.anova.formula import RESIDUAL
+from stickslip_fit.anova.formula_text import formula_text
 from stickslip_fit.anova.text import told_by_joint
 from stickslip_fit.anova.verdict import doubts, reasons
 from stickslip_fit.anova.wording import bare_probability

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from stickslip_fit.anova.analyse import answered
-from tests.thesis.reconstruct import LABEL, implied, implied_difference, implied_spread, reconstruct
 from stickslip_fit.errors import InputError
+from tests.thesis.reconstruct import LABEL, implied, implied_difference, implied_spread, reconstruct
 
 PUBLISHED = Path(__file__).parents[2] / "data" / "published" / "published.toml"
 
