@@ -13,9 +13,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import scipy.stats
 
 from stickslip_fit.anova.comparison import compare, sums_of_squares
+from stickslip_fit.anova.formula import anova_rows, model_terms
 
 FILES = sorted((Path(scipy.stats.__file__).parent / "tests" / "data" / "nist_anova").glob("*.dat"))
 NAMES = ("F", "between", "within", "R squared", "residual deviation")
@@ -75,13 +77,19 @@ def by_scipy(problem: Certified) -> float:
     return float(scipy.stats.f_oneway(*groups).statistic)
 
 
+def by_formula(problem: Certified) -> float:
+    """F by the table of a formula."""
+    rows = pd.DataFrame({"y": problem.values, "group": problem.group})
+    between, within = anova_rows(*model_terms(rows, "y ~ C(group)", sums_to_zero=False), kind=1)
+    return between.squares / between.freedom / (within.squares / within.freedom)
+
+
 def by_statsmodels(problem: Certified) -> float:
-    """F by statsmodels' formula and its table."""
-    import pandas as pd
+    """F by statsmodels' formula and its table, of values less their median."""
     from statsmodels.formula.api import ols
     from statsmodels.stats.anova import anova_lm
 
-    data = pd.DataFrame({"y": problem.values, "group": problem.group})
+    data = pd.DataFrame({"y": problem.values - np.median(problem.values), "group": problem.group})
     return float(anova_lm(ols("y ~ C(group)", data).fit())["F"].iloc[0])
 
 
@@ -94,12 +102,12 @@ def digits(found: float, certified: float) -> float:
 def main() -> None:
     """Print the table."""
     warnings.simplefilter("ignore")
-    print(f"{'':10}{'ours':>8}{'scipy':>8}{'statsmodels':>13}{'limit':>8}")
+    print(f"{'':10}{'ours':>8}{'formula':>9}{'scipy':>8}{'statsmodels':>13}{'limit':>8}")
     for problem in map(read, FILES):
-        certified = problem.certified[0]
-        found = (ours(problem)[0], by_scipy(problem), by_statsmodels(problem), exact(problem)[0])
-        cells = [max(0.0, digits(value, certified)) for value in found]
-        print(f"{problem.name:10}{cells[0]:8.1f}{cells[1]:8.1f}{cells[2]:13.1f}{cells[3]:8.1f}", flush=True)
+        values = (ours(problem)[0], by_formula(problem), by_scipy(problem), by_statsmodels(problem))
+        cells = [max(0.0, digits(value, problem.certified[0])) for value in (*values, exact(problem)[0])]
+        widths = zip(cells, (8, 9, 8, 13, 8), strict=True)
+        print(f"{problem.name:10}" + "".join(f"{cell:{width}.1f}" for cell, width in widths), flush=True)
 
 
 if __name__ == "__main__":

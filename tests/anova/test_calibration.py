@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from stickslip_fit.anova import Question, readings
 from stickslip_fit.anova.comparison import compare, sums_of_squares
@@ -80,6 +81,24 @@ def test_power_is_what_its_formula_says(sizes):
     p = sums_of_squares(true[comparison.level] + noise, comparison).p_value
     assert np.mean(p < 0.05) == pytest.approx(POWER, abs=binomial(POWER))
     assert power(noncentrality(difference, 1.0, comparison), comparison.freedom) == pytest.approx(POWER)
+
+
+def test_power_counts_what_blocks_leave_to_compare():
+    """Two pairs of levels that no block connects: two degrees of freedom for four levels."""
+    comparison = compare(np.tile([0, 1, 2, 3], 4), np.tile([0, 0, 1, 1, 2, 2, 3, 3], 2))
+    assert (comparison.connected, comparison.freedom) == (False, (2, 10))
+    true = np.array([0.0, 1.5, 0.0, 1.0])[comparison.level]
+    expected = power(float(sums_of_squares(true, comparison).between), comparison.freedom)
+    noise = np.random.default_rng(7).standard_normal((LOGS, 16))
+    p = sums_of_squares(true + noise, comparison).p_value
+    assert np.mean(p < 0.05) == pytest.approx(expected, abs=binomial(expected))
+
+
+@pytest.mark.parametrize("freedom", [(1, 1), (1, 4), (3, 8), (20, 1), (60, 400)])
+def test_power_is_a_tail_of_the_noncentral_f_distribution(freedom):
+    critical = stats.f.isf(0.05, *freedom)
+    for size in (0.5, 5.0, 50.0):
+        assert power(size, freedom) == pytest.approx(stats.ncf.sf(critical, *freedom, size), rel=1e-8)
 
 
 def test_the_interval_of_the_largest_difference_knows_that_it_was_picked():

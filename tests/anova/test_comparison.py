@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
+from statsmodels.regression.linear_model import OLS
 
 from stickslip_fit.anova.comparison import compare, level_means, sums_of_squares
 from stickslip_fit.anova.effect import effect_of
@@ -55,6 +56,22 @@ def test_missing_cells_are_compared_by_least_squares(rng):
     assert means[1:] - means[0] == pytest.approx(slopes)
     variances = np.diag(np.linalg.inv(both.T @ both))[3:]
     assert factor[1, 1] + factor[0, 0] - 2 * factor[0, 1] == pytest.approx(variances[0])
+
+
+@pytest.mark.parametrize("blocks", [1, 4])
+def test_stacked_sums_of_squares_are_those_of_least_squares_fits(rng, blocks):
+    """Of unequal cells, some of them empty, with a level that is in one block only."""
+    level, block = np.append(rng.integers(0, 3, 40), 3), rng.integers(0, blocks, 41)
+    values = 950.0 + 30.0 * block + rng.standard_normal((5, 41))
+    found = sums_of_squares(values, compare(level, block))
+    by_block = np.eye(blocks)[block]
+    both = np.hstack([by_block, np.eye(4)[level][:, 1:]])
+    for index, row in enumerate(values - np.median(values)):
+        mean, smaller, larger = (OLS(row, design).fit() for design in (np.ones(41), by_block, both))
+        assert found.freedom == (blocks - 1, 3, larger.df_resid)
+        assert found.within[index] == pytest.approx(larger.ssr, rel=1e-10)
+        assert found.between[index] == pytest.approx(smaller.ssr - larger.ssr, rel=1e-10)
+        assert found.blocks[index] == pytest.approx(mean.ssr - smaller.ssr, rel=1e-10, abs=1e-9)
 
 
 def test_three_levels_get_tukey_s_interval(rng):

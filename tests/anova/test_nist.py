@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.nist_anova import FILES, NAMES, Certified, digits, exact, ours, read
+from benchmarks.nist_anova import FILES, NAMES, Certified, by_formula, digits, exact, ours, read
 from stickslip_fit.anova.comparison import compare, sums_of_squares
 
 LIMITED = {"AtmWtAg": 10.0, "SmLs04": 9.9, "SmLs05": 9.9, "SmLs06": 9.9} | dict.fromkeys(
@@ -25,6 +25,13 @@ def test_every_certified_value_is_met_as_far_as_the_data_s_doubles_allow(problem
     for problem in problems:
         for name, found, certified in zip(NAMES, ours(problem), problem.certified, strict=True):
             assert digits(found, certified) >= LIMITED.get(problem.name, ROUNDED), (problem.name, name)
+
+
+def test_a_formula_has_the_certified_f(problems):
+    for problem in problems:
+        if len(problem.values) < 2000:
+            found = digits(by_formula(problem), problem.certified[0])
+            assert found >= LIMITED.get(problem.name, ROUNDED), problem.name
 
 
 def test_the_arithmetic_is_exact_to_the_last_digits_on_those_doubles(problems):
