@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from stickslip_fit.anova.premises import LEVEL, premises
+from stickslip_fit.anova.scatter import brown_forsythe
 
 LOGS = 250
 
@@ -44,6 +46,16 @@ def test_premises_that_fail_are_doubted(design):
         lambda rng: time / 300.0 + rng.standard_normal(24), "drift within a session", level, block, time
     )
     assert min(wild, unequal, drifting) > 0.7
+
+
+def test_equal_scatter_is_judged_about_medians():
+    """Skewed cells: distances from their means would give another F."""
+    values = np.random.default_rng(3).exponential(size=(4, 17))
+    cell = np.repeat([0, 1, 2], [4, 6, 7])
+    cells = [values[:, cell == one] for one in range(3)]
+    distances = [np.abs(each - np.median(each, axis=1, keepdims=True)) for each in cells]
+    expected = stats.f_oneway(*distances, axis=1).statistic
+    assert brown_forsythe(values, cell) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_constant_between_sessions_is_no_drift_and_no_shape(design):
