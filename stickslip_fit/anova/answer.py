@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.anova.comparison import Squares, compare, sums_of_squares
+from stickslip_fit.anova.comparison import SumsOfSquares, compare, sums_of_squares
 from stickslip_fit.anova.effect import Effect, effect_of
 from stickslip_fit.anova.permutation import Permutation, permutation_test
 from stickslip_fit.anova.power import smallest_difference
-from stickslip_fit.anova.premises import Premise, premises
+from stickslip_fit.anova.premises import AssumptionCheck, check_assumptions
 from stickslip_fit.anova.question import READINGS, Question, Refusal
 
 REPEATS_EXACTLY = 1e-12  # relative scatter that is the rounding of doubles
@@ -25,7 +25,7 @@ class Answer:
     Attributes
     ----------
     question : Question
-    squares : Squares
+    squares : SumsOfSquares
         Sums of squares, F and its p-value.
     effect : Effect
         Means of the levels and the largest difference between them.
@@ -37,17 +37,17 @@ class Answer:
     detectable : float
         The smallest difference between two levels that so many readings, scattering so much, would show
         at 5 % in 80 of 100 such logs.
-    premises : tuple of Premise
+    premises : tuple of AssumptionCheck
     """
 
     question: Question
-    squares: Squares
+    squares: SumsOfSquares
     effect: Effect
     levels: tuple[str, ...]
     permutation: Permutation
     p_holm: float
     detectable: float
-    premises: tuple[Premise, ...]
+    premises: tuple[AssumptionCheck, ...]
 
     @property
     def p_value(self) -> float:
@@ -108,18 +108,18 @@ def answer(question: Question) -> Answer | Refusal:
         permutation_test(values, comparison),
         float(squares.p_value),
         smallest_difference(spread, comparison),
-        _premises(question, spread),
+        _assumption_checks(question, spread),
     )
 
 
-def _premises(question: Question, spread: float) -> tuple[Premise, ...]:
+def _assumption_checks(question: Question, spread: float) -> tuple[AssumptionCheck, ...]:
     rows = question.readings
     codes = [np.unique(rows[name].to_numpy(object), return_inverse=True)[1] for name in ("level", "session")]
-    told = premises(
+    checks = check_assumptions(
         rows["step_size"].to_numpy(float), rows["session_seconds"].to_numpy(float), codes[0], codes[1]
     )
     rounding = float(np.sqrt(np.mean(rows["rounding"] ** 2)))
     if question.error_term == READINGS and spread < ROUNDED * rounding:
         message = "readings scatter hardly more than the counts are rounded: check the end stop more often"
-        told = (*told, Premise("finer than the count", "doubtful", message))
-    return told
+        checks = (*checks, AssumptionCheck("finer than the count", "doubtful", message))
+    return checks

@@ -55,7 +55,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Squares:
+class SumsOfSquares:
     """Sums of squares of stacked values.
 
     Attributes
@@ -115,7 +115,7 @@ def compare(level: npt.ArrayLike, block: npt.ArrayLike | None = None) -> Compari
     return Comparison(levels, blocks, nuisance, effect)
 
 
-def sums_of_squares(values: npt.ArrayLike, comparison: Comparison) -> Squares:
+def sums_of_squares(values: npt.ArrayLike, comparison: Comparison) -> SumsOfSquares:
     """Sums of squares of blocks, of levels within them and of the rest.
 
     Values are shifted by one of them first. The difference of two nearby doubles is exact (Sterbenz), so
@@ -144,7 +144,7 @@ def sums_of_squares(values: npt.ArrayLike, comparison: Comparison) -> Squares:
     rest = rest - (rest @ comparison.effect) @ comparison.effect.T
     between_blocks, between, within = (np.sum(part**2, axis=-1) for part in (by_block, by_level, rest))
     freedom = (comparison.nuisance.shape[1] - 1, *comparison.freedom)
-    return Squares(between_blocks, between, within, freedom)
+    return SumsOfSquares(between_blocks, between, within, freedom)
 
 
 def level_means(values: npt.ArrayLike, comparison: Comparison) -> tuple[Array, Array]:

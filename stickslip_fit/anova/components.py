@@ -11,10 +11,10 @@ import pandas as pd
 from stickslip_fit.anova.answer import REPEATS_EXACTLY
 from stickslip_fit.anova.comparison import compare, shift, sums_of_squares
 from stickslip_fit.anova.effect import effect_of
-from stickslip_fit.anova.pivotal import intervals
+from stickslip_fit.anova.pivotal import generalized_pivotal_intervals
 from stickslip_fit.anova.question import Refusal, most_read
 from stickslip_fit.anova.readings import HELD
-from stickslip_fit.anova.reml import Cells, reml
+from stickslip_fit.anova.reml import CellStatistics, reml
 
 Array = npt.NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def components(rows: pd.DataFrame) -> Components | Refusal:
     if cells.complete.sum() < 2 or not scatters:
         reason = "needs two sessions with every direction at one configuration, and readings that scatter"
         return Refusal("components", joint, None, None, None, reason)
-    found, bounds = reml(cells), intervals(cells)
+    found, bounds = reml(cells), generalized_pivotal_intervals(cells)
     two = cells.count.shape[1] > 1
     difference = _difference(cells.mean[cells.complete]) if two else (None, None, None)
     return Components(
@@ -98,7 +98,7 @@ def components(rows: pd.DataFrame) -> Components | Refusal:
     )
 
 
-def cells_of(rows: pd.DataFrame) -> Cells:
+def cells_of(rows: pd.DataFrame) -> CellStatistics:
     """Counts and means by session and direction, and the scatter within."""
     values = rows["step_size"].to_numpy(float)
     shifted = shift(values)
@@ -110,7 +110,7 @@ def cells_of(rows: pd.DataFrame) -> Cells:
     total = np.bincount(flat, shifted, minlength=len(count))
     mean = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
     within = float(sums_of_squares(values, compare(flat)).within)
-    return Cells(count.reshape(shape), mean.reshape(shape), within)
+    return CellStatistics(count.reshape(shape), mean.reshape(shape), within)
 
 
 def _component(variance: float, bounds: tuple[float, float]) -> Component:

@@ -35,10 +35,10 @@ def normal_force(rows: pd.DataFrame, span: float, choose: Choose) -> list[Questi
         configuration = f"{describe(here.iloc[0], span, fixed)}; {' and '.join(varied)} turned"
         labelled = here.assign(level=here["orientation"].map(names))
         for sign in ("+", "-"):
-            mine = labelled[labelled["direction"] == sign]
-            if mine["level"].nunique() > 1:
-                asked += within_sessions("normal-force", "orientation", mine, sign, configuration)
-            elif len(mine):
+            driven = labelled[labelled["direction"] == sign]
+            if driven["level"].nunique() > 1:
+                asked += within_sessions("normal-force", "orientation", driven, sign, configuration)
+            elif len(driven):
                 reason = f"direction {sign} was driven in one of these orientations only"
                 asked.append(Refusal("normal-force", joint, sign, None, configuration, reason))
     return asked

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.anova.reml import Cells
+from stickslip_fit.anova.reml import CellStatistics
 
 Array = npt.NDArray[np.float64]
 
@@ -21,7 +21,7 @@ TAILS = (0.025, 0.975)
 
 
 @dataclass(frozen=True)
-class Bounds:
+class VarianceIntervals:
     """95 % intervals of variances; `total` is day and day by direction together."""
 
     day: tuple[float, float]
@@ -30,7 +30,7 @@ class Bounds:
     total: tuple[float, float]
 
 
-def intervals(cells: Cells, seed: int = 0) -> Bounds:
+def generalized_pivotal_intervals(cells: CellStatistics, seed: int = 0) -> VarianceIntervals:
     """Intervals from the sessions in which every direction was read, two at least.
 
     A session's mean over its directions varies by ``day + V / 4`` and the difference between them by
@@ -39,7 +39,7 @@ def intervals(cells: Cells, seed: int = 0) -> Bounds:
 
     Parameters
     ----------
-    cells : Cells
+    cells : CellStatistics
     seed : int, optional
     """
     rng = np.random.default_rng(seed)
@@ -50,9 +50,9 @@ def intervals(cells: Cells, seed: int = 0) -> Bounds:
     middle = _squares(mean.mean(axis=1)) / rng.chisquare(freedom, DRAWS)
     if mean.shape[1] == 1:
         day = _bounds(middle - h * replicate)
-        return Bounds(day, (0.0, 0.0), _bounds(replicate), day)
+        return VarianceIntervals(day, (0.0, 0.0), _bounds(replicate), day)
     across = _squares(mean[:, 1] - mean[:, 0]) / rng.chisquare(freedom, DRAWS)
-    return Bounds(
+    return VarianceIntervals(
         _bounds(middle - across / 4),
         _bounds((across - h * replicate) / 2),
         _bounds(replicate),

@@ -1,4 +1,4 @@
-"""The premises of an F test, checked and told in plain words."""
+"""Checks of an F test's assumptions: normality, equal variances, no drift, interleaved levels."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from stickslip_fit.anova.scatter import (
 
 Array = npt.NDArray[np.float64]
 
-LEVEL = 0.01  # a log has dozens of premises to check; at 0.05 one in twenty would be doubted for nothing
+LEVEL = 0.01  # a log has dozens of checks; at 0.05 one in twenty would be doubted for nothing
 FEWEST_RESIDUALS = 6  # degrees of freedom below which nothing can be told of a shape or a trend
 FEWEST_IN_A_CELL = 3  # two readings are always equally far from their middle
 APART = 0.9  # share of the variance of time that levels explain where they were read one after another
 
 
 @dataclass(frozen=True)
-class Premise:
-    """One premise.
+class AssumptionCheck:
+    """Outcome of one check.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class Premise:
     p_value: float | None = None
 
 
-def premises(values: Array, time: Array, level: Codes, block: Codes) -> tuple[Premise, ...]:
-    """Check readings against what an F test takes for granted.
+def check_assumptions(values: Array, time: Array, level: Codes, block: Codes) -> tuple[AssumptionCheck, ...]:
+    """Check readings against the assumptions of an F test.
 
     Parameters
     ----------
@@ -66,62 +66,64 @@ def premises(values: Array, time: Array, level: Codes, block: Codes) -> tuple[Pr
     )
 
 
-def _normal(values: Array, cell: Codes) -> Premise:
+def _normal(values: Array, cell: Codes) -> AssumptionCheck:
     name = "normal scatter"
     if _repeats(cell) < FEWEST_RESIDUALS or not np.any(residual(values, cell)):
         return _few(name, "too few readings to tell whether they scatter normally")
     doubt = "the readings do not scatter normally: trust the permutation p more than the F test's"
-    found = monte_carlo_p(shapiro_francia, values, cell)
-    return _tested(name, found, "the readings scatter as normal ones would", doubt)
+    p_value = monte_carlo_p(shapiro_francia, values, cell)
+    return _tested(name, p_value, "the readings scatter as normal ones would", doubt)
 
 
-def _equal(values: Array, cell: Codes) -> Premise:
+def _equal(values: Array, cell: Codes) -> AssumptionCheck:
     name = "equal scatter"
     sizes = np.bincount(cell)
     used = sizes[cell] >= FEWEST_IN_A_CELL
-    left, mine = values[used], np.unique(cell[used], return_inverse=True)[1]
-    if mine.max(initial=0) < 1 or not np.any(residual(left, mine)):
+    readings, cells = values[used], np.unique(cell[used], return_inverse=True)[1]
+    if cells.max(initial=0) < 1 or not np.any(residual(readings, cells)):
         return _few(name, "too few readings at one level to tell whether all levels scatter alike")
     doubt = "levels do not scatter alike: where their numbers of readings differ, the F test's p may be off"
-    return _tested(name, monte_carlo_p(brown_forsythe, left, mine), "all levels scatter alike", doubt)
+    return _tested(name, monte_carlo_p(brown_forsythe, readings, cells), "all levels scatter alike", doubt)
 
 
-def _no_trend(values: Array, time: Array, cell: Codes) -> Premise:
+def _no_trend(values: Array, time: Array, cell: Codes) -> AssumptionCheck:
     """Readings against the time within their session, reshuffled within each cell."""
     name = "drift within a session"
     left = residual(values, cell)
-    seen = abs(float(left @ time))
-    if _repeats(cell) < FEWEST_RESIDUALS or seen == 0.0:
+    observed = abs(float(left @ time))
+    if _repeats(cell) < FEWEST_RESIDUALS or observed == 0.0:
         return _few(name, "too few repeated readings to tell whether they drift within a session")
     home = np.argsort(cell, kind="stable")
     count = max(199, min(DRAWS, MOST_NUMBERS // len(cell)))
     keys = np.random.default_rng(0).random((count, len(cell))) + cell[home]
     shuffled = left[home][np.argsort(keys, axis=1)] @ time[home]
-    found = (1 + np.sum(np.abs(shuffled) >= seen * (1 - 1e-9))) / (1 + count)
+    p_value = (1 + np.sum(np.abs(shuffled) >= observed * (1 - 1e-9))) / (1 + count)
     doubt = "repeated readings drift within their session: what looks like an effect may be the hour"
-    return _tested(name, float(found), "repeated readings show no drift within a session", doubt)
+    return _tested(name, float(p_value), "repeated readings show no drift within a session", doubt)
 
 
-def _interleaved(time: Array, level: Codes, block: Codes) -> Premise:
+def _interleaved(time: Array, level: Codes, block: Codes) -> AssumptionCheck:
     """Whether levels took turns within sessions, or were read one after another in all of them."""
     name = "levels in turn"
     turns = sums_of_squares(time, compare(level, block))
     if turns.freedom[1] == 0 or turns.between + turns.within <= 0:
-        return Premise(name, "holds", "each level is a session of its own")
+        return AssumptionCheck(name, "holds", "each level is a session of its own")
     if turns.between < APART * (turns.between + turns.within):
-        return Premise(name, "holds", "levels took turns, so that a drift would not pass for an effect")
+        return AssumptionCheck(
+            name, "holds", "levels took turns, so that a drift would not pass for an effect"
+        )
     doubt = "levels were read one after another, so that a drift in the session could pass for an effect"
-    return Premise(name, "doubtful", doubt)
+    return AssumptionCheck(name, "doubtful", doubt)
 
 
 def _repeats(cell: Codes) -> int:
     return len(cell) - len(np.unique(cell))
 
 
-def _few(name: str, message: str) -> Premise:
-    return Premise(name, "cannot tell", message)
+def _few(name: str, message: str) -> AssumptionCheck:
+    return AssumptionCheck(name, "cannot tell", message)
 
 
-def _tested(name: str, found: float, fine: str, doubt: str) -> Premise:
-    verdict, message = ("holds", fine) if found >= LEVEL else ("doubtful", doubt)
-    return Premise(name, verdict, message, found)
+def _tested(name: str, p_value: float, fine: str, doubt: str) -> AssumptionCheck:
+    verdict, message = ("holds", fine) if p_value >= LEVEL else ("doubtful", doubt)
+    return AssumptionCheck(name, verdict, message, p_value)

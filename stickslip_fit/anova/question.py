@@ -80,25 +80,25 @@ def most_read(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
     by : list of str
         Columns that make a configuration.
     """
-    place, order = _by_worth(rows, by)
+    place, order = _ranked(rows, by)
     return [rows[place == order[0]]]
 
 
 def every(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
     """Each configuration, the one that says most first."""
-    place, order = _by_worth(rows, by)
+    place, order = _ranked(rows, by)
     parts = dict(list(rows.groupby(place, sort=False)))
     return [parts[one] for one in order]
 
 
-def _by_worth(rows: pd.DataFrame, by: list[str]) -> tuple[pd.Series[int], list[int]]:
+def _ranked(rows: pd.DataFrame, by: list[str]) -> tuple[pd.Series[int], list[int]]:
     """The number of each row's configuration, and these numbers, the one that says most first."""
     place = rows.groupby(by, dropna=False, sort=False).ngroup()
     cells = rows.groupby([place, "session", "direction", "orientation"], sort=False).size()
     places = cells.groupby(level=0, sort=False)
     repeats = places.sum() - places.size()
     again = rows.groupby(place)["session"].nunique() > 1
-    worth = pd.DataFrame(
+    ranking = pd.DataFrame(
         {"both": again & (repeats > 0), "again": again, "repeats": repeats, "readings": places.sum()}
     )
-    return place, list(worth.sort_values(list(worth), ascending=False, kind="stable").index)
+    return place, list(ranking.sort_values(list(ranking), ascending=False, kind="stable").index)

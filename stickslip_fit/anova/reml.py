@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cells:
+class CellStatistics:
     """Readings by session and direction.
 
     Attributes
@@ -51,7 +51,7 @@ class Variances:
     replicate: float
 
 
-def reml(cells: Cells) -> Variances:
+def reml(cells: CellStatistics) -> Variances:
     """Variances at the maximum of the restricted likelihood, each at least 0.
 
     The maximum may lie where a variance is 0. Each such face is searched by itself, on a logarithmic
@@ -59,12 +59,12 @@ def reml(cells: Cells) -> Variances:
 
     Parameters
     ----------
-    cells : Cells
+    cells : CellStatistics
         With one direction only, day by direction is part of day.
 
     Examples
     --------
-    >>> cells = Cells(np.array([[3.0], [3.0]]), np.array([[0.0], [2.0]]), 4.0)
+    >>> cells = CellStatistics(np.array([[3.0], [3.0]]), np.array([[0.0], [2.0]]), 4.0)
     >>> found = reml(cells)  # balanced: (MS between - MS within) / 3
     >>> round(found.day, 6), round(found.replicate, 6)
     (1.666667, 1.0)
@@ -76,7 +76,7 @@ def reml(cells: Cells) -> Variances:
     return Variances(float(best[0] * replicate), float(best[1] * replicate), replicate)
 
 
-def _lowest(cells: Cells, free: list[int]) -> list[Array]:
+def _lowest(cells: CellStatistics, free: list[int]) -> list[Array]:
     """Where the deviance is lowest with the other ratios 0, from a start on either side."""
     from scipy.optimize import minimize
 
@@ -102,7 +102,7 @@ def _lowest(cells: Cells, free: list[int]) -> list[Array]:
     return [ratios(each.x) for each in found]
 
 
-def _profile(cells: Cells, ratios: Array) -> tuple[float, float]:
+def _profile(cells: CellStatistics, ratios: Array) -> tuple[float, float]:
     """Deviance at ratios of variances to the replicate's, and the replicate's variance that goes with it."""
     present = cells.count > 0
     own = np.where(present, ratios[1] + 1.0 / np.where(present, cells.count, 1.0), 1.0)

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.optimize import minimize
 
 from stickslip_fit.anova.components import cells_of, components
-from stickslip_fit.anova.pivotal import intervals
+from stickslip_fit.anova.pivotal import generalized_pivotal_intervals
 from stickslip_fit.anova.question import Refusal
 from stickslip_fit.anova.reml import reml
 
@@ -99,7 +99,7 @@ def coverage(logs, counts, truth):
     day, interaction, replicate = truth
     true = np.array([day**2, interaction**2, replicate**2, day**2 + interaction**2])
     for log in range(logs):
-        found = intervals(cells_of(drawn(rng, counts, *truth)))
+        found = generalized_pivotal_intervals(cells_of(drawn(rng, counts, *truth)))
         bounds = np.array([found.day, found.day_direction, found.replicate, found.total]) * 1e18
         right[log] = (bounds[:, 0] <= true) & (true <= bounds[:, 1])
     return right.mean(axis=0)

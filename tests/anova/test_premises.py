@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova.premises import LEVEL, premises
+from stickslip_fit.anova.premises import LEVEL, check_assumptions
 from stickslip_fit.anova.scatter import brown_forsythe
 
 LOGS = 250
 
 
 def verdicts(values, time, level, block, name):
-    return next(each.verdict for each in premises(values, time, level, block) if each.name == name)
+    return next(each.verdict for each in check_assumptions(values, time, level, block) if each.name == name)
 
 
 def rates(draw, level, block, time):
     """How often each premise is doubted."""
     rng, doubted = np.random.default_rng(1), Counter()
     for _ in range(LOGS):
-        checks = premises(draw(rng), time, level, block)
+        checks = check_assumptions(draw(rng), time, level, block)
         doubted.update(each.name for each in checks if each.verdict == "doubtful")
     return {each.name: doubted[each.name] / LOGS for each in checks}
 
@@ -65,9 +65,9 @@ def test_equal_scatter_is_judged_about_medians():
 def test_a_constant_between_sessions_is_no_drift_and_no_shape(design):
     level, block, time = design
     values = np.random.default_rng(2).standard_normal(24)
-    far = premises(values + 1e4 * block + 50.0 * level, time, level, block)
+    far = check_assumptions(values + 1e4 * block + 50.0 * level, time, level, block)
     assert [each.p_value for each in far] == pytest.approx(
-        [each.p_value for each in premises(values, time, level, block)]
+        [each.p_value for each in check_assumptions(values, time, level, block)]
     )
 
 
@@ -82,6 +82,6 @@ def test_levels_read_one_after_another_are_told_from_levels_in_turn(design):
 
 def test_few_readings_say_so():
     two = np.array([0, 0, 1, 1])
-    found = premises(np.array([1.0, 2.0, 4.0, 3.0]), np.arange(4.0), two, np.zeros(4, dtype=int))
+    found = check_assumptions(np.array([1.0, 2.0, 4.0, 3.0]), np.arange(4.0), two, np.zeros(4, dtype=int))
     assert [each.verdict for each in found[:3]] == ["cannot tell"] * 3
     assert all("too few" in each.message for each in found[:3])
