@@ -204,7 +204,9 @@ def test_what_began_in_a_session_is_told_with_its_moment(version):
 def test_a_cause_without_a_sentence_is_told_by_its_phrase(table, read):
     (mine,) = covariates(read(table.assign(gain=1.0), "gain.csv").rows)
     own = finding_of(mine, 0.02)
-    assert what_happens(own) == "Steps follow the column gain, by 1.0 % rms"
+    # A finding of a covariate has no parameters.
+    assert what_happens(replace(own, parameters=())) == "Steps follow the column gain, by 1.0 % rms"
+    assert what_to_do(own) == "keeping gain steady"
     foreign = replace(own, cause="moonlight", version=type("Moon", (), {"phrase": "the moon shines"})())
     assert what_happens(foreign) == "The moon shines (f1 = 2.0 %, f2 = 2.0 %, f3 = 2.0 %)"
 
