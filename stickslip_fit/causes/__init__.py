@@ -33,11 +33,11 @@ Added to a law it makes a law, and with the library it is looked for like any ot
 array([12295., 12054.])
 
 `columns` names what the equation needs of a row beside positions and angles; `scale` is a size that matters,
-and sets what is tried; one whose effect has a kink, a place or a moment in it overrides `Cause.trials`. What
-refers to the log as a whole (a mean, a range) becomes a field of the dataclass, filled in by `Cause.bound`;
-fields are saved with the law, so they are numbers, text or tuples of them. A factor may depend on the
-position of the joint, ``state.position``; where it has features narrower than about a tenth of a traverse,
-`Cause.widest` says how narrow.
+and sets what is tried; `sentence` and `remedy` are what a diagnosis says of it. One whose effect has a kink,
+a place or a moment in it overrides `Cause.trials`. What refers to the log as a whole (a mean, a range)
+becomes a field of the dataclass, filled in by `Cause.bound`; fields are saved with the law, so they are
+numbers, text or tuples of them. A factor may depend on the position of the joint, ``state.position``; where
+it has features narrower than about a tenth of a traverse, `Cause.widest` says how narrow.
 
 A package that is installed brings its causes along by an entry point, which names the cause or its class::
 

@@ -68,9 +68,6 @@ class Condition(Field):
         return f"{self.stem.replace('_', ' ')} ({self.unit})"
 
 
-_TOO_COLD = "is at or below absolute zero; correct it, or the column's unit"
-_NO_PERIOD = "is no period; write a time above 0"
-
 FIELDS = (
     Field("session", "session", required=True),
     Field("time", "time", required=True),
@@ -88,13 +85,19 @@ FIELDS = (
     Field("to_length", "to", LENGTH),
     Field("check_every", "check_every"),
     Field("status", "status"),
-    Condition("temperature", "temperature", ("C", "K"), False, "ambient temperature", 5.0, _TOO_COLD),
-    Condition("humidity", "humidity", ("pct",), False, "relative humidity", 0.2),
-    Condition("supply", "supply", ("V",), False, "supply voltage", 2.0),
-    Condition("step_period", "step_period", ("ms", "s"), False, "step period", 0.005, _NO_PERIOD),
-    Condition("payload", "payload", ("g", "kg"), False, "payload", 0.02),
+    Condition(
+        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0,
+        fault="is at or below absolute zero; correct it, or the column's unit",
+    ),
+    Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
+    Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
+    Condition(
+        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005,
+        fault="is no period; write a time above 0",
+    ),
+    Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
     Field("note", "note"),
-)
+)  # fmt: skip
 # What an empty cell means.
 CHECK_EVERY = 5
 CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
