@@ -30,6 +30,7 @@ def _section(cause: Cause) -> str:
         f"acts on {_station(cause)}; {JOINTS.get(cause.joints) or f'joint {cause.joints[0]}'}",
         f"needs {_needs(cause)}",
         f"would be shown best by {text(cause.shows_best)}",
+        f"what helps: {text(cause.remedy or 'a law that knows of it')}",
         f"in code: {{py:obj}}`stickslip_fit.causes.{type(cause).__name__}`, in "
         f"`{Path(inspect.getfile(type(cause))).name}`",
     ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+import typer
+
 from stickslip_fit.capture.conditions import EXAMPLE, conditions_of, conditions_text
 from stickslip_fit.capture.ear import Heard
 from stickslip_fit.capture.keys import Keys
@@ -46,11 +48,11 @@ class Teller:
         self._checks += 1
         if sys.stdout.isatty() and self._checks % SHOWN_EVERY == 0:
             about = f" of about {work.expected.steps:,.0f}" if work.expected.known else ""
-            print(f"\r\x1b[K  {steps:,}{about} steps, {heard.level:+.1f} dB", end="", flush=True)
+            typer.echo(f"\r\x1b[K  {steps:,}{about} steps, {heard.level:+.1f} dB", nl=False)
 
     def _clear(self) -> None:
         if sys.stdout.isatty():
-            print("\r\x1b[K", end="")
+            typer.echo("\r\x1b[K", nl=False)  # which old Windows consoles have to be told in their way
 
 
 class Terminal(Teller):

@@ -1,4 +1,4 @@
-r"""Why the step size is not what the law says: one file a cause.
+r"""Why the step size is not what the law says: each cause a class, in the file of its family.
 
 A cause acts at one station on the way from a state to a count, and so is one of four kinds: `StateCause`
 (an angle, the load, the recoil), `TermCause` (added to the step size), `FactorCause` (times the step size) or
@@ -33,11 +33,11 @@ Added to a law it makes a law, and with the library it is looked for like any ot
 array([12295., 12054.])
 
 `columns` names what the equation needs of a row beside positions and angles; `scale` is a size that matters,
-and sets what is tried; one whose effect has a kink, a place or a moment in it overrides `Cause.trials`. What
-refers to the log as a whole (a mean, a range) becomes a field of the dataclass, filled in by `Cause.bound`;
-fields are saved with the law, so they are numbers, text or tuples of them. A factor may depend on the
-position of the joint, ``state.position``; where it has features narrower than about a tenth of a traverse,
-`Cause.widest` says how narrow.
+and sets what is tried; `sentence` and `remedy` are what a diagnosis says of it. One whose effect has a kink,
+a place or a moment in it overrides `Cause.trials`. What refers to the log as a whole (a mean, a range)
+becomes a field of the dataclass, filled in by `Cause.bound`; fields are saved with the law, so they are
+numbers, text or tuples of them. A factor may depend on the position of the joint, ``state.position``; where
+it has features narrower than about a tenth of a traverse, `Cause.widest` says how narrow.
 
 A package that is installed brings its causes along by an entry point, which names the cause or its class::
 
@@ -45,76 +45,74 @@ A package that is installed brings its causes along by an entry point, which nam
     hum = "our_lab.hum:Hum"
 """
 
-from stickslip_fit.causes.bearing_runout import BearingRunout
-from stickslip_fit.causes.cable_torque import CableTorque
-from stickslip_fit.causes.cause import Cause, CauseParameter, CountCause, FactorCause, StateCause, TermCause
-from stickslip_fit.causes.covariate import Covariate
-from stickslip_fit.causes.drift import Drift
-from stickslip_fit.causes.end_stop_latency import EndStopLatency
-from stickslip_fit.causes.end_stop_misfire import EndStopMisfire
-from stickslip_fit.causes.extended import ExtendedLaw, extend
-from stickslip_fit.causes.guide_gradient import GuideGradient
-from stickslip_fit.causes.humidity import Humidity
-from stickslip_fit.causes.inertia_quadratic import InertiaQuadratic
-from stickslip_fit.causes.library import covariates, library
-from stickslip_fit.causes.load_hysteresis import LoadHysteresis
-from stickslip_fit.causes.load_nonlinearity import LoadNonlinearity
-from stickslip_fit.causes.payload_change import PayloadChange
-from stickslip_fit.causes.psi_offset import PsiOffset
-from stickslip_fit.causes.q1_gravity import Q1Gravity
-from stickslip_fit.causes.q2_offset import Q2Offset
-from stickslip_fit.causes.recoil_axis import RecoilAxis
-from stickslip_fit.causes.recoil_shape import RecoilShape
-from stickslip_fit.causes.reversal_loss import ReversalLoss
-from stickslip_fit.causes.saved import describe, restore
-from stickslip_fit.causes.session_jump import SessionJump
-from stickslip_fit.causes.side_load import SideLoad
-from stickslip_fit.causes.step_rate import StepRate
-from stickslip_fit.causes.supply_voltage import SupplyVoltage
-from stickslip_fit.causes.temperature import Temperature
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
-from stickslip_fit.causes.theta_offset import ThetaOffset
-from stickslip_fit.causes.wear import Wear
-from stickslip_fit.causes.worn_spot import WornSpot
+from importlib.metadata import entry_points
+
+import pandas as pd
+
+from stickslip_fit.causes import environment, geometry, load, position, temporal
+from stickslip_fit.causes.base import (
+    Cause,
+    CauseParameter,
+    CountCause,
+    FactorCause,
+    SizedParameter,
+    StateCause,
+    TermCause,
+)
+from stickslip_fit.causes.environment import *  # noqa: F403
+from stickslip_fit.causes.environment import Covariate
+from stickslip_fit.causes.extended_law import ExtendedLaw, describe, extend, restore
+from stickslip_fit.causes.geometry import *  # noqa: F403
+from stickslip_fit.causes.load import *  # noqa: F403
+from stickslip_fit.causes.position import *  # noqa: F403
+from stickslip_fit.causes.temporal import *  # noqa: F403
+from stickslip_fit.logs.columns import COVARIATE
+
+FAMILIES = (temporal, environment, geometry, load, position)
+ENTRY_POINT = "stickslip_fit.causes"
 
 __all__ = [
-    "BearingRunout",
-    "CableTorque",
     "Cause",
     "CauseParameter",
     "CountCause",
-    "Covariate",
-    "Drift",
-    "EndStopLatency",
-    "EndStopMisfire",
     "ExtendedLaw",
     "FactorCause",
-    "GuideGradient",
-    "Humidity",
-    "InertiaQuadratic",
-    "LoadHysteresis",
-    "LoadNonlinearity",
-    "PayloadChange",
-    "PsiOffset",
-    "Q1Gravity",
-    "Q2Offset",
-    "RecoilAxis",
-    "RecoilShape",
-    "ReversalLoss",
-    "SessionJump",
-    "SideLoad",
+    "SizedParameter",
     "StateCause",
-    "StepRate",
-    "SupplyVoltage",
-    "Temperature",
     "TermCause",
-    "ThermalWarmUp",
-    "ThetaOffset",
-    "Wear",
-    "WornSpot",
     "covariates",
     "describe",
     "extend",
     "library",
     "restore",
 ]
+__all__ += [name for family in FAMILIES for name in family.__all__]
+
+
+def library() -> tuple[Cause, ...]:
+    """Every cause, in the order of the documentation; then those of installed packages.
+
+    The toolkit's own are those that ``__all__`` lists in the module of a family. A package adds its own by
+    the entry point ``stickslip_fit.causes``, which names a cause or a function without arguments that returns
+    one.
+
+    Examples
+    --------
+    >>> [cause.name for cause in library()][:3]
+    ['thermal-warm-up', 'drift', 'session-jump']
+    """
+    kinds = [getattr(family, name) for family in FAMILIES for name in family.__all__]
+    # A covariate has no name before it has a column.
+    own = [kind() for kind in kinds if kind is not Covariate]
+    return (*own, *(_loaded(point.load()) for point in entry_points(group=ENTRY_POINT)))
+
+
+def covariates(rows: pd.DataFrame) -> tuple[Covariate, ...]:
+    """A cause for every numeric column that the lab added."""
+    return tuple(
+        Covariate(name.removeprefix(COVARIATE)) for name in rows.columns if name.startswith(COVARIATE)
+    )
+
+
+def _loaded(found: object) -> Cause:
+    return found if isinstance(found, Cause) else found()  # type: ignore[operator]

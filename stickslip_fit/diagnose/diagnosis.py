@@ -8,32 +8,12 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from stickslip_fit.causes.base import SizedParameter
 from stickslip_fit.diagnose.searching.search import Search
-from stickslip_fit.diagnose.sizes.amplitude import Interval
 from stickslip_fit.fit.result import AxesOf
+from stickslip_fit.units.wording import Interval
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
-
-
-@dataclass(frozen=True)
-class SizedParameter:
-    """A parameter of a named cause, SI, with its interval of 95 %.
-
-    Attributes
-    ----------
-    name, unit : str
-        The unit is the one people read it in.
-    size : Interval
-    joint : int or None
-    direction, session : str or None
-    """
-
-    name: str
-    unit: str
-    size: Interval
-    joint: int | None = None
-    direction: str | None = None
-    session: str | None = None
 
 
 @dataclass(frozen=True)

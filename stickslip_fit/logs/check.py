@@ -84,8 +84,6 @@ def _status(cells: Cells) -> pd.Series:
 
 def _condition(cells: Cells, name: str) -> Floats:
     values = cells.numbers(name)
-    if name == "temperature":
-        cells.complain(name, values <= 0, "is at or below absolute zero; correct it, or the column's unit")
-    elif name == "step_period":
-        cells.complain(name, values <= 0, "is no period; write a time above 0")
+    if fault := CONDITIONS[name].fault:
+        cells.complain(name, values <= 0, fault)
     return values

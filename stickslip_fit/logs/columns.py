@@ -39,6 +39,35 @@ class Field:
         return tuple(f"{self.stem}_{suffix}" for suffix in self.suffixes) or (self.stem,)
 
 
+@dataclass(frozen=True)
+class Condition(Field):
+    """What the room or the drive is like in a traverse, as far as a log says it.
+
+    Attributes
+    ----------
+    label : str
+        As sentences have it.
+    beyond : float
+        How far one may go beyond a log in which it never changed, SI.
+    fault : str
+        What is wrong with a value that is not above 0, SI; empty where any value will do.
+    """
+
+    label: str = ""
+    beyond: float = 0.0
+    fault: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Symbol of the usual unit."""
+        return SUFFIXES[self.suffixes[0]]
+
+    @property
+    def axis(self) -> str:
+        """As the axis of a figure has it, with its unit."""
+        return f"{self.stem.replace('_', ' ')} ({self.unit})"
+
+
 FIELDS = (
     Field("session", "session", required=True),
     Field("time", "time", required=True),
@@ -56,23 +85,28 @@ FIELDS = (
     Field("to_length", "to", LENGTH),
     Field("check_every", "check_every"),
     Field("status", "status"),
-    Field("temperature", "temperature", ("C", "K")),
-    Field("humidity", "humidity", ("pct",)),
-    Field("supply", "supply", ("V",)),
-    Field("step_period", "step_period", ("ms", "s")),
-    Field("payload", "payload", ("g", "kg")),
+    Condition(
+        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0,
+        fault="is at or below absolute zero; correct it, or the column's unit",
+    ),
+    Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
+    Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
+    Condition(
+        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005,
+        fault="is no period; write a time above 0",
+    ),
+    Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
     Field("note", "note"),
-)
+)  # fmt: skip
 # What an empty cell means.
 CHECK_EVERY = 5
-CONDITIONS = ("temperature", "humidity", "supply", "step_period", "payload")
+CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
 COVARIATE = "covariate:"  # begins the names of the lab's own columns that hold numbers
 
 CONDITION_SPELLINGS = {
-    f"{field.stem}_{suffix}": (field.name, SUFFIXES[suffix])
-    for field in FIELDS
-    if field.name in CONDITIONS
-    for suffix in field.suffixes
+    f"{condition.stem}_{suffix}": (condition.name, SUFFIXES[suffix])
+    for condition in CONDITIONS.values()
+    for suffix in condition.suffixes
 }
 _BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.spellings}
 _COUNTS = ("joint", "steps", "check_every")

@@ -8,7 +8,6 @@ import pandas as pd
 from stickslip_fit.diagnose import Diagnosis, Gain, NextTraverse
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.telling.text import LIKELY_ENOUGH, ranking, where
-from stickslip_fit.diagnose.telling.wording import amount, probability, spread
 from stickslip_fit.report.table import Column, Table
 from stickslip_fit.report.wording import (
     MINUS,
@@ -20,6 +19,7 @@ from stickslip_fit.report.wording import (
     typeset,
     way,
 )
+from stickslip_fit.units.wording import amount, probability, spread
 
 MOST_RANKED, MOST_TRAVERSES = 10, 20
 NONE = "–"

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.causes.reversal_loss import reversed_before
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.causes.position import reversed_before
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.machine.load import mean_load
 from stickslip_fit.units import from_si
 
@@ -21,14 +21,6 @@ HOURS = "hours in session"
 OWN_STEPS = "own steps so far (millions)"
 LOAD_BEFORE = "load of the traverse before"
 REVERSED = "after a reversal (1) or not (0)"
-CONDITIONS = {
-    "temperature (°C)": ("temperature", "°C"),
-    "humidity (%)": ("humidity", "%"),
-    "supply (V)": ("supply", "V"),
-    "step period (ms)": ("step_period", "ms"),
-    "payload (g)": ("payload", "g"),
-}
-
 HISTORY = {
     "session_seconds": HOURS,
     "steps_before": OWN_STEPS,
@@ -39,8 +31,9 @@ HISTORY = {
 
 def label_of(column: str) -> str:
     """The axis that shows a column of the log best, if it is one that a cause follows by itself."""
-    conditions = {name: label for label, (name, _) in CONDITIONS.items()}
-    return HISTORY.get(column) or conditions.get(column) or column.removeprefix(COVARIATE)
+    if column in CONDITIONS:
+        return CONDITIONS[column].axis
+    return HISTORY.get(column) or column.removeprefix(COVARIATE)
 
 
 def quantities(rows: pd.DataFrame) -> dict[str, Array]:
@@ -63,8 +56,8 @@ def _all(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     joint = rows["joint"].to_numpy()
     middle = ((rows["start"] + rows["stop"]) / 2).to_numpy(float)
     yield HOURS, from_si(rows["session_seconds"].to_numpy(float), "h")
-    for label, (column, unit) in CONDITIONS.items():
-        yield label, from_si(rows[column].to_numpy(float), unit)
+    for name, condition in CONDITIONS.items():
+        yield condition.axis, from_si(rows[name].to_numpy(float), condition.unit)
     yield "load along the axis", _load(rows)
     yield "q2 (°)", from_si(np.where(joint == 2, middle, rows["q2"].to_numpy(float)), "deg")
     yield "q3 (mm)", from_si(np.where(joint == 3, middle, rows["q3"].to_numpy(float)), "mm")

@@ -12,14 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
-from stickslip_fit.causes.load_nonlinearity import BENDS
 from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.logs.settings import Settings, is_number
 from stickslip_fit.units import UNITS, format_value, to_si
 
 Array = npt.NDArray[np.float64]
 
-FORMS = {"load-nonlinearity": tuple(BENDS), "temperature": ("straight", "curved")}
 BEND_OVER = {"half": "1 K"}  # only a bent response asks for it
 _QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
@@ -57,7 +55,9 @@ def _cause(table: Settings) -> tuple[Cause, list[float]] | None:
     cause: Any = known[name]
     given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
     given.pop("column", None)
-    cause = replace(cause, **{key: _reference(table, key, usual, name) for key, usual in given.items()})
+    cause = replace(
+        cause, **{key: _reference(table, key, usual, cause.forms) for key, usual in given.items()}
+    )
     if "session" in cause.columns and not cause.session:
         table.complain("session", "give the session in which it happens, in quotes")
     values = _values(table, cause.parameters)
@@ -65,7 +65,7 @@ def _cause(table: Settings) -> tuple[Cause, list[float]] | None:
     return cause, values
 
 
-def _reference(table: Settings, key: str, usual: str | float, name: str) -> str | float:
+def _reference(table: Settings, key: str, usual: str | float, forms: tuple[str, ...]) -> str | float:
     """Something that a cause refers to beside its parameters; a number has no default."""
     if isinstance(usual, float):
         quantity = _quantity(table.take(key, BEND_OVER.get(key)))
@@ -74,9 +74,9 @@ def _reference(table: Settings, key: str, usual: str | float, name: str) -> str 
         table.complain(key, 'give a number, with its unit where it has one, e.g. "21 °C"')
         return math.nan
     value = table.take(key, usual)
-    if isinstance(value, str) and value in FORMS.get(name, (value,)):
+    if isinstance(value, str) and (not forms or value in forms):
         return value
-    table.complain(key, f"give one of {', '.join(FORMS[name])}" if name in FORMS else "give a text in quotes")
+    table.complain(key, f"give one of {', '.join(forms)}" if forms else "give a text in quotes")
     return usual
 
 

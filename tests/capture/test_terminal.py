@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 import pty
+import subprocess
 import sys
 import termios
+from collections import deque
+from itertools import count
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
+from stickslip_fit.capture import keys as keyboard
 from stickslip_fit.capture import terminal
 from stickslip_fit.capture.expected import Expected
 from stickslip_fit.capture.keys import Keys
@@ -35,7 +40,33 @@ def hand(monkeypatch):
     os.close(master)
 
 
-@pytest.mark.parametrize(
+class Window:
+    """A console window as `msvcrt` has it; keys come in so many looks after they were typed."""
+
+    def __init__(self, looks: int = 0) -> None:
+        self.typed: deque[str] = deque()
+        self.looks = looks
+
+    def kbhit(self) -> bool:
+        self.looks -= 1
+        return self.looks < 0 and bool(self.typed)
+
+    def getwch(self) -> str:
+        assert self.typed, "would wait for ever"
+        return self.typed.popleft()
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """Takes the place of the keyboard on a system without termios."""
+    found = Window()
+    monkeypatch.setitem(sys.modules, "termios", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", found)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    return found
+
+
+ANSWERS = pytest.mark.parametrize(
     ("typed", "meant"),
     [
         ("\n", Answer()),
@@ -52,10 +83,34 @@ def hand(monkeypatch):
         ("ctemperature=22.5\nccold\nchumidity_pct = 40\nr", Answer(Choice.REPEAT, "", {"humidity": 0.4})),
     ],
 )
+
+
+@ANSWERS
 def test_a_doubtful_reading_is_answered(hand, typed, meant):
     with Keys() as keys:
         hand(typed)
         assert Terminal(keys).reading(ODD) == meant
+
+
+@ANSWERS
+def test_a_doubtful_reading_is_answered_in_a_console_window(window, typed, meant):
+    with Keys() as keys:
+        window.typed += typed.replace("\x7f", "\b").replace("\n", "\r")
+        assert Terminal(keys).reading(ODD) == meant
+
+
+def test_an_arrow_is_no_answer_and_no_text(hand):
+    with Keys() as keys:
+        hand("\x1b[Cn\x1b[1;5Cloud\x1bOR\ns")  # the first ends in a letter that is a choice
+        assert Terminal(keys).reading(ODD) == Answer(Choice.SKIP, "loud")
+
+
+def test_an_arrow_is_no_answer_and_no_text_in_a_console_window(window):
+    with Keys() as keys:
+        window.typed += ["\xe0", "C", "\x00", "r", "n", "\xe0", "K", "a", "\r", "s"]
+        assert Terminal(keys).reading(ODD) == Answer(Choice.SKIP, "a")
+        window.typed.append("\xe0")  # the à of a keyboard that has one: nothing waits behind it
+        assert keys.key() == "à"
 
 
 def test_a_good_reading_is_shown_with_the_law_beside_it_and_not_waited_for(hand, capsys):
@@ -68,6 +123,15 @@ def test_where_nobody_answers_a_doubtful_reading_is_kept(hand, monkeypatch):
     monkeypatch.setattr(terminal, "DOUBT", 0.01)
     with Keys() as keys:
         assert Terminal(keys).reading(ODD) == Answer()
+
+
+def test_where_nobody_answers_at_a_console_window_a_doubtful_reading_is_kept(window, monkeypatch):
+    ticks = count()
+    monkeypatch.setattr(keyboard, "monotonic", lambda: float(next(ticks)))
+    monkeypatch.setattr(keyboard, "sleep", lambda seconds: None)
+    with Keys() as keys:
+        assert Terminal(keys).reading(ODD) == Answer()
+    assert next(ticks) == pytest.approx(terminal.DOUBT + 2, abs=1)
 
 
 def test_once_somebody_has_answered_there_is_no_hurry(hand, monkeypatch):
@@ -90,6 +154,46 @@ def test_any_key_stops_a_drive_once(hand):
         hand("\x1b[A")  # an arrow key is three bytes
         assert person.stop_wanted()
         assert not person.stop_wanted()
+
+
+def test_any_key_stops_a_drive_once_in_a_console_window(window):
+    with Keys() as keys:
+        person = Terminal(keys)
+        assert not person.stop_wanted()
+        window.typed += ["\xe0", "H"]
+        assert person.stop_wanted()
+        assert not person.stop_wanted()
+
+
+def test_control_c_ends_it_in_a_console_window(window):
+    with Keys() as keys:
+        window.typed.append("\x03")
+        with pytest.raises(KeyboardInterrupt):
+            keys.key()
+
+
+def test_a_key_that_comes_late_is_waited_for(window, monkeypatch):
+    monkeypatch.setattr(keyboard, "POLL", 0.001)
+    window.looks = 20
+    with Keys() as keys:
+        window.typed.append("R")
+        assert keys.key(30.0) == "r"
+    assert window.looks < 0
+
+
+def test_capture_is_imported_where_there_is_no_termios():
+    code = """
+import sys
+from pkgutil import walk_packages
+from importlib import import_module
+for name in ("termios", "tty", "pty", "fcntl"):
+    sys.modules[name] = None
+import stickslip_fit.capture as capture
+for module in walk_packages(capture.__path__, "stickslip_fit.capture."):
+    if not module.name.endswith("__main__"):
+        import_module(module.name)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_terminal_is_left_as_it_was(hand):

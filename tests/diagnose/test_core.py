@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import kstest, multivariate_normal, norm
 
-from stickslip_fit.causes.drift import Drift
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
+from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnose.laid_out.refit import refit
 from stickslip_fit.diagnose.laid_out.study import study_of
 from stickslip_fit.diagnose.noise.misfires import misfires

@@ -11,8 +11,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.stats import norm
 
-from stickslip_fit.causes import library
-from stickslip_fit.causes.wear import Wear
+from stickslip_fit.causes import Wear, library
 from stickslip_fit.diagnose.laid_out.of_log import bench_of
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.searching.naming import name

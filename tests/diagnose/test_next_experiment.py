@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from stickslip_fit.causes import library
-from stickslip_fit.causes.drift import Drift
+from stickslip_fit.causes import Drift, library
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.experiments.ahead import ahead
 from stickslip_fit.diagnose.experiments.next_experiment import next_experiment, out_of_reach

@@ -7,19 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.units import from_si
 
 HOURS = (1.0, 2.0, 4.0, 7.0)
 HOUR = 3600.0
-# Column: what a person calls it, its unit, and how far one may go beyond a log in which it never changed.
-CONDITIONS = {
-    "temperature": ("temperature", "°C", 5.0),
-    "humidity": ("relative humidity", "%", 0.2),
-    "supply": ("supply voltage", "V", 2.0),
-    "step_period": ("step period", "ms", 0.005),
-    "payload": ("payload", "g", 0.02),
-}
 
 
 def moments_ahead(rows: pd.DataFrame, places: pd.DataFrame, log: pd.DataFrame) -> pd.DataFrame:
@@ -70,13 +62,13 @@ def _following(rows: pd.DataFrame, places: pd.DataFrame) -> Iterator[pd.DataFram
 
 def _conditions(rows: pd.DataFrame, log: pd.DataFrame) -> Iterator[pd.DataFrame]:
     for name in (name for name in log.columns if name in CONDITIONS or name.startswith(COVARIATE)):
-        called, unit, beyond = CONDITIONS.get(name, (name.removeprefix(COVARIATE), "1", 0.0))
+        label, unit, beyond = name.removeprefix(COVARIATE), "1", 0.0
+        if condition := CONDITIONS.get(name):
+            label, unit, beyond = condition.label, condition.unit, condition.beyond
         low, high = float(log[name].min()), float(log[name].max())
         if low == high:
             low, high = max(low - beyond, low / 2), high + beyond
         for value in (low, high):
             if np.isfinite(value) and low < high:
                 shown = f"{from_si(value, unit):.4g} {unit if unit != '1' else ''}".strip()
-                yield rows.assign(
-                    **{name: value}, note=f"once the session is calibrated, at {called} {shown}"
-                )
+                yield rows.assign(**{name: value}, note=f"once the session is calibrated, at {label} {shown}")

@@ -10,7 +10,7 @@ from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Gain
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.searching.search import MISFIRE
 from stickslip_fit.diagnose.telling.told import what_happens, what_to_do
-from stickslip_fit.diagnose.telling.wording import begun_large, listed, percent, probability
+from stickslip_fit.units.wording import begun_large, listed, percent, probability
 
 MOST_UNSEEN = 4
 FOLLOWS = {
@@ -109,7 +109,7 @@ def _worth(finding: Finding, diagnosis: Diagnosis) -> str:
             "its own; until it has a name, count on errors of "
             f"{percent(diagnosis.misfit)}, where a traverse repeats to {percent(diagnosis.repeatability)}."
         )
-    cure = what_to_do(finding.cause) if not finding.equivalent else ""
+    cure = what_to_do(finding) if not finding.equivalent else ""
     law = "" if finding.cause == MISFIRE else "the extended law"
     what = begun_large(f"{cure}, or {law}," if cure and law else cure or law)
     rest = _cut(diagnosis.gain, finding, diagnosis.repeatability)

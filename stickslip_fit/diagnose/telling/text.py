@@ -12,7 +12,8 @@ from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain, NextTraverse, Size
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnose.telling.answer import answer
-from stickslip_fit.diagnose.telling.wording import (
+from stickslip_fit.units import format_value, text_table
+from stickslip_fit.units.wording import (
     amount,
     listed,
     percent,
@@ -20,7 +21,6 @@ from stickslip_fit.diagnose.telling.wording import (
     spread,
     way,
 )
-from stickslip_fit.units import format_value, text_table
 
 WIDTH = 110
 INDENTED: dict[str, Any] = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
+from stickslip_fit.causes import ThermalWarmUp
 from stickslip_fit.strategies import ClosedForm, ConstantStep, Hierarchical, IOptimal, LeastSquares, Unsuited
 from stickslip_fit.strategies.study import Cores, run_study
 from stickslip_fit.strategies.study.calibrations import all_at_once, calibrate, task_by_task

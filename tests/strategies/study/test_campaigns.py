@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stickslip_fit.causes.end_stop_misfire import EndStopMisfire
-from stickslip_fit.causes.reversal_loss import ReversalLoss
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
-from stickslip_fit.causes.wear import Wear
+from stickslip_fit.causes import EndStopMisfire, ReversalLoss, ThermalWarmUp, Wear
 from stickslip_fit.simulate import LawValues, simulate
 from stickslip_fit.strategies.study import Scenario
 from stickslip_fit.strategies.study.campaigns import simulate_campaigns

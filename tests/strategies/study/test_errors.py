@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stickslip_fit.causes.end_stop_latency import EndStopLatency
+from stickslip_fit.causes import EndStopLatency
 from stickslip_fit.strategies import ClosedForm, IOptimal, LeastSquares
 from stickslip_fit.strategies.bound import prediction_variance
 from stickslip_fit.strategies.study import Cores, run_study

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
+from stickslip_fit.causes import ThermalWarmUp
 from stickslip_fit.errors import InputError
 from stickslip_fit.strategies.study import Cores, Scenario, run_study, save_study
 from tests.strategies.study.conftest import HEAD, JOINT_3, ROTARY, hidden, law_file

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from stickslip_fit.causes.end_stop_latency import EndStopLatency
-from stickslip_fit.causes.thermal_warm_up import ThermalWarmUp
+from stickslip_fit.causes import EndStopLatency, ThermalWarmUp
 from stickslip_fit.laws import Base, Elbow, Prismatic
 from stickslip_fit.machine import load_machine
 from stickslip_fit.strategies import ClosedForm

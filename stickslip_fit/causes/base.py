@@ -8,22 +8,26 @@ to the count. A cause acts at exactly one of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.causes.conditions import known_of
-from stickslip_fit.laws import Parameter, State, StepLaw, state_at
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.laws import Parameter, Rows, State, StepLaw, column, state_at
+from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.machine import Machine
+from stickslip_fit.units.wording import Interval, amount, begun_large, number
 
 if TYPE_CHECKING:
-    from stickslip_fit.causes.extended import ExtendedLaw
+    from stickslip_fit.causes.extended_law import ExtendedLaw
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
 Row = Mapping[str, Any]
 """Quantities of each traverse by name, arrays of shape (n,)."""
 
@@ -46,6 +50,46 @@ class CauseParameter(Parameter):
     sudden: bool = False
 
 
+@dataclass(frozen=True)
+class SizedParameter:
+    """A parameter of a cause that acts in a log, SI, with its interval of 95 %.
+
+    In ``sentence.format(k=...)`` ``{k}`` is its size with its unit, ``{k:+}`` the same with its sign,
+    ``{k:.2f}`` the bare number, and of ``{k:grow|shrink}`` the first word if it is above 0, else the second.
+
+    Attributes
+    ----------
+    name, unit : str
+        The unit is the one people read it in.
+    size : Interval
+    joint : int or None
+    direction, session : str or None
+    """
+
+    name: str
+    unit: str
+    size: Interval
+    joint: int | None = None
+    direction: str | None = None
+    session: str | None = None
+
+    def times(self, factor: float, unit: str = "") -> SizedParameter:
+        """The parameter times a factor, read in another unit if one is given."""
+        return replace(self, size=self.size.times(factor), unit=unit or self.unit)
+
+    def __format__(self, form: str) -> str:
+        positive, either, other = form.partition("|")
+        if either:
+            return positive if self.size.estimate > 0 else other
+        if form.endswith("f"):
+            return number(self.size.estimate, self.unit, int(form[1:-1]))
+        return amount(self.size, self.unit, signed=form == "+")
+
+
+Sizes = Mapping[str, SizedParameter]
+"""Parameters of a cause by name."""
+
+
 class Cause(ABC):
     """A cause holds no parameter values: they are handed to it, shape (q,) or (n, q), SI.
 
@@ -59,6 +103,12 @@ class Cause(ABC):
         A paragraph on what happens, with its source.
     shows_best : str
         The traverse that would show it best.
+    sentence : str
+        What it does in a log, with `quantities` in braces as `SizedParameter` says; no full stop. Empty where
+        its phrase and the numbers say it all.
+    remedy : str
+        What a lab can do about it, to begin a sentence with ("waiting until it is warm"); empty where nothing
+        helps but a law that knows of it.
     joints : tuple of int
         On which it acts.
     session : str
@@ -70,6 +120,8 @@ class Cause(ABC):
         Values under which it does nothing.
     scale : tuple of float
         A size of each parameter, or a change of it, that matters.
+    forms : tuple of str
+        Shapes between which it chooses by its field `form`.
     along : bool
         Whether it changes along a traverse beyond what the law itself does.
     joined : bool
@@ -86,12 +138,15 @@ class Cause(ABC):
     phrase: ClassVar[str]
     physics: ClassVar[str]
     shows_best: ClassVar[str]
+    sentence: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
     joints: ClassVar[tuple[int, ...]] = (1, 2, 3)
     session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
     absent: tuple[float, ...]
     scale: tuple[float, ...]
+    forms: ClassVar[tuple[str, ...]] = ()
     along: ClassVar[bool] = False
     joined: ClassVar[bool] = False
     of_stop: ClassVar[bool] = False
@@ -120,9 +175,30 @@ class Cause(ABC):
         """
         return ()
 
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """What it does in a log, by the sizes of its parameters, without a full stop.
+
+        Parameters
+        ----------
+        parameters : sequence of SizedParameter
+            Where the sentence takes more than is known, the phrase and what is known.
+        """
+        try:
+            known = self.quantities({each.name: each for each in parameters})
+            return self.sentence.format_map(known) or plain_description(self.phrase, parameters)
+        except KeyError:
+            return plain_description(self.phrase, parameters)
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """What `sentence` may have in braces, by name: the parameters and the session, unless overridden.
+
+        A KeyError says that a size which it takes is not known.
+        """
+        return {**sizes, "session": self.session}
+
     def extend(self, law: StepLaw) -> ExtendedLaw:
         """`law` with this cause in it."""
-        from stickslip_fit.causes.extended import extend
+        from stickslip_fit.causes.extended_law import extend
 
         return extend(law, self)
 
@@ -202,7 +278,7 @@ class FactorCause(Cause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that stays the same along a traverse divides its steps."""
-        from stickslip_fit.causes.extended import extend_by
+        from stickslip_fit.causes.extended_law import extend_by
 
         before, known = extend_by(law, ()), self.known(law, rows)
         ends = state_at(law.joint, known, np.stack([known["start"], known["stop"]], axis=-1))
@@ -226,17 +302,127 @@ class CountCause(Cause):
         """Steps added, shape (n, 1); each of `values` has shape (n, 1)."""
 
 
-def missing_column(rows: pd.DataFrame, name: str, called: str) -> str | None:
+def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:
+    """A cause by its phrase, with the sizes of its parameters.
+
+    Examples
+    --------
+    >>> plain_description("the moon shines", [SizedParameter("k", "%", Interval(0.02, 0.01, 0.03))])
+    'The moon shines (k = 2 %)'
+    """
+    sizes = ", ".join(f"{each.name} = {each:+}" for each in parameters)
+    return begun_large(phrase) + (f" ({sizes})" if sizes else "")
+
+
+def missing_column(rows: pd.DataFrame, name: str) -> str | None:
     """Why a column cannot explain anything, or None: it is empty, or the same within every session."""
+    label = CONDITIONS[name].label if name in CONDITIONS else f"column {name.removeprefix(COVARIATE)}"
     values = pd.to_numeric(rows[name], errors="coerce") if name in rows else pd.Series(dtype=float)
     if not values.notna().any():
-        return f"the log has no {called}"
+        return f"the log has no {label}"
     by_session = values.groupby(rows["session"])
     if not (by_session.max() > by_session.min()).any():
-        return f"{called} is the same within every session, and each session is calibrated by itself"
+        return f"{label} is the same within every session, and each session is calibrated by itself"
     return None
 
 
 def filled(values: Array, mean: float) -> Array:
     """Empty cells count as the mean, and so do nothing."""
     return np.where(np.isnan(values), mean, values)
+
+
+# A joint's first traverse of a session follows none.
+FIRST = {"before_direction": "", "before_load": 0.0}
+NEEDED = {
+    "session": "the session's name",
+    "session_seconds": "the time since the session's first traverse, s",
+    "steps_before": "the steps that the joint has made so far",
+}
+
+
+def known_of(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
+    """Start, stop and the given columns of each traverse, as arrays of shape (n,).
+
+    A joint that nothing is said of follows no other traverse, under the log's mean conditions (as an empty
+    cell does). How long a session has run and how many steps a joint has made have no such value.
+
+    Raises
+    ------
+    InputError
+        For a column that is not there and has none.
+
+    Examples
+    --------
+    >>> known_of({"start": [0.0], "stop": [0.012]}, ["temperature"])["temperature"]
+    array([nan])
+    """
+    known: dict[str, Any] = {"start": column(rows, "start"), "stop": column(rows, "stop")}
+    lacking = [name for name in columns if name in NEEDED and name not in rows]
+    if lacking:
+        raise InputError([Problem(f"the law needs {NEEDED[name]}: give it", column=name) for name in lacking])
+    for name in columns:
+        stands_in = np.full(len(known["start"]), FIRST.get(name, np.nan))
+        known[name] = np.asarray(rows[name]) if name in rows else stands_in
+    return known
+
+
+# In a session, in a log, and as many as a session has in any case: between two of them a change is seen
+# nearly as well.
+MOST, ABOUT, LEAST = 120, 700, 6
+FEWEST = 3  # traverses on either side
+
+
+def moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
+    """Halfway between traverses, for each session that has enough of them; s from its first."""
+    found, every = [], len(rows) / ABOUT
+    for session, mine in rows.groupby(rows["session"].astype(object), sort=False):
+        seconds = np.unique(mine["session_seconds"].to_numpy(float))
+        between = ((seconds[1:] + seconds[:-1]) / 2)[FEWEST - 1 : 1 - FEWEST]
+        if len(between):
+            apart = max(len(between) / MOST, min(every, len(between) / LEAST))
+            found.append((str(session), between[:: int(np.ceil(apart))]))
+    return found
+
+
+def moment_of(session: str) -> CauseParameter:
+    """The parameter that says when, in a session, something changed for good."""
+    meaning = "when, from the session's first traverse"
+    return CauseParameter("moment", "min", meaning, lower=0.0, session=session, sudden=True)
+
+
+def since(state: State, session: str, moment: Array) -> Mask:
+    """Whether each traverse is one of a session and begins at its moment or later; (n, 1) -> (n, 1)."""
+    mine = np.asarray(state.row["session"], dtype=object) == session
+    return mine[:, None] & (state.column("session_seconds") >= moment)
+
+
+def changes_since(
+    changes: Callable[[dict[str, Any], Array, Array], Array],
+    known: dict[str, Any],
+    values: Array,
+    session: str,
+    trials: Array,
+) -> Array:
+    """Changes by trials (size, moment): those that a size makes at all times, from its moment on.
+
+    Parameters
+    ----------
+    changes : callable
+        As `Cause.changes`, of a cause that changes a traverse by the whole or not at all.
+    known : dict of str to array, shape (n,)
+    values : array, shape (n, p)
+    session : str
+    trials : array, shape (m, 2)
+
+    Returns
+    -------
+    array, shape (n, m)
+    """
+    found = np.zeros((len(values), len(trials)))
+    mine = np.flatnonzero(np.asarray(known["session"], dtype=object) == session)
+    sizes, which = np.unique(trials[:, 0], return_inverse=True)
+    at_all_times = np.column_stack([sizes, np.full(len(sizes), -np.inf)])
+    there = {name: of[mine] for name, of in known.items()}
+    after = there["session_seconds"][:, None] >= trials[:, 1]
+    found[mine] = changes(there, values[mine], at_all_times)[:, which] * after
+    return found

@@ -1,18 +1,31 @@
-"""Sizes as sentences about causes have them: as many digits as the interval means."""
+"""An estimate with its interval, and sizes as sentences have them: as many digits as the interval means."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import floor, isfinite, log10
 
-from stickslip_fit.diagnose.sizes.amplitude import Interval
-from stickslip_fit.units import UNITS, from_si
+from stickslip_fit.units.unit import UNITS, from_si
 
 MINUS = "\N{MINUS SIGN}"
 MOST_DECIMALS = 6
 ENOUGH = 10.0  # from here on whole numbers, where nothing says how many digits mean something
 NOT_KNOWN = "not known"
 BESIDE = {"": "", "1": "", "%/%": " % per %"}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its interval of 95 %; NaN where it is not known."""
+
+    estimate: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Interval:
+        """All three times a factor."""
+        return Interval(self.estimate * factor, self.low * factor, self.high * factor)
 
 
 def percent(share: float) -> str:
@@ -90,11 +103,6 @@ def number(value: float, unit: str, digits: int) -> str:
 def way(direction: str | None) -> str:
     """A direction's sign, typeset."""
     return MINUS if direction == "-" else direction or ""
-
-
-def more_or_less(value: float) -> str:
-    """Whether steps grow or shrink."""
-    return "grow" if value > 0 else "shrink"
 
 
 def listed(items: Sequence[str], last: str = "and") -> str:

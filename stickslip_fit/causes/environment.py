@@ -1,0 +1,297 @@
+"""Causes in the surroundings: a condition that the log has a column for, or a column of the lab's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import log
+from typing import ClassVar, Self
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.causes.base import (
+    Array,
+    Cause,
+    CauseParameter,
+    FactorCause,
+    Sizes,
+    filled,
+    missing_column,
+)
+from stickslip_fit.laws import State
+from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.machine import Machine
+
+__all__ = ["Temperature", "Humidity", "SupplyVoltage", "StepRate", "Covariate"]  # noqa: RUF022
+
+
+@dataclass(frozen=True)
+class OfColumn(FactorCause):
+    """gamma times 1 + k (x - mean x), x a column of the log: the only one of `columns`.
+
+    Attributes
+    ----------
+    mean : float
+        Of the column over the log.
+    """
+
+    mean: float = 0.0
+
+    plausible: ClassVar[float]
+    absent = (0.0,)
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        return missing_column(rows, self.columns[0])
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (self.plausible / 10,)
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([self.plausible]),)
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 + values[0] * self.departure(state)
+
+    def departure(self, state: State) -> Array:
+        """How far the column is from its mean, shape (n, 1)."""
+        return filled(state.column(self.columns[0]), self.mean) - self.mean
+
+
+STRAIGHT = (CauseParameter("k", "%/K", "change of the step size per kelvin"),)
+BEND = CauseParameter("bend", "1", "share of k gained at half the log's range above its mean", -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Temperature(OfColumn):
+    """gamma times 1 + k x, in its curved form 1 + k x (1 + bend x / half), with x = T - mean T.
+
+    Attributes
+    ----------
+    form : {"straight", "curved"}
+    half : float
+        Half of the log's range of temperatures, K.
+    """
+
+    form: str = "straight"
+    half: float = 1.0
+
+    name = "temperature"
+    phrase = "steps follow the room's temperature"
+    physics = (
+        "A piezo's stroke per volt depends on its temperature, and so does the friction of the guides, so "
+        "that a warmer room makes other steps. Over a few kelvin both change about in proportion; over more, "
+        "the response may bend gently."
+    )
+    shows_best = "the same traverse in a cold and in a warm room"
+    sentence = "Steps {k:grow|shrink} by {k} with the room's temperature"
+    remedy = "keeping the room's temperature"
+    columns = ("temperature",)
+    plausible = 0.02
+    forms = ("straight", "curved")
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return STRAIGHT if self.form == "straight" else (*STRAIGHT, BEND)
+
+    @property
+    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (self.plausible / 10, 0.5)[: len(self.parameters)]
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(super().bound(rows, machine), half=float(np.ptp(rows["temperature"].dropna()) / 2))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        straight, curved = replace(self, form="straight"), replace(self, form="curved")
+        size = self.plausible / 10
+        return [(straight, np.array([[size]])), (curved, np.array([[size, 0.5], [size, -0.5]]))]
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([self.plausible, 0.0])[: len(self.parameters)],)
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        departure = self.departure(state)
+        bend = values[1] if self.form == "curved" else 0.0
+        return 1.0 + values[0] * departure * (1.0 + bend * departure / self.half)
+
+
+@dataclass(frozen=True)
+class Humidity(OfColumn):
+    """gamma times 1 + k (x - mean x), x the relative humidity."""
+
+    name = "humidity"
+    phrase = "steps follow the humidity"
+    physics = (
+        "Water adsorbed from the air changes the friction between ceramic and steel, and with it how far a "
+        "joint slips in each step (B. Bhushan, Introduction to Tribology, 2nd ed., Wiley, 2013)."
+    )
+    shows_best = "the same traverse in dry and in humid air"
+    sentence = "Steps {k:grow|shrink} by {k} with the humidity"
+    remedy = "keeping the room's humidity"
+    columns = ("humidity",)
+    parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
+    plausible = 0.5
+
+
+@dataclass(frozen=True)
+class SupplyVoltage(OfColumn):
+    """gamma times 1 + k (x - mean x), x the supply voltage."""
+
+    name = "supply-voltage"
+    phrase = "steps follow the supply voltage"
+    physics = (
+        "The amplitude of the saw-tooth drive follows the supply, and a step is proportional to the "
+        "amplitude less the part that friction takes up elastically."
+    )
+    shows_best = "the same traverse at two supply voltages"
+    sentence = "Steps {k:grow|shrink} by {k} with the supply voltage"
+    remedy = "steadying the supply"
+    columns = ("supply",)
+    parameters = (CauseParameter("k", "%/V", "change of the step size per volt"),)
+    plausible = 0.05
+
+
+@dataclass(frozen=True)
+class StepRate(FactorCause):
+    """gamma times 1 + k log(period / median period).
+
+    Attributes
+    ----------
+    median : float
+        Step period, s.
+    """
+
+    median: float = 1.0
+
+    name = "step-rate"
+    phrase = "steps follow the step period"
+    physics = (
+        "A joint still rings from one step when the next begins, and friction depends on how long the "
+        "surfaces have been at rest, so that the period between steps changes how far each slips."
+    )
+    shows_best = "the same traverse at the shortest and at the longest step period"
+    sentence = "Steps {k:grow|shrink} by {k} when the step period doubles"
+    remedy = "keeping to one step period"
+    columns = ("step_period",)
+    parameters = (CauseParameter("k", "%", "change of the step size per e-fold of the step period"),)
+    absent = (0.0,)
+    scale = (0.02,)
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(self, median=float(np.nanmedian(rows["step_period"].to_numpy(float))))
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        return missing_column(rows, "step_period")
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.2]),)
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: for a doubling of the period."""
+        return {"k": sizes["k"].times(log(2))}
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 + values[0] * np.log(filled(state.column("step_period"), self.median) / self.median)
+
+
+CHEBYSHEV_ORDER = 3
+
+
+@dataclass(frozen=True)
+class Covariate(FactorCause):
+    """gamma times 1 + f(column), f a polynomial over the log's range and constant beyond; 0 at the mean.
+
+    Attributes
+    ----------
+    column : str
+        The lab's own name of it.
+    mean, low, high : float
+        Over the log.
+    """
+
+    column: str = ""
+    mean: float = 0.0
+    low: float = -1.0
+    high: float = 1.0
+
+    phrase = "steps follow a column that the lab logged"
+    physics = "Whatever the column stands for; the log alone shows that the step size follows it smoothly."
+    shows_best = "one configuration at the lowest and at the highest values of the column"
+    sentence = "Steps follow the column {column}"
+    parameters = tuple(
+        CauseParameter(f"f{order}", "%", f"Chebyshev coefficient {order} over the column's range")
+        for order in range(1, CHEBYSHEV_ORDER + 1)
+    )
+    absent = (0.0,) * CHEBYSHEV_ORDER
+    joined = True
+    scale = (0.01,) * CHEBYSHEV_ORDER
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return COVARIATE + self.column
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (self.name,)
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return f"keeping {self.column} steady"
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: the coefficients of a curve tell nobody anything."""
+        return {"column": self.column}
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        values = rows[self.name].astype(float)
+        return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        return missing_column(rows, self.name)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        return [(self, 0.01 * np.eye(CHEBYSHEV_ORDER))]
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.1, 0.0, 0.0]),)
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        column = filled(state.column(self.name), self.mean)
+        shape = self._chebyshev(column) - self._chebyshev(np.array(self.mean))
+        return 1.0 + np.sum([size * shape[..., k] for k, size in enumerate(values)], axis=0)
+
+    def _chebyshev(self, column: Array) -> Array:
+        score = np.clip((2.0 * column - self.low - self.high) / (self.high - self.low), -1.0, 1.0)
+        return np.stack([score, 2.0 * score**2 - 1.0, 4.0 * score**3 - 3.0 * score], axis=-1)

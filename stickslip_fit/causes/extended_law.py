@@ -1,0 +1,387 @@
+"""A law with causes in it: a law again, from state to step size to count; and as plain JSON types."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit.causes._integration import Mask, Traverses
+from stickslip_fit.causes.base import (
+    Cause,
+    CauseParameter,
+    CountCause,
+    FactorCause,
+    StateCause,
+    TermCause,
+    known_of,
+)
+from stickslip_fit.causes.environment import Covariate
+from stickslip_fit.causes.position import EndStopMisfire
+from stickslip_fit.errors import InputError
+from stickslip_fit.laws import Configuration, Rows, State, StepLaw, describe_law, restore_law
+from stickslip_fit.laws.law import Array, Counter, column
+from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.machine import Machine
+
+# Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
+APART = 1e-5
+
+
+class Composition(StepLaw):
+    """What a published law and causes make together of a state.
+
+    Parameters
+    ----------
+    law : StepLaw
+    causes : sequence of Cause
+        Bound to a log; see `Cause.bound`.
+
+    Attributes
+    ----------
+    common : tuple of CauseParameter
+        The causes' parameters, the last of all: one number each for the whole campaign.
+    """
+
+    def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
+        self.law = law
+        self.causes = tuple(causes)
+        self.joint = law.joint
+        self.common = tuple(_named(cause, each) for cause in causes for each in cause.parameters)
+        self.parameters = (*law.parameters, *self.common)
+
+    @cached_property
+    def acting(self) -> tuple[tuple[Cause, range], ...]:
+        """The causes that act on the joint, each with the places of its parameters."""
+        found, first = [], len(self.law.parameters)
+        for cause in self.causes:
+            places = range(first, first + len(cause.parameters))
+            first = places.stop
+            if self.joint in cause.joints:
+                found.append((cause, places))
+        return tuple(found)
+
+    @property
+    def concerned(self) -> Mask:
+        """Which parameters say anything of this joint, shape (p,)."""
+        places = {k for _, places in self.acting for k in places}
+        own = len(self.law.parameters)
+        mine = [each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)]
+        return np.array([True] * own + mine)
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        true = self.true_state(state, values)
+        return self._before_factors(true, values) * self._factor(true, values)
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
+        true = self.true_state(state, values)
+        before, factor = self._before_factors(true, values), self._factor(true, values)
+        own = self._own_slopes(true, values) * factor[..., None]
+        slopes = [*np.moveaxis(own, -1, 0), *np.zeros((len(self.common), len(values), 1))]
+        ways: dict[type[Any], Callable[[Array], Array]] = {
+            StateCause: lambda there: self.gamma(state, there),
+            TermCause: lambda there: self._before_factors(true, there) * factor,
+            FactorCause: lambda there: before * self._factor(true, there),
+        }
+        for kind, function in ways.items():
+            for _, places in self.by_station[kind]:
+                for k in places:
+                    slopes[k] = self.difference(function, values, k)
+        return np.stack(np.broadcast_arrays(*slopes), axis=-1)
+
+    def true_state(self, state: State, values: Array) -> State:
+        """The state as the causes have it: angles, then what follows from them, then what alters that."""
+        for cause, places in self.by_station[StateCause]:
+            state = cause.change(state, _sizes(values, places))
+        return state
+
+    def steps_added(self, state: State, values: Array) -> Array:
+        """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
+        added = [
+            cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self.by_station[CountCause]
+        ]
+        return np.sum(added, axis=0) if added else np.zeros(len(values))
+
+    @cached_property
+    def by_station(self) -> dict[type[Any], list[tuple[Any, range]]]:
+        """The acting causes by the station at which they act; states in the order of their turns."""
+        found: dict[type[Any], list[tuple[Any, range]]] = {
+            kind: [(cause, places) for cause, places in self.acting if isinstance(cause, kind)]
+            for kind in (TermCause, FactorCause, CountCause)
+        }
+        states = [(cause, places) for cause, places in self.acting if isinstance(cause, StateCause)]
+        return found | {StateCause: sorted(states, key=lambda acting: acting[0].turn)}
+
+    def _before_factors(self, true: State, values: Array) -> Array:
+        """The law and the terms added to it."""
+        own = values[:, : len(self.law.parameters)]
+        gamma, terms = self.law.gamma(true, own), self.by_station[TermCause]
+        free = self.law.gamma(_unloaded(true), own) if terms else gamma
+        return gamma + sum(cause.term(free, true, _sizes(values, places)) for cause, places in terms)
+
+    def _factor(self, true: State, values: Array) -> Array:
+        factor = np.ones((len(values), 1))
+        for cause, places in self.by_station[FactorCause]:
+            factor = factor * cause.factor(true, _sizes(values, places))
+        return factor
+
+    def _own_slopes(self, true: State, values: Array) -> Array:
+        """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
+        own = values[:, : len(self.law.parameters)]
+        slopes, terms = self.law.gamma_slopes(true, own), self.by_station[TermCause]
+        if terms:
+            free, by_free = self.law.gamma(_unloaded(true), own), self.law.gamma_slopes(_unloaded(true), own)
+            for cause, places in terms:
+                sizes, step = _sizes(values, places), APART * free
+                rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
+                slopes = slopes + (rise / (2 * step))[..., None] * by_free
+        return slopes
+
+    def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
+        """Derivative of a function of the values by that of one of a cause's parameters."""
+        step = APART * self.sizes[k - len(self.law.parameters)]
+        ahead, behind = values.copy(), values.copy()
+        ahead[:, k] += step
+        behind[:, k] -= step
+        return (function(ahead) - function(behind)) / (2 * step)
+
+    @property
+    def sizes(self) -> Array:
+        """A size of each of the causes' parameters that matters, shape (q,)."""
+        return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
+
+
+def _named(cause: Cause, parameter: CauseParameter) -> CauseParameter:
+    only = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
+    name = f"{cause.name}.{parameter.name}" + (f"[{only}]" if only else "")
+    return replace(parameter, name=name)
+
+
+def _sizes(values: Array, places: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return [values[:, k, None] for k in places]
+
+
+def _unloaded(state: State) -> State:
+    still = np.zeros((len(state.position), 1))
+    return state.but(given_load=still, given_recoil=still)
+
+
+POSE = ("q1", "q2", "q3", "theta", "psi")
+AT_ONCE = 4096  # rows; with all the positions that a worn spot takes, arrays stay small
+
+
+class ExtendedLaw(Composition):
+    """A published law and the causes by which a joint departs from it.
+
+    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
+    joint, direction or session in brackets where it is that of one only.
+    """
+
+    name = "extended"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
+        needed = [*POSE, *self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
+        return tuple(dict.fromkeys(needed))
+
+    @property
+    def widest(self) -> float:  # type: ignore[override]
+        """See `StepLaw.widest`."""
+        return min([self.law.widest, *(cause.widest for cause, _ in self.acting)])
+
+    def panel(self, values: Array) -> float:
+        """As `widest`, for given values, shape (n, p)."""
+        seen = (cause.panel(values[:, places.start : places.stop]) for cause, places in self.acting)
+        return min([self.law.widest, *seen])
+
+    @cached_property
+    def along(self) -> bool:
+        """Whether a cause makes the step size change along a traverse otherwise than the law itself does."""
+        return any(cause.along for cause, _ in self.acting)
+
+    @property
+    def absent(self) -> Array:
+        """Values of the causes' parameters under which the law is the published one, shape (q,)."""
+        return np.array([value for cause in self.causes for value in cause.absent], dtype=float)
+
+    def counter(self, rows: Rows) -> Counter:
+        """See `StepLaw.counter`; NaN where the step size is not above 0."""
+        parts = self.parts(rows)
+
+        def count(values: Array) -> tuple[Array, Array]:
+            values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+            found = [self._counted(part, values[mine]) for mine, part in parts]
+            counts, slopes = zip(*found, strict=True)
+            return np.concatenate(counts), np.concatenate(slopes)
+
+        return count
+
+    def predict(self, rows: Rows, values: Array) -> Array:
+        """See `StepLaw.predict`; without the derivatives, which take most of the time."""
+        values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(self.steps(rows)(values))
+
+    def steps(self, rows: Rows) -> Callable[[Array], Array]:
+        """Steps over each traverse as a function of the values, shape (n, p) -> (n,)."""
+        parts = self.parts(rows)
+
+        def count(values: Array) -> Array:
+            return np.concatenate(
+                [
+                    part.counts(values[mine]) + self.steps_added(part.here, values[mine])
+                    for mine, part in parts
+                ]
+            )
+
+        return count
+
+    def parts(self, rows: Rows) -> list[tuple[slice, Traverses]]:
+        """The traverses, so many at once as keep memory small."""
+        known = known_of(rows, self.columns)
+        ends = range(0, max(len(known["start"]), 1), AT_ONCE)
+        slices = [slice(first, first + AT_ONCE) for first in ends]
+        return [(mine, Traverses(self, {name: of[mine] for name, of in known.items()})) for mine in slices]
+
+    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
+        """See `StepLaw.step_size`."""
+        return super().step_size(known_of(rows, self.columns), position, values)
+
+    def in_motion(self, values: Array) -> Array:
+        """Values with all that is in hearing the stop left out, shape (p,) or (n, p)."""
+        moving = np.array(values, dtype=float)
+        for cause, places in self.acting:
+            if cause.of_stop:
+                moving[..., places.start : places.stop] = cause.absent
+        return moving
+
+    def added(self, rows: Rows, values: Array) -> Array:
+        """Steps that count causes add to each traverse, shape (n,)."""
+        return np.concatenate([self.steps_added(part.here, values[mine]) for mine, part in self.parts(rows)])
+
+    def misfires(self, values: Array, luck: Array) -> Array:
+        """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
+        off = [
+            cause.departures(values[:, places.start : places.stop], luck)
+            for cause, places in self.acting
+            if isinstance(cause, EndStopMisfire)
+        ]
+        return np.sum(off, axis=0) if off else np.zeros(len(values))
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`: the law's own, with the causes absent."""
+        return _beside(self.law.start_values(mean_step), self.absent)
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return _beside(self.law.scales(mean_step), self.sizes)
+
+    def features(self, rows: Rows) -> Array:
+        """See `StepLaw.features`: those of the law, and every number that a cause looks at."""
+        known = known_of(rows, self.columns)
+        seen = [values.astype(float) for values in known.values() if values.dtype.kind in "fiu"]
+        return np.column_stack([self.law.features(rows), *seen])
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """See `StepLaw.calibration`: that of the law itself."""
+        return self.law.calibration()
+
+    def _counted(self, part: Traverses, values: Array) -> tuple[Array, Array]:
+        counts, slopes = part.counts_and_slopes(values)
+        for _, places in self.by_station[CountCause]:
+            for k in places:
+                slopes[:, k] += self.difference(lambda there: self.steps_added(part.here, there), values, k)
+        return counts + self.steps_added(part.here, values), slopes
+
+
+def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
+    """A law with one cause more.
+
+    Parameters
+    ----------
+    law : StepLaw
+        Published or already extended.
+    cause : Cause
+        Bound to a log.
+    """
+    return extend_by(law, (cause,))
+
+
+def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
+    """A law with any number of causes more, none included."""
+    if isinstance(law, ExtendedLaw):
+        return ExtendedLaw(law.law, (*law.causes, *causes))
+    return ExtendedLaw(law, causes)
+
+
+def _beside(own: Array, same: Array) -> Array:
+    """Columns of the law's own and, the same for every group, those of the causes."""
+    return np.concatenate([own, np.broadcast_to(same, (len(own), len(same)))], axis=1)
+
+
+def describe(law: StepLaw) -> dict[str, Any]:
+    """What `restore` needs to build a law again, published or extended; plain JSON types.
+
+    Examples
+    --------
+    >>> from stickslip_fit.causes import Temperature, extend
+    >>> from stickslip_fit.laws import Prismatic
+    >>> described = describe(extend(Prismatic(), Temperature(mean=294.0)))
+    >>> described["law"]["name"], described["causes"][0]["name"], described["causes"][0]["mean"]
+    ('prismatic', 'temperature', 294.0)
+    """
+    if not isinstance(law, ExtendedLaw):
+        return dict(describe_law(law))
+    causes = [
+        {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
+        for cause in law.causes
+    ]
+    return {"name": law.name, "joint": law.joint, "law": describe_law(law.law), "causes": causes}
+
+
+def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[Cause] = ()) -> StepLaw:
+    """The law that `describe` described.
+
+    Parameters
+    ----------
+    description : mapping
+    machine : Machine
+    causes : iterable of Cause, optional
+        Of your own, beside those of `library`.
+
+    Raises
+    ------
+    InputError
+        For a law or a cause that is not known.
+    """
+    from stickslip_fit.causes import library
+
+    if description["name"] != ExtendedLaw.name:
+        return restore_law(dict(description), machine)
+    known = {cause.name: cause for cause in (*library(), *causes)}
+    found = [_restored(each, known) for each in description["causes"]]
+    return ExtendedLaw(restore_law(description["law"], machine), found)
+
+
+def _restored(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
+    name, bound = description["name"], {key: _tuples(value) for key, value in description.items()}
+    if name.startswith(COVARIATE):
+        return Covariate(**{key: value for key, value in bound.items() if key != "name"})
+    if name not in known:
+        raise InputError(
+            f"the saved law has a cause {name!r} in it, which is not in the library; pass it in `causes`"
+        )
+    cause: Any = known[name]
+    return replace(cause, **{field.name: bound[field.name] for field in fields(cause)})
+
+
+def _tuples(value: Any) -> Any:
+    """What JSON made lists of."""
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

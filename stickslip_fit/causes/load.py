@@ -1,0 +1,351 @@
+"""Causes by which the step size follows a load otherwise than the law has it, or follows another load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.causes.base import (
+    Array,
+    Cause,
+    CauseParameter,
+    FactorCause,
+    Row,
+    SizedParameter,
+    Sizes,
+    StateCause,
+    TermCause,
+    changes_since,
+    filled,
+    missing_column,
+    moment_of,
+    moments,
+    since,
+)
+from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.machine import Machine
+from stickslip_fit.units.wording import listed, way
+
+__all__ = [  # noqa: RUF022
+    "SideLoad",
+    "LoadNonlinearity",
+    "LoadHysteresis",
+    "PayloadChange",
+    "InertiaQuadratic",
+    "CableTorque",
+]
+
+
+@dataclass(frozen=True)
+class SideLoad(FactorCause):
+    """Joint 3: gamma times 1 - k sqrt(1 - u^2)."""
+
+    name = "side-load"
+    phrase = "the load across the guide costs step size"
+    physics = (
+        "What of the arm's weight does not act along the guide presses it against its bearing, sqrt(1 - "
+        "u^2) of it, and friction grows with that force (Coulomb's law)."
+    )
+    shows_best = "joint 3 level and upright in orientations that have the same load along the axis"
+    sentence = "Joint 3's steps {k:shrink|grow} by {k} where all the load lies across the guide"
+    remedy = "calibrating in the orientation that is used"
+    joints = (3,)
+    parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
+    absent = (0.0,)
+    scale = (0.02,)
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.2]),)
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 - values[0] * np.sqrt(np.maximum(1.0 - state.load**2, 0.0))
+
+
+BENDS: dict[str, Callable[[Array], Array]] = {
+    "square": np.square,
+    "cube": lambda load: load**3,
+    "tanh": lambda load: np.tanh(2.0 * load),
+}
+GROUPS = tuple((joint, way) for joint in (1, 2, 3) for way in "+-")
+
+
+@dataclass(frozen=True)
+class LoadNonlinearity(TermCause):
+    """gamma plus k a f(u) for joint 3, k gamma0 f(u) for joints 1 and 2; k per joint and direction.
+
+    Attributes
+    ----------
+    form : {"square", "cube", "tanh"}
+        u^2, u^3 or tanh(2 u).
+    groups : tuple of (int, str)
+        Joints and directions that the log has.
+    """
+
+    form: str = "square"
+    groups: tuple[tuple[int, str], ...] = GROUPS
+
+    name = "load-nonlinearity"
+    phrase = "the response to load bends"
+    physics = (
+        "The law has the step size fall in proportion to the load. Friction, and the elastic part of each "
+        "step that it takes up, need not be linear in it: against a large load the slip phase begins later, "
+        "so that the response bends."
+    )
+    shows_best = "joint 3 or 2 at half the full load, upwards and downwards"
+    remedy = "calibrating at the loads that are used"
+    forms = tuple(BENDS)
+    along = True
+    joined = True
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(
+            CauseParameter("k", "%", f"bend of joint {joint} {way}", joint=joint, direction=way)
+            for joint, way in self.groups
+        )
+
+    @property
+    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.groups)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.02,) * len(self.groups)
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        there = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
+        return replace(self, groups=tuple(group for group in GROUPS if group in there))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BENDS]
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.full(len(self.groups), 0.1),)
+
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """See `Cause.describe`."""
+        if not parameters:
+            return super().describe(parameters)
+        bends = [f"{each:+} for {each.joint} {way(each.direction)}" for each in parameters]
+        return f"The response to load bends, by {listed(bends)} (joint and direction)"
+
+    def term(self, free: Array, state: State, values: list[Array]) -> Array:
+        """See `TermCause.term`."""
+        size = dict(zip(self.groups, values, strict=True))
+        up, down = (size.get((state.joint, way), np.zeros_like(state.way)) for way in "+-")
+        return np.where(state.way > 0, up, down) * free * BENDS[self.form](state.load)
+
+
+@dataclass(frozen=True)
+class LoadHysteresis(FactorCause):
+    """gamma times 1 + k u_before, the mean load of the joint's previous traverse in the session."""
+
+    name = "load-hysteresis"
+    phrase = "a joint remembers the load of its previous traverse"
+    physics = (
+        "Piezoceramics and preloaded contacts creep under load and take time to forget it, so that a "
+        "traverse begins in a state that the previous one left behind (H. Jung and D.-G. Gweon, Rev. Sci. "
+        "Instrum. 71:1896, 2000, on creep)."
+    )
+    shows_best = "one configuration after a lifting and after a lowering traverse"
+    sentence = "Steps {k:grow|shrink} by {k} after a traverse against full load"
+    remedy = "letting a traverse of little load come before each"
+    columns = ("before_load",)
+    parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
+    absent = (0.0,)
+    scale = (0.01,)
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.1]),)
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 + values[0] * state.column("before_load")
+
+
+@dataclass(frozen=True)
+class PayloadChange(StateCause):
+    """The load coefficient times 1 + k after one moment of the campaign, or times 1 + k payload.
+
+    Attributes
+    ----------
+    session : str
+        In which the mass was put on or taken off; empty where the log records the payload.
+    mean : float
+        Payload over the log, kg.
+    """
+
+    session: str = ""
+    mean: float = 0.0
+
+    name = "payload-change"
+    phrase = "the arm carries another mass"
+    physics = (
+        "A mass at the tip adds its weight to the arm's, so that all loads grow by the same factor, "
+        "whatever the configuration, while the step size without load stays what it was. After a session's "
+        "end it is part of the next session's calibration."
+    )
+    most = 5.0
+    shows_best = "joint 3 upright before and after, in both directions"
+    remedy = "calibrating anew with each payload"
+
+    @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        when = "{moment} into session {session}: the arm carries another mass"
+        return "The effects of load {k:grow|shrink} by {k} " + (when if self.session else "with the payload")
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return ("session", "session_seconds") if self.session else ("payload",)
+
+    @property
+    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0, 0.0) if self.session else (0.0,)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.1, 600.0) if self.session else (10.0,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        if self.session == "":
+            return (CauseParameter("k", "%/g", "change of the load coefficient per gram"),)
+        return (
+            CauseParameter("k", "%", "change of the load coefficient", session=self.session),
+            moment_of(self.session),
+        )
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        found: list[tuple[Cause, Array]] = [
+            (replace(self, session=session), np.column_stack([np.full(len(when), 0.1), when]))
+            for session, when in moments(rows)
+            if self.session in ("", session)
+        ]
+        if self.session == "" and missing_column(rows, "payload") is None:
+            found += super().trials(rows)
+        return found
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
+
+    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
+        """See `Cause.changes`: a traverse is changed by the whole or not at all."""
+        if self.session == "":
+            return super().changes(law, rows, values, trials)
+        return changes_since(
+            lambda *known: super(PayloadChange, self).changes(law, *known),
+            self.known(law, rows), values, self.session, trials,
+        )  # fmt: skip
+
+    def change(self, state: State, values: list[Array]) -> State:
+        """See `StateCause.change`."""
+        if self.session == "":
+            payload = filled(state.column("payload"), self.mean)
+            return state.but(given_load=state.load * (1.0 + values[0] * payload))
+        size, moment = values
+        return state.but(given_load=state.load * (1.0 + size * since(state, self.session, moment)))
+
+
+FAR = 0.012  # m; with the law linear between 0 and here, only the bend between them is new
+
+
+@dataclass(frozen=True)
+class InertiaQuadratic(TermCause):
+    """Joint 2: gamma0 gains k q3 (q3 - 12 mm)."""
+
+    name = "inertia-quadratic"
+    phrase = "joint 2 feels the arm's moment of inertia"
+    physics = (
+        "The arm's moment of inertia about joint 2 grows with the square of its length, and the slip phase "
+        "turns the less the larger the inertia it leaves behind. The published law is linear in q3; what is "
+        "left is quadratic and 0 at both ends of the range."
+    )
+    shows_best = "joint 2 at q3 = 6 mm"
+    sentence = "Joint 2's steps at q3 = 6 mm are {half_way:+} off the line between those at 0 and 12 mm"
+    remedy = "calibrating joint 2 at the q3 that is used"
+    joints = (2,)
+    parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
+    absent = (0.0,)
+    scale = (0.02,)
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        mine = rows[rows["joint"] == 2]
+        if len(mine) and mine["q3"].round(6).nunique() < 3:
+            return "joint 2 was driven at fewer than three positions of joint 3"
+        return super().missing(rows)
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.3]),)
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: the bend in the middle, where it is largest."""
+        return {"half_way": sizes["k"].times(-((FAR / 2) ** 2), "µrad")}
+
+    def term(self, free: Array, state: State, values: list[Array]) -> Array:
+        """See `TermCause.term`."""
+        return values[0] * state.q3 * (state.q3 - FAR)
+
+
+@dataclass(frozen=True)
+class CableTorque(TermCause):
+    """Rotary: gamma plus k (q - middle of range), sign opposite in the two directions.
+
+    Attributes
+    ----------
+    middle : tuple of (int, float)
+        Of the ranges of joints 1 and 2, rad.
+    """
+
+    middle: tuple[tuple[int, float], ...] = field(default=((1, 0.0), (2, -np.pi / 2)))
+
+    name = "cable-torque"
+    phrase = "a cable pulls on a rotary joint like a spring"
+    physics = (
+        "The cable to the joints further out twists as a joint turns and pulls it back towards the middle "
+        "of its range: with the motion in one direction, against it in the other."
+    )
+    shows_best = "a rotary joint over short stretches at both ends of its range, in both directions"
+    sentence = (
+        "Rotary steps {k:grow|shrink} by {k} along the range in direction +, and the reverse "
+        "in −: a cable pulls"
+    )
+    remedy = "relieving the cable"
+    joints = (1, 2)
+    parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
+    absent = (0.0,)
+    scale = (0.01e-6 * 180 / np.pi,)
+    along = True
+
+    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bound`."""
+        return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in self.joints))
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([0.1e-6 * 180 / np.pi]),)
+
+    def term(self, free: Array, state: State, values: list[Array]) -> Array:
+        """See `TermCause.term`."""
+        return state.way * values[0] * (state.position - dict(self.middle)[state.joint])

@@ -1,0 +1,289 @@
+"""Causes along a joint's own travel, and at its ends: where the end stop is heard, and after a reversal."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.causes.base import Array, Cause, CauseParameter, CountCause, FactorCause, Row, Sizes
+from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
+from stickslip_fit.machine import PRISMATIC
+from stickslip_fit.units.wording import percent
+
+__all__ = [  # noqa: RUF022
+    "BearingRunout",
+    "GuideGradient",
+    "WornSpot",
+    "EndStopLatency",
+    "ReversalLoss",
+    "EndStopMisfire",
+]
+
+
+@dataclass(frozen=True)
+class BearingRunout(FactorCause):
+    """Rotary: gamma times 1 + A cos(q - phi), also without gravity."""
+
+    name = "bearing-runout"
+    phrase = "a bearing is eccentric"
+    physics = (
+        "An eccentric bearing presses its sliding surfaces together more on one side than on the other, so "
+        "that friction and step size vary once per turn. It looks like gravity, but it turns with the joint "
+        "and is there with the base on its side, too."
+    )
+    shows_best = "a rotary joint over stretches of 60 degrees with the base on its side"
+    sentence = "Rotary steps vary by ± {A} over a turn: a bearing is eccentric"
+    remedy = "calibrating over the stretch that is used"
+    joints = (1, 2)
+    parameters = (
+        CauseParameter("A", "%", "amplitude of the step size over a turn"),
+        CauseParameter("phi", "deg", "where the step size is greatest"),
+    )
+    absent = (0.0, 0.0)
+    scale = (0.01, 0.5)
+    along = True
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        return [(self, np.column_stack([np.full(4, 0.01), np.radians([0.0, 45.0, 90.0, 135.0])]))]
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return np.array([0.1, 0.0]), np.array([0.1, np.pi / 2])
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 + values[0] * np.cos(state.position - values[1])
+
+
+class AlongGuide(FactorCause):
+    """gamma times a factor that depends on the place along the guide alone."""
+
+    joints = (PRISMATIC,)
+    along = True
+
+    @abstractmethod
+    def profile(self, position: Array, values: list[Array]) -> Array:
+        """The factor at places along the guide, m, shape (n, k)."""
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return self.profile(state.position, values)
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        mine = rows[rows["joint"].isin(self.joints)]
+        ends = np.sort(mine[["start", "stop"]].to_numpy(float), axis=1).round(7)
+        if len(mine) and len(np.unique(ends, axis=0)) < 2:
+            return "every prismatic traverse runs the whole guide"
+        return super().missing(rows)
+
+    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
+        """See `Cause.changes`: where nothing else changes along the guide, each stretch is done once."""
+        from stickslip_fit.causes.extended_law import ExtendedLaw
+
+        if isinstance(law, ExtendedLaw):
+            return super().changes(law, rows, values, trials)
+        ends = np.stack([np.asarray(rows[end], dtype=float) for end in ("start", "stop")], axis=-1)
+        stretches, which = np.unique(ends, axis=0, return_inverse=True)
+        even = ConstantStep(PRISMATIC, Configuration("anywhere"))
+        once = dict(zip(("start", "stop"), stretches.T, strict=True))
+        return Cause.changes(self, even, once, np.ones((len(stretches), 1)), trials)[which.ravel()]
+
+
+GUIDE_MIDDLE = 0.006  # m
+
+
+@dataclass(frozen=True)
+class GuideGradient(AlongGuide):
+    """Prismatic: gamma times 1 + k (q3 - 6 mm)."""
+
+    name = "guide-gradient"
+    phrase = "the guide's preload varies along its length"
+    physics = (
+        "Two guide rails that are not parallel press on the slider more at one end than at the other, so "
+        "that friction and step size change along the guide."
+    )
+    shows_best = "joint 3 over the first and over the last third of its range"
+    sentence = "Joint 3's steps {k:grow|shrink} by {k} along the guide"
+    remedy = "calibrating over the stretch that is used"
+    parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
+    absent = (0.0,)
+    scale = (2.0,)
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([20.0]),)
+
+    def profile(self, position: Array, values: list[Array]) -> Array:
+        """See `AlongGuide.profile`."""
+        return 1.0 + values[0] * (position - GUIDE_MIDDLE)
+
+
+SPOT_WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
+NARROWEST_SPOT = 0.1e-3
+WIDTHS_IN_PANEL = 4  # widths of a spot that a panel may span
+
+
+@dataclass(frozen=True)
+class WornSpot(AlongGuide):
+    """Prismatic: gamma times 1 + A exp(-((q3 - x0) / w)^2 / 2)."""
+
+    name = "worn-spot"
+    phrase = "the guide has a worn spot"
+    physics = (
+        "Where a joint is used most, over a short stretch, its guide wears first, and the step size is "
+        "another there. A traverse of the whole guide always crosses it and cannot tell."
+    )
+    shows_best = "joint 3 over short stretches, one after the other, along the guide"
+    sentence = "Joint 3's steps {A:grow|shrink} by {A} around q3 = {x0} ({w} wide): the guide has a worn spot"
+    remedy = "staying off that stretch"
+    parameters = (
+        CauseParameter("A", "%", "change of the step size at its middle", lower=-0.95),
+        CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
+        CauseParameter("w", "mm", "its width", lower=NARROWEST_SPOT, upper=6e-3),
+    )
+    absent = (0.0, 6e-3, 1e-3)
+    scale = (0.05, 1e-3, 1e-3)
+    widest = WIDTHS_IN_PANEL * NARROWEST_SPOT
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: spots of three widths, side by side along the guide."""
+        ends = rows.loc[rows["joint"] == 3, ["start", "stop"]].to_numpy(float)
+        spots = [
+            (0.05, x0, width)
+            for width in SPOT_WIDTHS
+            for x0 in np.arange(ends.min() + width / 2, ends.max(), width)
+        ]
+        return [(self, np.array(spots))]
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return tuple(np.array([0.5, x0, 1e-3]) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
+
+    def panel(self, values: Array) -> float:
+        """See `Cause.panel`."""
+        return WIDTHS_IN_PANEL * max(float(values[:, 2].min()), NARROWEST_SPOT)
+
+    def profile(self, position: Array, values: list[Array]) -> Array:
+        """See `AlongGuide.profile`."""
+        size, middle, width = values
+        return 1.0 + size * np.exp(-0.5 * ((position - middle) / width) ** 2)
+
+
+@dataclass(frozen=True)
+class EndStopLatency(CountCause):
+    """N plus L, whatever the traverse's length."""
+
+    name = "end-stop-latency"
+    phrase = "the end stop is heard a fixed number of steps late or early"
+    physics = (
+        "The sound of the stop has to rise above the motion's own before it is heard, and whoever listens "
+        "takes time, while the drive goes on stepping. The steps lost so are the same for a short and a "
+        "long traverse."
+    )
+    shows_best = "short partial traverses beside full ones"
+    sentence = "The end stop is heard {L} {L:late|early}"
+    remedy = "taking those steps off every count"
+    parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
+    absent = (0.0,)
+    scale = (20.0,)
+    of_stop = True
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([300.0]),)
+
+    def steps(self, state: State, values: list[Array]) -> Array:
+        """See `CountCause.steps`."""
+        return values[0]
+
+
+@dataclass(frozen=True)
+class ReversalLoss(CountCause):
+    """N plus L where the traverse before went the other way; a session's first did not."""
+
+    name = "reversal-loss"
+    phrase = "steps are lost after each reversal"
+    physics = (
+        "After a reversal the elastic deflection of the contact has to be wound up the other way before the "
+        "joint moves, which takes a few steps (backlash of the preloaded contact)."
+    )
+    shows_best = "one configuration after a traverse in the same and in the other direction"
+    sentence = "At each reversal {L} are {L:lost|gained}"
+    remedy = "adding those steps after each reversal"
+    columns = ("before_direction",)
+    parameters = (CauseParameter("L", "steps", "steps lost at a reversal"),)
+    absent = (0.0,)
+    scale = (20.0,)
+
+    def missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        turned = reversed_before(rows["before_direction"], rows["direction"])
+        if not turned.any():
+            return "no traverse follows one in the other direction"
+        return "every traverse follows one in the other direction" if turned.all() else None
+
+    def largest(self) -> tuple[Array, ...]:
+        """See `Cause.largest`."""
+        return (np.array([300.0]),)
+
+    def steps(self, state: State, values: list[Array]) -> Array:
+        """See `CountCause.steps`."""
+        before = np.asarray(state.row["before_direction"], dtype=object)
+        own = np.where(state.way[:, 0] > 0, "+", "-")
+        return values[0] * reversed_before(before, own)[:, None]
+
+
+def reversed_before(before: object, own: object) -> np.ndarray:
+    """Whether each traverse follows one in the other direction."""
+    before, own = np.asarray(before, dtype=object), np.asarray(own, dtype=object)
+    return (before != "") & (before != own)
+
+
+@dataclass(frozen=True)
+class EndStopMisfire(Cause):
+    """A few counts are off by a lot, up or down; the rest are right."""
+
+    name = "end-stop-misfire"
+    phrase = "now and then the end stop is missed or imagined"
+    physics = (
+        "A noise from elsewhere passes for the stop and ends a traverse early, or the stop's own sound is "
+        "missed and the joint goes on stepping against it. Such counts say nothing about step sizes."
+    )
+    shows_best = "replicates: a misfire does not come back"
+    sentence = "About one count in {one_in} is off by {size} or so: the end stop is missed or imagined"
+    remedy = "excluding those counts and repeating them"
+    parameters = (
+        CauseParameter("share", "%", "of the counts", lower=0.0, upper=1.0),
+        CauseParameter("size", "%", "typical departure of such a count", lower=0.0),
+    )
+    absent = (0.0, 0.0)
+    scale = (0.01, 0.05)
+    of_stop = True
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: no direction in which counts depart together."""
+        return []
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`."""
+        one_in = round(1 / sizes["share"].size.estimate)
+        return {"one_in": f"{one_in:,}", "size": percent(sizes["size"].size.estimate)}
+
+    def departures(self, values: Array, luck: Array) -> Array:
+        """Log steps that misfires add to counts, shape (n,).
+
+        Parameters
+        ----------
+        values : array, shape (n, 2)
+        luck : array, shape (n, 3)
+            Uniform between 0 and 1: whether there is one, how large it is, and which way.
+        """
+        hit, spread, way = luck.T
+        size = values[:, 1] * (0.7 + 0.6 * spread) * np.where(way < 0.5, -1.0, 1.0)
+        return np.where(hit < values[:, 0], size, 0.0)
