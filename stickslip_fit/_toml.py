@@ -286,10 +286,11 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
     return "give a text in quotes" if field.annotation is str else f"give at least one table [[{key}]]"
 
 
-def _unknown(key: str, keys: Iterable[str]) -> str:
+def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
     alike = get_close_matches(key, keys, 1)
     meant = f"did you mean {alike[0]}? It" if alike else "it"
-    return f"is no key of this table; {meant} may have {', '.join(keys)}"
+    one_each = {name: key for key, (name, _) in reversed(keys.items())}
+    return f"is no key of this table; {meant} may have {', '.join(reversed(one_each.values()))}"
 
 
 def _at(value: Any, place: Place) -> Any:
