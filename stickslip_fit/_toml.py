@@ -274,16 +274,19 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
     for each in field.metadata:
         if isinstance(each, Give):
             return each.advice
-    if get_origin(field.annotation) is Literal:
-        return f"give one of {', '.join(map(repr, get_args(field.annotation)))}"
+    kind = next(
+        (each for each in get_args(field.annotation) if get_origin(each) is Literal), field.annotation
+    )
+    if get_origin(kind) is Literal:
+        return f"give one of {', '.join(map(repr, get_args(kind)))}"
     if _is_table(field):
         return f"write it as a table: [{key}]"
-    if field.annotation is int:
+    if kind is int:
         low, high = (
             next(getattr(each, end) for each in field.metadata if hasattr(each, end)) for end in ("ge", "le")
         )
         return f"give a whole number from {low} to {high}"
-    return "give a text in quotes" if field.annotation is str else f"give at least one table [[{key}]]"
+    return "give a text in quotes" if kind is str else f"give at least one table [[{key}]]"
 
 
 def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
