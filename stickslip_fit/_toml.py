@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
 
-from annotated_types import MinLen
-from pydantic import (
-    BaseModel, ConfigDict, PrivateAttr, ValidationError, ValidationInfo, WrapValidator, model_validator,
-)  # fmt: skip
-from pydantic.fields import FieldInfo
+from annotated_types import Interval, MinLen
+from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic.functional_validators import WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 Bounds = tuple[float, float]
-Place = Sequence[str | int]
+Place = tuple[str | int, ...]
+Misfit = tuple[str, Place]
+"""Advice, and the path of the key that it is about from its table on."""
 Text = Annotated[str, MinLen(1)]
+Count = Annotated[int, Interval(ge=1, le=10_000)]
 
-ANYWHERE = (-math.inf, math.inf)
 SLACK = 1e-9  # share of a range; less is rounding
 SUFFIX_OF = {symbol: suffix for suffix, symbol in SUFFIXES.items()}
 FAULT = "fault"
@@ -54,7 +55,7 @@ class Quantity:
     """
 
     units: tuple[str, ...]
-    within: Bounds | Callable[[Any], Bounds] = ANYWHERE
+    within: Bounds | Callable[[Any], Bounds] = (-inf, inf)
     advice: str = "give {}"
 
     def keys(self, stem: str) -> dict[str, str]:
@@ -67,36 +68,32 @@ class Quantity:
         """
         return {stem if unit == "1" else f"{stem}_{SUFFIX_OF[unit]}": unit for unit in self.units}
 
-    def bounds(self, context: Any) -> Bounds:
-        """Lowest and highest number, SI; without a context, what holds in any."""
+    def advice_in(self, unit: str, context: Any) -> str:
+        """The advice for a key in `unit`; without a context, what holds in any."""
+        low, high = (from_si(end, unit) for end in self._bounds(context))
+        span = f", {low:g} or more" if high == inf else f", {low:g} to {high:g}"
+        number = "a number" if unit == "1" else f"a number in {unit}"
+        return self.advice.format(number + span * isfinite(low))
+
+    def _bounds(self, context: Any) -> Bounds:
         if not callable(self.within):
             return self.within
-        return ANYWHERE if context is None else self.within(context)
-
-    def advice_in(self, unit: str, context: Any) -> str:
-        """The advice for a key in `unit`."""
-        low, high = self.bounds(context)
-        number = "a number" if unit == "1" else f"a number in {unit}"
-        if low > -math.inf:
-            number += (
-                f", {from_si(low, unit):g} {'or more' if high == math.inf else f'to {from_si(high, unit):g}'}"
-            )
-        return self.advice.format(number)
+        return (-inf, inf) if context is None else self.within(context)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         """As the field's own type, with every number checked and taken to SI."""
 
         def read(written: tuple[Any, str], inner: Callable[[Any], Any], info: ValidationInfo) -> Any:
-            value, unit = written
-            low, high = self.bounds(info.context)
-            slack = SLACK * (high - low) if math.isfinite(high - low) else 0.0
+            low, high = self._bounds(info.context)
+            slack = SLACK * (high - low) if isfinite(high - low) else 0.0
 
-            def checked(number: float) -> float:
-                if not low - slack <= to_si(number, unit) <= high + slack:
+            def si(number: float) -> float:
+                value = to_si(number, written[1])
+                if not low - slack <= value <= high + slack:
                     raise ValueError("out of bounds")
-                return to_si(number, unit)
+                return value
 
-            return each_number(checked, inner(value))
+            return _each_number(si, inner(written[0]))
 
         return core_schema.with_info_wrap_validator_function(read, handler(source))
 
@@ -104,7 +101,9 @@ class Quantity:
 class Table(BaseModel):
     """A table of a TOML file: no key but its fields', no value taken for one of another type."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
     _written: dict[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod
@@ -112,21 +111,19 @@ class Table(BaseModel):
         """The field that each key gives, and the unit if it is a quantity."""
         found: dict[str, tuple[str, str]] = {}
         for name, field in cls.model_fields.items():
-            quantity = quantity_of(field)
-            found |= (
-                {key: (name, unit) for key, unit in quantity.keys(name).items()}
-                if quantity
-                else {name: (name, "")}
+            units = next(
+                (each.keys(name) for each in field.metadata if isinstance(each, Quantity)), {name: ""}
             )
+            found |= {key: (name, unit) for key, unit in units.items()}
         return found
 
     def fields_in_file(self) -> list[str]:
         """The fields that stand in the file, in its order."""
         return [self.fields_by_key()[key][0] for key in self._written]
 
-    def refuse(self, faults: Iterable[tuple[str, Place]]) -> None:
-        """Raise what is wrong with values that are right by themselves: advice and the key's path from here."""
-        found = [_fault(advice, place, _at(self._written, place)) for advice, place in faults]
+    def refuse(self, *misfits: Misfit) -> None:
+        """Raise what is wrong with values that are right by themselves, if anything is."""
+        found = [_fault(advice, place, _value_at(self._written, place)) for advice, place in misfits]
         if found:
             raise ValidationError.from_exception_data(type(self).__name__, found)
 
@@ -136,30 +133,29 @@ class Table(BaseModel):
         if not isinstance(written, dict):
             return handler(written)
         keys, faults = cls.fields_by_key(), []
-        content: dict[str, Any] = {name: {} for name, field in cls.model_fields.items() if _is_table(field)}
+        content: dict[str, Any] = {name: {} for name in cls.model_fields if _is_table(cls, name)}
         key_of = {name: key for key, (name, _) in reversed(keys.items())}
         for key, value in written.items():
             name, unit = keys.get(key, ("", ""))
             if unit and name in content:
                 faults.append(
-                    _fault(f"{key_of[name]} gives the same quantity; keep one of them", [key], value)
+                    _fault(f"{key_of[name]} gives the same quantity; keep one of them", (key,), value)
                 )
             elif name:
                 content[name], key_of[name] = (value, unit) if unit else value, key
             elif cls.model_config["extra"] == "forbid":
-                faults.append(_fault(_unknown(key, keys), [key], value))
+                faults.append(_fault(_unknown(key, keys), (key,), value))
         try:
             table = handler(content)
         except ValidationError as error:
-            own = {}
+            own: dict[str, InitErrorDetails] = {}
             for each in error.errors(include_url=False):
-                name, *inside = each["loc"]
-                key, context = key_of[str(name)], each.get("ctx")
-                if each["type"] == FAULT and inside:
-                    faults.append(_fault(each["msg"], each["loc"], each["input"], context))
-                    continue
-                said = each["msg"] if each["type"] == FAULT else _advice(cls, key, info.context)
-                own.setdefault(key, _fault(said, [key], written.get(key), context))
+                key, problems = key_of[str(each["loc"][0])], each.get("ctx", {}).get("problems", ())
+                if each["type"] == FAULT and len(each["loc"]) > 1:
+                    faults.append(_fault(each["msg"], each["loc"], each["input"], problems))
+                else:
+                    said = each["msg"] if each["type"] == FAULT else _advice(cls, key, info.context)
+                    own.setdefault(key, _fault(said, (key,), written.get(key), problems))
             faults += own.values()
         if faults:
             raise ValidationError.from_exception_data(cls.__name__, faults)
@@ -171,32 +167,24 @@ class Table(BaseModel):
         """The schema with a file's keys, in their units."""
         schema = handler(core)
         own = handler.resolve_ref_schema(schema)
-        needed, shown = own.pop("required", []), {}
+        fields, own["properties"] = own["properties"], {}
+        needed = dict.fromkeys(own.pop("required", ()), ())
         for key, (name, unit) in cls.fields_by_key().items():
-            entry = dict(own["properties"][name])
-            if unit and "default" in entry:
-                entry["default"] = each_number(lambda number: from_si(number, unit), entry["default"])
-            shown[key] = {"description": _advice(cls, key, None), **entry}
-        own["properties"] = shown
-        choices = [[key for key, (each, _) in cls.fields_by_key().items() if each == name] for name in needed]
-        if choices:
-            own["allOf"] = [{"oneOf": [{"required": [key]} for key in keys]} for keys in choices]
-        return schema
+            entry = own["properties"][key] = {"title": _advice(cls, key, None)} | fields[name]
+            if unit and entry.get("default") is not None:
+                entry["default"] = _each_number(partial(from_si, symbol=unit), entry["default"])
+            if name in needed:
+                needed[name] += ({"required": [key]},)
+        return schema | {"allOf": [{"oneOf": list(keys)} for keys in needed.values()]}
 
 
 def read_toml[Model: Table](path: str | Path, model: type[Model], kind: str, context: Any = None) -> Model:
-    """Read a file that `kind` names; see `parse_toml`."""
+    """Read a file that `kind` names; see `file_bytes` and `parse_toml`."""
     return parse_toml(file_bytes(path, kind), str(path), model, context)
 
 
 def file_bytes(path: str | Path, kind: str) -> bytes:
-    """What is in a file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """What is in a file; raises InputError if it cannot be read."""
     try:
         return Path(path).read_bytes()
     except OSError as error:
@@ -222,17 +210,16 @@ def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context:
     except ValidationError as error:
         lines, problems = _lines(text), []
         for each in error.errors(include_url=False):
-            place = each["loc"]
+            place, value = each["loc"], each["input"]
             line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
-            shown = None if each["input"] is None else _shown(each["input"])
-            here = Problem(each["msg"], file, line, _path(place), shown)
-            problems += each.get("ctx", {}).get("problems") or [here]
+            here = Problem(each["msg"], file, line, _path(place), None if value is None else _shown(value))
+            problems += each["ctx"]["problems"] or [here]
         raise InputError(problems) from None
 
 
 def fault(advice: str, problems: Sequence[Problem] = ()) -> PydanticCustomError:
     """For a validator of a field: what is wrong in words of its own, or problems of another file."""
-    return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "problems": tuple(problems)})
+    return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "problems": problems})
 
 
 def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -> WrapValidator:
@@ -243,50 +230,39 @@ def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -
         model = models.get(value, other) if type(value) in (int, str) else other
         return model.model_validate(written, context=info.context)
 
-    return WrapValidator(read, json_schema_input_type=Union[tuple(models.values())])
+    return WrapValidator(read, json_schema_input_type=Union[tuple(models.values())])  # noqa: UP007
 
 
-def each_number(change: Callable[[float], float], value: Any) -> Any:
-    """Every number of nested lists, changed."""
-    return [each_number(change, each) for each in value] if isinstance(value, list | tuple) else change(value)
+def _fault(advice: str, place: Place, value: Any, problems: Sequence[Problem] = ()) -> InitErrorDetails:
+    return InitErrorDetails(type=fault(advice, problems), loc=place, input=value)
 
 
-def quantity_of(field: FieldInfo) -> Quantity | None:
-    """The quantity that a field is, if it is one."""
-    return next((each for each in field.metadata if isinstance(each, Quantity)), None)
+def _each_number(change: Callable[[float], float], value: Any) -> Any:
+    return [_each_number(change, each) for each in value] if isinstance(value, list) else change(value)
 
 
-def _fault(advice: str, place: Place, value: Any, context: Any = None) -> InitErrorDetails:
-    problems = (context or {}).get("problems", ())
-    return InitErrorDetails(type=fault(advice, problems), loc=tuple(place), input=value)
-
-
-def _is_table(field: FieldInfo) -> bool:
-    return isinstance(field.annotation, type) and issubclass(field.annotation, Table)
+def _is_table(table: type[Table], name: str) -> bool:
+    kind = table.model_fields[name].annotation
+    return isinstance(kind, type) and issubclass(kind, Table)
 
 
 def _advice(table: type[Table], key: str, context: Any) -> str:
     """What to write for a key: as its field says, or as its type does."""
     name, unit = table.fields_by_key()[key]
     field = table.model_fields[name]
-    if quantity := quantity_of(field):
-        return quantity.advice_in(unit, context)
     for each in field.metadata:
         if isinstance(each, Give):
             return each.advice
-    kind = next(
-        (each for each in get_args(field.annotation) if get_origin(each) is Literal), field.annotation
-    )
-    if get_origin(kind) is Literal:
-        return f"give one of {', '.join(map(repr, get_args(kind)))}"
-    if _is_table(field):
-        return f"write it as a table: [{key}]"
-    if kind is int:
-        low, high = (
-            next(getattr(each, end) for each in field.metadata if hasattr(each, end)) for end in ("ge", "le")
-        )
-        return f"give a whole number from {low} to {high}"
-    return "give a text in quotes" if kind is str else f"give at least one table [[{key}]]"
+        if isinstance(each, Quantity):
+            return each.advice_in(unit, context)
+        if isinstance(each, Interval):
+            return f"give a whole number from {each.ge} to {each.le}"
+    kinds = [field.annotation, *get_args(field.annotation)]
+    if choices := next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ()):
+        return f"give one of {', '.join(map(repr, choices))}"
+    if str in kinds:
+        return "give a text in quotes"
+    return f"write it as a table: [{key}]" if _is_table(table, name) else f"give at least one table [[{key}]]"
 
 
 def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
@@ -296,15 +272,15 @@ def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
     return f"is no key of this table; {meant} may have {', '.join(reversed(one_each.values()))}"
 
 
-def _at(value: Any, place: Place) -> Any:
+def _value_at(value: Any, place: Place) -> Any:
     for part in place:
-        if isinstance(value, dict) and part not in value:
-            return None
-        value = value[part]
+        value = value.get(part) if isinstance(value, dict) else value[part]  # type: ignore[index]
+        if value is None:
+            break
     return value
 
 
-def _path(place: Place) -> str | None:
+def _path(place: Place) -> str:
     """A key as people find it.
 
     Examples
@@ -313,7 +289,7 @@ def _path(place: Place) -> str | None:
     ('sessions.dates', 'scenario 2 cause 1 tau')
     """
     parts = [f" {part + 1} " if isinstance(part, int) else f".{part}" for part in place]
-    return "".join(parts).replace(" .", " ").strip(". ") or None
+    return "".join(parts).replace(" .", " ").strip(". ")
 
 
 def _shown(value: object) -> str:
@@ -323,24 +299,23 @@ def _shown(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _lines(text: str) -> dict[tuple[str | int, ...], int]:
+def _lines(text: str) -> dict[Place, int]:
     """The line of every table and key that begins one."""
-    found: dict[tuple[str | int, ...], int] = {}
-    table: tuple[str | int, ...] = ()
-    count: Counter[tuple[str | int, ...]] = Counter()
+    found: dict[Place, int] = {}
+    table: Place = ()
+    count: Counter[Place] = Counter()
     for number, line in enumerate(text.splitlines(), start=1):
         if header := re.match(r"\s*(\[\[?)\s*([\w.-]+)\s*\]", line):
-            table, *_ = ((),)
             *parents, last = header[2].split(".")
+            table = ()
             for name in parents:
-                table = (*table, name)
-                table += (count[table] - 1,) if count[table] else ()
+                table = (*table, name, count[*table, name] - 1) if count[*table, name] else (*table, name)
             table = (*table, last)
+            found.setdefault(table, number)
             if header[1] == "[[":
                 count[table] += 1
                 table = (*table, count[table] - 1)
-            found.setdefault(table, number)
-            found.setdefault(tuple(table[:1]), number)
+                found[table] = number
         elif key := re.match(r"\s*([\w-]+)\s*=", line):
             found.setdefault((*table, key[1]), number)
     return found

@@ -8,21 +8,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval, Len, MinLen
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from stickslip_fit._toml import Give, Quantity, Table, Text, read_toml
+from stickslip_fit._toml import Count, Give, Quantity, Table, Text, read_toml
 from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.plan import Noise, NoiseKind, Order, Plan, PlannedSession, Timing
 from stickslip_fit.logs.sweep import AnySweep, traverses_of
 from stickslip_fit.machine import JOINTS, Machine
 from stickslip_fit.units import to_si
 
-MOST_SESSIONS = 10_000
 YEARS = range(1900, 2200)  # what a log's times can hold, with room for every session
 MOST_TRAVERSES = 5_000_000
-LARGEST_SEED = 2**63 - 1
-LEAST_REPEATABLE = 0.2  # beyond, the spread of log(steps) is no relative error any more
+LEAST_REPEATABLE = 20.0  # %; beyond, the spread of log(steps) is no relative error any more
 DRIVES = {f"{joint}{direction}": (joint, direction) for joint in JOINTS for direction in DIRECTIONS}
+DATES = "give dates, such as [2012-03-05, 2012-03-06]; or first_date and count"
 
 
 def _date(value: Any) -> date:
@@ -45,61 +44,52 @@ def _not_falling(ends: list[float]) -> list[float]:
     return ends
 
 
-def _by_drive(value: Any) -> Any:
-    return value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)
-
-
 Day = Annotated[date, BeforeValidator(_date)]
 Clock = Annotated[time, BeforeValidator(_time)]
-Seconds = Annotated[
-    list[float], Len(2, 2), AfterValidator(_not_falling),
-    Quantity(("s", "min"), (0.0, 86_400.0), "give [lowest, highest], each {}"),
-]  # fmt: skip
-Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+Patience = Quantity(("s", "min"), (0.0, 86_400.0), "give [lowest, highest], each {}")
+Seconds = Annotated[list[float], Len(2, 2), AfterValidator(_not_falling), Patience]
+Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
+Percent = Annotated[float, Interval(ge=0, le=LEAST_REPEATABLE)]
+Drive = Literal["1+", "1-", "2+", "2-", "3+", "3-"]
 
 
 class SessionsTable(Table):
     """When it is measured."""
 
-    dates: Annotated[
-        list[Day], MinLen(1), Give("give dates, such as [2012-03-05, 2012-03-06]; or first_date and count")
-    ] = Field([], description="one for each session, unless there is a first date")
-    first_date: Annotated[Day | None, Give("give a date such as 2012-03-05")] = Field(
-        None, description="of as many days in a row as `count` says"
-    )
-    count: int = Field(1, ge=1, le=MOST_SESSIONS, description="how many days in a row")
-    labels: Annotated[list[Text], Give('give texts in quotes, such as ["first day", "second day"]')] = Field(
-        [], description="what the log calls the sessions; the dates if left out"
-    )
+    dates: Annotated[list[Day], MinLen(1), Give(DATES)] = []
+    """One for each session, unless there is a first date."""
+    first_date: Annotated[Day | None, Give("give a date such as 2012-03-05")] = None
+    """Of `count` days in a row."""
+    count: Count = 1
+    """How many days in a row."""
+    labels: Annotated[list[Text], Give('give texts in quotes, such as ["first day", "second day"]')] = []
+    """What the log calls the sessions; the dates if left out."""
     start: Annotated[
         Clock | list[Clock], Give('give a time of day such as "08:30", or a list of one for each session')
-    ] = Field(time(8, 30), description="time of day at which a session begins, or a list of one for each")
-
-    def days(self) -> list[date]:
-        """All dates."""
-        if self.first_date is None:
-            return self.dates
-        return [self.first_date + timedelta(days=number) for number in range(self.count)]
+    ] = time(8, 30)
+    """Time of day at which a session begins, or a list of one for each."""
 
     def sessions(self) -> tuple[PlannedSession, ...]:
-        """The sessions, which have one label and one start each."""
-        days = self.days()
-        starts = self.start if isinstance(self.start, list) else [self.start] * len(days)
+        """The sessions, with one label and one start each, in order."""
+        days, first = self.dates, self.first_date
+        if first is not None:
+            days = [first + timedelta(days=number) for number in range(self.count)]
         labels = self.labels or [day.isoformat() for day in days]
+        starts = self.start if isinstance(self.start, list) else [self.start] * len(days)
+        if not days:
+            self.refuse((DATES, ("dates",)))
+        if len(set(labels)) < len(labels):
+            self.refuse(("two sessions have one label; give labels that differ", ("labels",)))
         if not len(labels) == len(starts) == len(days):
-            found = f"{len(labels)} labels, {len(starts)} starts, {len(days)} dates"
-            self.refuse([(f"{found}; give each session one of each", ["labels"])])
+            given = f"{len(labels)} labels, {len(starts)} starts, {len(days)} dates"
+            self.refuse((f"{given}; give each session one of each", ("labels",)))
         begins = [datetime.combine(day, clock) for day, clock in zip(days, starts, strict=True)]
         if any(later <= earlier for earlier, later in pairwise(begins)):
-            self.refuse([("a session does not begin after the one before it; put them in order", ["dates"])])
+            self.refuse(("a session does not begin after the one before it; put them in order", ("dates",)))
         return tuple(PlannedSession(label, moment) for label, moment in zip(labels, begins, strict=True))
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
-        if not self.days():
-            self.refuse([(type(self).model_fields["dates"].metadata[-1].advice, ["dates"])])
-        if len(set(self.labels)) < len(self.labels):
-            self.refuse([("two sessions have one label; give labels that differ", ["labels"])])
         self.sessions()
         return self
 
@@ -108,55 +98,42 @@ class TimingTable(Table):
     """How long things take."""
 
     step_period: Annotated[float, Quantity(("ms", "s"), (1e-5, 10.0))] = Timing.step_period
-    pause: Seconds = Field(
-        list(Timing.pause), description="shortest and longest time to set the next configuration"
-    )
-    turn: Seconds = Field(list(Timing.turn), description="the same where nothing needs to be set")
-
-    def timing(self) -> Timing:
-        """As a plan has it."""
-        (shortest, longest), turn = self.pause, self.turn
-        return Timing(self.step_period, (shortest, longest), (turn[0], turn[1]))
+    """Between two steps."""
+    pause: Seconds = list(Timing.pause)
+    """Shortest and longest time to set the next configuration."""
+    turn: Seconds = list(Timing.turn)
+    """The same where nothing needs to be set."""
 
 
 class NoiseTable(Table):
-    """How well counts repeat; only what is simulated needs it."""
+    """How well counts repeat; only a simulation needs it."""
 
     repeatability_pct: Annotated[
-        dict[
-            Literal["1+", "1-", "2+", "2-", "3+", "3-"],
-            Annotated[float, Interval(ge=0, le=100 * LEAST_REPEATABLE)],
-        ],
-        BeforeValidator(_by_drive),
+        dict[Drive, Percent],
+        BeforeValidator(lambda value: value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)),
         Give(
-            f"give a percentage from 0 to {100 * LEAST_REPEATABLE:g}, or a table of such by joint and direction: "
+            f"give a percentage from 0 to {LEAST_REPEATABLE:g}, or a table of such by joint and direction: "
             '{"3+" = 0.27, "3-" = 0.3}'
         ),
-    ] = Field(description='spread of the counts; one number, or a table such as {"3+" = 0.27, "3-" = 0.3}')
-    kind: NoiseKind = Field(
-        "gaussian", description="t5: Student's t with 5 degrees of freedom, of the same spread"
-    )
-
-    def noise(self) -> Noise:
-        """As a plan has it."""
-        return Noise(
-            {DRIVES[name]: to_si(value, "%") for name, value in self.repeatability_pct.items()}, self.kind
-        )
+    ]
+    """Spread of the counts; one number, or a table such as `{"3+" = 0.27, "3-" = 0.3}`."""
+    kind: NoiseKind = "gaussian"
+    """`"t5"`: Student's t with 5 degrees of freedom, scaled to the same spread."""
 
 
 class PlanFile(Table):
-    """A plan."""
+    """A plan: what is measured when."""
 
-    name: Text = Field("", description="shown on the sheet; the file's name if left out")
-    seed: Seed = Field(0, description="settles the random order and the simulation")
-    check_every: int = Field(5, ge=1, le=10_000, description="the end stop is looked for after so many steps")
-    order: Order = Field(
-        "as-written",
-        description="random shuffles each session's configurations; the traverses of one stay together",
-    )
-    replicates: int = Field(
-        1, ge=1, le=10_000, description="how often a session goes through the whole list of sweeps"
-    )
+    name: Text = ""
+    """Shown on the sheet; the file's name if left out."""
+    seed: Seed = 0
+    """Settles the random order and the simulation."""
+    check_every: Count = 5
+    """The end stop is looked for after so many steps."""
+    order: Order = "as-written"
+    """`"random"` shuffles each session's configurations; the traverses of one configuration stay together."""
+    replicates: Count = 1
+    """How often a session goes through the whole list of sweeps."""
     sessions: SessionsTable
     timing: TimingTable
     noise: Annotated[NoiseTable | None, BeforeValidator(lambda written: written or None)] = None
@@ -164,10 +141,12 @@ class PlanFile(Table):
 
     @model_validator(mode="after")
     def _few_enough(self) -> Self:
-        total = sum(sweep.count() for sweep in self.sweep) * self.replicates * len(self.sessions.days())
+        in_a_session = sum(sweep.configurations() * sweep.in_each() for sweep in self.sweep)
+        total = in_a_session * self.replicates * len(self.sessions.sessions())
         if total > MOST_TRAVERSES:
-            advice = f"the plan makes {total:,} traverses; keep it to {MOST_TRAVERSES:,}"
-            self.refuse([(advice, ["replicates"])])
+            self.refuse(
+                (f"the plan makes {total:,} traverses; keep it to {MOST_TRAVERSES:,}", ("replicates",))
+            )
         return self
 
 
@@ -184,7 +163,7 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     Raises
     ------
     InputError
-        Naming every fault of the file with its key and value.
+        With every fault of the file.
 
     Examples
     --------
@@ -209,6 +188,8 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     2  2012-03-05      3         + -1.57   0.00
     """
     read = read_toml(path, PlanFile, "plan file", machine)
+    noise, (shortest, longest), turn = read.noise, read.timing.pause, read.timing.turn
+    spreads = noise.repeatability_pct.items() if noise else ()
     return Plan(
         name=read.name or Path(path).stem,
         sessions=read.sessions.sessions(),
@@ -216,7 +197,9 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
         replicates=read.replicates,
         order=read.order,
         check_every=read.check_every,
-        timing=read.timing.timing(),
-        noise=read.noise.noise() if read.noise else None,
+        timing=Timing(read.timing.step_period, (shortest, longest), (turn[0], turn[1])),
+        noise=Noise({DRIVES[drive]: to_si(value, "%") for drive, value in spreads}, noise.kind)
+        if noise
+        else None,
         seed=read.seed,
     )

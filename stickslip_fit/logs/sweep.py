@@ -8,7 +8,7 @@ from math import nan, prod, tau
 from typing import Annotated, Any, Literal, Self
 
 import pandas as pd
-from annotated_types import Len, MinLen
+from annotated_types import Interval, Len, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from stickslip_fit._toml import Bounds, Give, Quantity, Table, Text, chosen_by
@@ -18,22 +18,11 @@ ANGLES = ("deg", "rad")
 UNITS_OF = {1: ANGLES, 2: ANGLES, 3: ("mm", "m", "µm", "nm")}
 AXES = ("q1", "q2", "q3", "theta", "psi")
 COLUMNS = ("sweep", "joint", "direction", *AXES, "start", "stop")
-MOST_IN_A_ROW = 1_000
 MOST_CONFIGURATIONS = 100_000
 
 
 def _range(joint: int) -> Callable[[Machine], Bounds]:
     return lambda machine: machine.ranges[joint]
-
-
-def _a_list(value: Any) -> Any:
-    return value if isinstance(value, list) else [value]
-
-
-def _a_joint(joint: int) -> int:
-    if joint not in JOINTS:
-        raise ValueError("no joint")
-    return joint
 
 
 def _different(values: list[Any]) -> list[Any]:
@@ -43,47 +32,44 @@ def _different(values: list[Any]) -> list[Any]:
 
 
 LIST, PAIRS = "give {}, or a list of such", "give a list of [from, to], two different ends, each {}"
-Numbers = Annotated[list[float], MinLen(1), BeforeValidator(_a_list)]
+Numbers = Annotated[
+    list[float], MinLen(1), BeforeValidator(lambda value: value if isinstance(value, list) else [value])
+]
 Pairs = Annotated[list[Annotated[list[float], Len(2, 2), AfterValidator(_different)]], MinLen(1)]
 Turns = Annotated[Numbers, Quantity(ANGLES, (-tau, tau), LIST)]
-Joint = Annotated[int, AfterValidator(_a_joint), Give("give one of 1, 2, 3")]
-Directions = Annotated[
-    list[Literal["+", "-"]],
-    MinLen(1),
-    AfterValidator(_different),
-    Give('give ["+", "-"], ["-", "+"], ["+"] or ["-"]'),
-]
+Joint = Annotated[int, Give("give one of 1, 2, 3"), Interval(ge=1, le=3)]
+Ways = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_different)]
 
 
 class Sweep(Table, extra="ignore"):
-    """What each sweep may have; which keys else depends on the joint."""
+    """What each sweep may have; which keys it has besides depends on the joint."""
 
-    joint: Joint = Field(description="which joint moves")
-    name: Text = Field("", description="heading on the sheet; the joint if left out")
-    directions: Directions = Field(["+", "-"], description="in turn")
-    theta: Turns = Field([0.0], description="orientation of the base")
-    psi: Turns = Field([0.0], description="orientation of the base")
-    replicates: int = Field(
-        1,
-        ge=1,
-        le=MOST_IN_A_ROW,
-        description="how often each configuration's directions are gone through in a row",
-    )
+    joint: Joint
+    """Which joint moves."""
+    name: Text = ""
+    """Heading on the sheet; the joint if left out."""
+    directions: Annotated[Ways, Give('give ["+", "-"], ["-", "+"], ["+"] or ["-"]')] = ["+", "-"]
+    """In turn."""
+    theta: Turns = [0.0]
+    """Orientation of the base, within one turn."""
+    psi: Turns = [0.0]
+    """Orientation of the base, within one turn."""
+    replicates: Annotated[int, Interval(ge=1, le=1_000)] = 1
+    """How often each configuration's directions are gone through in a row."""
 
     @model_validator(mode="after")
     def _few_enough(self) -> Self:
-        count = self.configurations()
-        if count > MOST_CONFIGURATIONS:
-            self.refuse([(f"makes {count:,} configurations; keep it to {MOST_CONFIGURATIONS:,}", ["name"])])
+        if (count := self.configurations()) > MOST_CONFIGURATIONS:
+            self.refuse((f"makes {count:,} configurations; keep it to {MOST_CONFIGURATIONS:,}", ("name",)))
         return self
 
     def configurations(self) -> int:
         """How many combinations its lists make."""
         return prod(len(getattr(self, axis, None) or [0]) for axis in ("ranges", *AXES))
 
-    def count(self) -> int:
-        """How many traverses."""
-        return self.configurations() * len(self.directions) * self.replicates
+    def in_each(self) -> int:
+        """How many traverses each of them takes."""
+        return len(self.directions) * self.replicates
 
     def axes(self, machine: Machine) -> dict[str, list[Any]]:
         """What varies, in the order of the table's keys."""
@@ -106,23 +92,20 @@ class Sweep(Table, extra="ignore"):
 
 
 def _of_joint(joint: int) -> type[Sweep]:
+    ends = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
     fields: dict[str, Any] = {
-        f"q{other}": (
-            Annotated[Numbers, Quantity(UNITS_OF[other], _range(other), LIST)],
-            # Joints 2 and 3 act on every law: where they stand has to be said.
-            Field([0.0] if other == 1 else ..., description=f"where joint {other} stands"),
-        )
-        for other in JOINTS
-        if other != joint
+        "joint": (Literal[joint], Field(description="Which joint moves.")),
+        "ranges": (
+            Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)],
+            Field([], description=ends),
+        ),
     }
-    fields["ranges"] = (
-        Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)],
-        Field([], description="ends of partial traverses, each direction its own way; else the full range"),
-    )
-    fields["joint"] = (Literal[joint], Field(description="which joint moves"))
-    return create_model(
-        f"Sweep of joint {joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields
-    )
+    for other in {*JOINTS} - {joint}:
+        numbers = Annotated[Numbers, Quantity(UNITS_OF[other], _range(other), LIST)]
+        # Joints 2 and 3 act on every law: where they stand has to be said.
+        default = [0.0] if other == 1 else ...
+        fields[f"q{other}"] = (numbers, Field(default, description=f"Where joint {other} stands."))
+    return create_model(f"SweepOfJoint{joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields)
 
 
 SWEEPS = {joint: _of_joint(joint) for joint in JOINTS}

@@ -74,7 +74,8 @@ def load_machine(path: str | Path | None = None) -> Machine:
     file = nominal.name if path is None else str(path)
     read = parse_toml(raw, file, MachineFile)
     q1, q2, q3 = ((low, high) for low, high in (read.range.q1, read.range.q2, read.range.q3))
-    base, middle, tip = (Link(each.mass, each.com, (*each.inertia,)) for each in read.link)
+    moments = ((xx, yy, zz) for xx, yy, zz in (link.inertia for link in read.link))
+    base, middle, tip = (Link(link.mass, link.com, own) for link, own in zip(read.link, moments, strict=True))
     return Machine(
         name=read.name or Path(file).stem,
         a1=read.geometry.a1,

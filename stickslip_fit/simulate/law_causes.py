@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -13,10 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import (
     BeforeValidator,
-    Field,
     PlainValidator,
     PrivateAttr,
-    ValidationInfo,
     WrapValidator,
     create_model,
 )
@@ -35,56 +33,53 @@ _QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
 class CauseTable(Table, extra="ignore"):
-    """A cause by its `name`, with the keys that it has.
+    """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
 
-    Every parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
-    of such, ``k = {"3+" = "2 %"}``. Beside them stands what the cause refers to: the session of a jump, the
-    mean of a column, the form of a bend.
+    A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table of
+    such, ``k = {"3+" = "2 %"}``.
     """
 
-    name: Text = Field(description="one of the library's, or column:NAME for a column of the lab's own")
+    name: Text
+    """One of the library's, or ``covariate:`` and a column of the lab's own."""
     _cause: Any = PrivateAttr()
 
     def hidden(self) -> tuple[Cause, list[float]]:
         """The cause, and the values of its parameters, SI."""
-        given = {name: getattr(self, name) for name in _references(self._cause)}
         values = {each.name: iter(getattr(self, each.name)) for each in self._cause.parameters}
-        return replace(self._cause, **given), [next(values[each.name]) for each in self._cause.parameters]
+        cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
+        return cause, [next(values[each.name]) for each in self._cause.parameters]
 
 
 def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
     """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
-    found = [table.hidden() for table in tables]
-    return tuple(cause for cause, _ in found), np.array(
-        [value for _, own in found for value in own], dtype=float
+    hidden = [table.hidden() for table in tables]
+    return tuple(cause for cause, _ in hidden), np.array(
+        [value for _, own in hidden for value in own], dtype=float
     )
 
 
-def _read(written: Any, inner: Any, info: ValidationInfo) -> CauseTable:
-    named: Any = inner(written)
+def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
+    named = inner(written)
     known = {cause.name: cause for cause in library()}
     if named.name.startswith(COVARIATE) and named.name != COVARIATE:
         known[named.name] = Covariate(named.name.removeprefix(COVARIATE))
     if named.name not in known:
-        named.refuse([(f"give one of {', '.join(known)}, {COVARIATE}COLUMN", ["name"])])
-    table = _table_of(known[named.name]).model_validate(written)
-    table._cause = known[named.name]
-    return table
-
-
-AnyCause = Annotated[CauseTable, WrapValidator(_read)]
-
-
-def _table_of(cause: Cause) -> type[CauseTable]:
-    """The keys of a cause."""
+        named.refuse((f"give one of {', '.join(known)}, {COVARIATE}COLUMN", ("name",)))
+    cause = known[named.name]
     keys: dict[str, Any] = {
         name: _reference(cause, name, usual) for name, usual in _references(cause).items()
     }
-    for name in dict.fromkeys(each.name for each in cause.parameters):
+    for name in {each.name for each in cause.parameters}:
         own = [each for each in cause.parameters if each.name == name]
         given = Give(f"give {_example(own[0])}: {own[0].meaning}")
         keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
-    return create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
+    model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
+    table = model.model_validate(written)
+    table._cause = cause
+    return table
+
+
+Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
 
 
 def _references(cause: Any) -> dict[str, str | float]:

@@ -20,7 +20,7 @@ from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
 from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.sweep import Joint
 from stickslip_fit.machine import Machine
-from stickslip_fit.simulate.law_causes import AnyCause, causes_of
+from stickslip_fit.simulate.law_causes import Causes, causes_of
 
 Array = npt.NDArray[np.float64]
 Group = tuple[int, str]
@@ -105,18 +105,17 @@ class LawTable(Table, extra="ignore"):
 
     joint: Joint
     direction: Literal["+", "-"]
-    session: Text = Field("", description="the parameters are those of this session only")
-    day_to_day: Annotated[float, Quantity(("%",), (0.0, LARGEST_DAY_TO_DAY))] = Field(
-        0.0, description="spread of the factor by which a session's step sizes differ"
-    )
+    session: Text = ""
+    """The only one that has these parameters."""
+    day_to_day: Annotated[float, Quantity(("%",), (0.0, LARGEST_DAY_TO_DAY))] = 0.0
+    """Spread of the factor by which a session's step sizes differ; none where the parameters are a session's."""
 
     @model_validator(mode="after")
     def _days_are_of_all_sessions(self) -> Self:
         if self.session and "day_to_day" in self.fields_in_file():
-            advice = (
-                "is no key of this table: what one session is like is not drawn; leave it out, or session"
+            self.refuse(
+                ("is no key of this table, which is of one session; leave it out", ("day_to_day_pct",))
             )
-            self.refuse([(advice, ["day_to_day_pct"])])
         return self
 
     def entry(self) -> tuple[int, str, str | None]:
@@ -124,39 +123,30 @@ class LawTable(Table, extra="ignore"):
         return self.joint, self.direction, self.session or None
 
 
-def _of_joint(joint: int, law: type[StepLaw]) -> type[LawTable]:
-    fields: dict[str, Any] = {
-        _stem(each): (
-            Annotated[float, Quantity((each.unit,), (each.lower, each.upper))],
-            Field(description=each.meaning),
-        )
-        for each in law.parameters
-    }
-    fields["joint"] = Literal[joint]
-    return create_model(
-        f"Law of joint {joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields
-    )
+def _of_joint(joint: int) -> type[LawTable]:
+    fields: dict[str, Any] = {"joint": Literal[joint]}
+    for each in LAWS[joint].parameters:
+        quantity = Quantity((each.unit,), (each.lower, each.upper))
+        fields[_stem(each)] = (Annotated[float, quantity], Field(description=each.meaning))
+    return create_model(f"LawOfJoint{joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields)
 
 
 LAWS: dict[int, type[StepLaw]] = {1: Base, 2: Elbow, 3: Prismatic}
-LAW_TABLES = {joint: _of_joint(joint, law) for joint, law in LAWS.items()}
+AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joint in LAWS}, LawTable)]
 
 
 class LawFile(Table):
-    """Laws, and causes that extend them all."""
+    """Laws by joint and direction, and causes that extend them all."""
 
-    law: Annotated[list[Annotated[LawTable, chosen_by("joint", LAW_TABLES, LawTable)]], MinLen(1)]
-    cause: list[AnyCause] = []
+    law: Annotated[list[AnyLaw], MinLen(1)]
+    cause: Causes = []
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
         entries = [law.entry() for law in self.law]
+        again = [number for number, entry in enumerate(entries) if entry in entries[:number]]
         advice = "an earlier [[law]] has this joint and direction; keep one of them"
-        self.refuse(
-            (advice, ["law", number, "direction"])
-            for number, entry in enumerate(entries)
-            if entry in entries[:number]
-        )
+        self.refuse(*((advice, ("law", number, "direction")) for number in again))
         return self
 
 
@@ -172,7 +162,7 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     Raises
     ------
     InputError
-        Naming every fault of the file with its key and value.
+        With every fault of the file.
     """
     read = read_toml(path, LawFile, "law file")
     laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
@@ -183,5 +173,7 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
         law.entry(): np.array([*(getattr(law, _stem(each)) for each in LAWS[law.joint].parameters), *sizes])
         for law in read.law
     }
-    usual = {(law.joint, law.direction): law.day_to_day for law in read.law if not law.session}
-    return LawValues(laws, values, usual)
+    day_to_day: dict[Group, float] = {
+        (law.joint, law.direction): law.day_to_day for law in read.law if not law.session
+    }
+    return LawValues(laws, values, day_to_day)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from annotated_types import MinLen
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from annotated_types import Interval, MinLen
+from pydantic import PlainValidator, ValidationInfo, model_validator
 
-from stickslip_fit._toml import Give, Place, Quantity, Table, Text, fault, read_toml
+from stickslip_fit._toml import Give, Misfit, Quantity, Table, Text, fault, read_toml
 from stickslip_fit.causes import Cause
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Plan
@@ -17,7 +17,7 @@ from stickslip_fit.logs.read_plan import DRIVES, LEAST_REPEATABLE, Seed, read_pl
 from stickslip_fit.machine import Machine
 from stickslip_fit.simulate import LawValues, read_law_values
 from stickslip_fit.simulate.driven import HISTORY
-from stickslip_fit.simulate.law_causes import AnyCause, causes_of
+from stickslip_fit.simulate.law_causes import Causes, causes_of
 from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
 from stickslip_fit.strategies.designs import IOptimal, Thesis
 from stickslip_fit.strategies.least_squares import LeastSquares
@@ -50,57 +50,60 @@ Share = Annotated[
 
 
 class SpreadTable(Table):
-    """How far every parameter spreads, as a share of what changes a step by its own size; cut off at three."""
+    """Standard deviation of every parameter, as a share of what changes a step by its own size; cut off at 3."""
 
-    campaigns: Share = Field(0.0, description="standard deviation from campaign to campaign")
-    sessions: Share = Field(0.0, description="standard deviation from session to session")
+    campaigns: Share = 0.0
+    """From campaign to campaign."""
+    sessions: Share = 0.0
+    """From session to session."""
 
 
 class ScatterTable(Table):
     """How well counts repeat."""
 
-    repeatability: Annotated[float | None, Quantity(("%",), (1e-6, LEAST_REPEATABLE))] = Field(
-        None, description="one number for every joint and direction; the plan's if left out"
-    )
-    kind: Scatter | None = Field(
-        None, description="uneven: up to twice as large in some configurations as in others; else the plan's"
-    )
+    repeatability: Annotated[float | None, Quantity(("%",), (1e-6, LEAST_REPEATABLE / 100))] = None
+    """One number for every joint and direction; the plan's if left out."""
+    kind: Scatter | None = None
+    """`"uneven"`: up to twice as large in some configurations as in others; the plan's if left out."""
 
 
 class MovesTable(Table):
     """Open-loop moves of the tip after each session, drawn once all over the workspace."""
 
-    count: int = Field(20, ge=0, le=10_000, description="0 for none")
-    length: Annotated[float, Quantity(("mm", "µm", "m"), (1e-6, 0.02))] = Field(1e-3, description="of each")
+    count: Annotated[int, Interval(ge=0, le=10_000)] = 20
+    """0 for none."""
+    length: Annotated[float, Quantity(("mm", "µm", "m"), (1e-6, 0.02))] = 1e-3
+    """Of each."""
 
 
 class ScenarioTable(Table):
     """What is hidden; several causes act together."""
 
-    name: Text = Field(description="what is hidden, in words")
-    cause: list[AnyCause] = Field([], description="none: nothing is hidden")
+    name: Text
+    """What is hidden, in words."""
+    cause: Causes = []
+    """Without any, nothing is hidden."""
 
 
 class StudyFile(Table):
-    """A study."""
+    """A study: strategies let loose on simulated campaigns of a plan."""
 
-    plan: Annotated[Plan, _of_file(read_plan), NAMED] = Field(description="a plan file")
-    law: Annotated[LawValues, _of_file(read_law_values), NAMED] = Field(description="a law file")
-    name: Text = Field("", description="shown above the answer; the file's name if left out")
-    campaigns: int = Field(1000, ge=1, le=1_000_000, description="of each scenario")
-    seed: Seed = Field(
-        0,
-        description="a campaign depends on it, the scenario's name and its own number, and on no other campaign",
-    )
-    strategies: Annotated[list[str] | None, Give("give a list of names in quotes")] = Field(
-        None, description="as `stickslip-fit compare` names them; without any, five that take milliseconds"
-    )
-    more: int = Field(
-        MORE, ge=1, le=1000, description="traverses beyond the parameters, where least squares takes more"
-    )
-    good_enough: Annotated[float, Quantity(("%",), (1e-5, 1.0))] = Field(
-        GOOD_ENOUGH, description="rms error of the mean step size with which the lab can live"
-    )
+    plan: Annotated[Plan, _of_file(read_plan), NAMED]
+    """A plan file, named from where the study file lies."""
+    law: Annotated[LawValues, _of_file(read_law_values), NAMED]
+    """A law file, named likewise."""
+    name: Text = ""
+    """Shown above the answer; the file's name if left out."""
+    campaigns: Annotated[int, Interval(ge=1, le=1_000_000)] = 1000
+    """Of each scenario."""
+    seed: Seed = 0
+    """A campaign depends on it, the scenario's name and the campaign's number, and on no other campaign."""
+    strategies: Annotated[list[str] | None, Give("give a list of names in quotes")] = None
+    """Names as `stickslip-fit compare` shows them; five that take milliseconds a campaign if left out."""
+    more: Annotated[int, Interval(ge=1, le=1000)] = MORE
+    """Traverses beyond the parameters, where least squares takes more."""
+    good_enough: Annotated[float, Quantity(("%",), (1e-5, 1.0))] = GOOD_ENOUGH
+    """Rms error of the mean step size with which the lab can live."""
     spread: SpreadTable
     noise: ScatterTable
     moves: MovesTable
@@ -108,32 +111,32 @@ class StudyFile(Table):
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
-        self.refuse(self._misfits())
+        self.refuse(*self._misfits())
         return self
 
-    def _misfits(self) -> Iterator[tuple[str, Place]]:
+    def _misfits(self) -> Iterator[Misfit]:
         known = [strategy.name for strategy in usual_strategies(self.more, self.seed)]
-        given = self.strategies if self.strategies is not None else known
+        given = known if self.strategies is None else self.strategies
         if not given or not set(given) <= set(known) or len(set(given)) < len(given):
-            yield f"give a list of different ones of {', '.join(map(repr, known))}", ["strategies"]
+            yield f"give a list of different ones of {', '.join(map(repr, known))}", ("strategies",)
         names = [scenario.name for scenario in self.scenario]
         if len(set(names)) < len(names):
-            yield f"give names that differ; these are {', '.join(names)}", ["scenario"]
-        rows = self.plan.traverses
+            yield f"give names that differ; these are {', '.join(names)}", ("scenario",)
+        rows, spreads = self.plan.traverses, self.repeatability()
         for joint in sorted({*map(int, rows["joint"])} - {joint for joint, _, _ in self.law.values}):
-            yield f"has no [[law]] of joint {joint}, which the plan drives; add it", ["law"]
+            yield f"has no [[law]] of joint {joint}, which the plan drives; add it", ("law",)
         drives = set(zip(map(int, rows["joint"]), rows["direction"], strict=True))
-        if not self.repeatability():
-            yield "give a number in %, or give the plan a [noise]", ["noise", "repeatability_pct"]
-        for joint, direction in sorted(drives - self.repeatability().keys()) if self.repeatability() else ():
-            yield f'its repeatability_pct has no "{joint}{direction}", which it drives', ["plan"]
+        if not spreads:
+            yield "give a number in %, or give the plan a [noise]", ("noise", "repeatability_pct")
+        for joint, direction in sorted(drives - spreads.keys()) if spreads else ():
+            yield f'its repeatability_pct has no "{joint}{direction}", which it drives', ("plan",)
         if self.moves.count and len(drives) < len(DRIVES):
-            yield "the plan does not calibrate all joints both ways; set count = 0", ["moves"]
+            yield "the plan does not calibrate all joints both ways; set count = 0", ("moves",)
         sessions = {session.label for session in self.plan.sessions}
         for number, scenario in enumerate(self.scenario):
             for cause in causes_of(scenario.cause)[0]:
                 if why := _inert(cause, sessions):
-                    yield f"{cause.name} {why}", ["scenario", number, "name"]
+                    yield f"{cause.name} {why}", ("scenario", number, "name")
 
     def repeatability(self) -> dict[tuple[int, str], float]:
         """The campaign plan's, or one number for every joint and direction in its place."""
@@ -161,7 +164,7 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     Raises
     ------
     InputError
-        Naming every fault of the file with its key and value.
+        With every fault of the file, and of those that it names.
     """
     path = Path(path)
     read = read_toml(path, StudyFile, "study file", (path.parent, machine))
