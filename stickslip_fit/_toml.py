@@ -168,14 +168,16 @@ class Table(BaseModel):
         schema = handler(core)
         own = handler.resolve_ref_schema(schema)
         fields, own["properties"] = own["properties"], {}
-        needed = dict.fromkeys(own.pop("required", ()), ())
+        needed: dict[str, list[Any]] = {name: [] for name in own.pop("required", ())}
         for key, (name, unit) in cls.fields_by_key().items():
-            entry = own["properties"][key] = {"title": _advice(cls, key, None)} | fields[name]
+            entry = own["properties"][key] = fields[name] | {"title": _advice(cls, key, None)}
             if unit and entry.get("default") is not None:
                 entry["default"] = _each_number(partial(from_si, symbol=unit), entry["default"])
             if name in needed:
-                needed[name] += ({"required": [key]},)
-        return schema | {"allOf": [{"oneOf": list(keys)} for keys in needed.values()]}
+                needed[name].append({"required": [key]})
+        if needed:
+            own["allOf"] = [{"oneOf": keys} for keys in needed.values()]
+        return schema
 
 
 def read_toml[Model: Table](path: str | Path, model: type[Model], kind: str, context: Any = None) -> Model:
@@ -208,7 +210,7 @@ def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context:
     try:
         return model.model_validate(content, context=context)
     except ValidationError as error:
-        lines, problems = _lines(text), []
+        lines, problems = _lines(text), list[Problem]()
         for each in error.errors(include_url=False):
             place, value = each["loc"], each["input"]
             line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
@@ -274,7 +276,7 @@ def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
 
 def _value_at(value: Any, place: Place) -> Any:
     for part in place:
-        value = value.get(part) if isinstance(value, dict) else value[part]  # type: ignore[index]
+        value = value.get(part) if isinstance(value, dict) else value[part]
         if value is None:
             break
     return value

@@ -38,6 +38,10 @@ def _time(value: Any) -> time:
     return value.replace(microsecond=0)
 
 
+def _by_drive(value: Any) -> Any:
+    return value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)
+
+
 def _not_falling(ends: list[float]) -> list[float]:
     if ends[0] > ends[1]:
         raise ValueError("falling")
@@ -110,7 +114,7 @@ class NoiseTable(Table):
 
     repeatability_pct: Annotated[
         dict[Drive, Percent],
-        BeforeValidator(lambda value: value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)),
+        BeforeValidator(_by_drive, json_schema_input_type=Percent | dict[Drive, Percent]),
         Give(
             f"give a percentage from 0 to {LEAST_REPEATABLE:g}, or a table of such by joint and direction: "
             '{"3+" = 0.27, "3-" = 0.3}'

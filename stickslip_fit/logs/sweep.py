@@ -25,6 +25,10 @@ def _range(joint: int) -> Callable[[Machine], Bounds]:
     return lambda machine: machine.ranges[joint]
 
 
+def _a_list(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
 def _different(values: list[Any]) -> list[Any]:
     if len(set(values)) < len(values):
         raise ValueError("twice the same")
@@ -33,11 +37,12 @@ def _different(values: list[Any]) -> list[Any]:
 
 LIST, PAIRS = "give {}, or a list of such", "give a list of [from, to], two different ends, each {}"
 Numbers = Annotated[
-    list[float], MinLen(1), BeforeValidator(lambda value: value if isinstance(value, list) else [value])
+    list[float], MinLen(1), BeforeValidator(_a_list, json_schema_input_type=float | list[float])
 ]
 Pairs = Annotated[list[Annotated[list[float], Len(2, 2), AfterValidator(_different)]], MinLen(1)]
 Turns = Annotated[Numbers, Quantity(ANGLES, (-tau, tau), LIST)]
-Joint = Annotated[int, Give("give one of 1, 2, 3"), Interval(ge=1, le=3)]
+JOINT = Give("give one of 1, 2, 3")
+Joint = Annotated[int, JOINT, Interval(ge=1, le=3)]
 Ways = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_different)]
 
 
@@ -94,7 +99,7 @@ class Sweep(Table, extra="ignore"):
 def _of_joint(joint: int) -> type[Sweep]:
     ends = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
     fields: dict[str, Any] = {
-        "joint": (Literal[joint], Field(description="Which joint moves.")),
+        "joint": (Annotated[Literal[joint], JOINT], Field(description="Which joint moves.")),
         "ranges": (
             Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)],
             Field([], description=ends),

@@ -35,8 +35,8 @@ _QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 class CauseTable(Table, extra="ignore"):
     """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
 
-    A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table of
-    such, ``k = {"3+" = "2 %"}``.
+    A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
+    of such, ``k = {"3+" = "2 %"}``.
     """
 
     name: Text

@@ -18,7 +18,7 @@ from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
 from stickslip_fit.logs.check import DIRECTIONS
-from stickslip_fit.logs.sweep import Joint
+from stickslip_fit.logs.sweep import JOINT, Joint
 from stickslip_fit.machine import Machine
 from stickslip_fit.simulate.law_causes import Causes, causes_of
 
@@ -108,7 +108,7 @@ class LawTable(Table, extra="ignore"):
     session: Text = ""
     """The only one that has these parameters."""
     day_to_day: Annotated[float, Quantity(("%",), (0.0, LARGEST_DAY_TO_DAY))] = 0.0
-    """Spread of the factor by which a session's step sizes differ; none where the parameters are a session's."""
+    """Spread of the factor by which a session's step sizes differ; not with a session."""
 
     @model_validator(mode="after")
     def _days_are_of_all_sessions(self) -> Self:
@@ -124,7 +124,7 @@ class LawTable(Table, extra="ignore"):
 
 
 def _of_joint(joint: int) -> type[LawTable]:
-    fields: dict[str, Any] = {"joint": Literal[joint]}
+    fields: dict[str, Any] = {"joint": Annotated[Literal[joint], JOINT]}
     for each in LAWS[joint].parameters:
         quantity = Quantity((each.unit,), (each.lower, each.upper))
         fields[_stem(each)] = (Annotated[float, quantity], Field(description=each.meaning))

@@ -34,7 +34,7 @@ def _of_file(read: Callable[[Path, Machine], Any]) -> PlainValidator:
     def content(named: Any, info: ValidationInfo) -> Any:
         if not isinstance(named, str) or not named:
             raise ValueError("no name")
-        folder, machine = info.context
+        folder, machine = info.context  # type: ignore[misc]
         try:
             return read(folder / named, machine)
         except InputError as error:
@@ -50,7 +50,7 @@ Share = Annotated[
 
 
 class SpreadTable(Table):
-    """Standard deviation of every parameter, as a share of what changes a step by its own size; cut off at 3."""
+    """Standard deviation of every parameter, as a share of what changes a step by its size; cut off at 3."""
 
     campaigns: Share = 0.0
     """From campaign to campaign."""
