@@ -168,7 +168,9 @@ class Table(BaseModel):
         schema = handler(core)
         own = handler.resolve_ref_schema(schema)
         fields, own["properties"] = own["properties"], {}
-        needed: dict[str, list[Any]] = {name: [] for name in own.pop("required", ())}
+        needed: dict[str, list[Any]] = {
+            name: [] for name in own.pop("required", ()) if not _is_table(cls, name)
+        }
         for key, (name, unit) in cls.fields_by_key().items():
             entry = own["properties"][key] = fields[name] | {"title": _advice(cls, key, None)}
             if unit and entry.get("default") is not None:
