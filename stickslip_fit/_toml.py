@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
+from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
@@ -101,9 +105,7 @@ class Quantity:
 class Table(BaseModel):
     """A table of a TOML file: no key but its fields', no value taken for one of another type."""
 
-    model_config = ConfigDict(
-        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
     _written: dict[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod
@@ -168,11 +170,13 @@ class Table(BaseModel):
         schema = handler(core)
         own = handler.resolve_ref_schema(schema)
         fields, own["properties"] = own["properties"], {}
+        meanings = _attribute_docstrings(cls)
         needed: dict[str, list[Any]] = {
             name: [] for name in own.pop("required", ()) if not _is_table(cls, name)
         }
         for key, (name, unit) in cls.fields_by_key().items():
             entry = own["properties"][key] = fields[name] | {"title": _advice(cls, key, None)}
+            entry |= {"description": meanings[name]} if name in meanings else {}
             if unit and entry.get("default") is not None:
                 entry["default"] = _each_number(partial(from_si, symbol=unit), entry["default"])
             if name in needed:
@@ -267,6 +271,18 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
     if str in kinds:
         return "give a text in quotes"
     return f"write it as a table: [{key}]" if _is_table(table, name) else f"give at least one table [[{key}]]"
+
+
+def _attribute_docstrings(table: type[Table]) -> dict[str, str]:
+    """The strings below fields; pydantic could read them too, but would at every start of a command."""
+    found = {}
+    for each in table.__mro__[-3::-1]:
+        with suppress(OSError):
+            body = ast.parse(inspect.getsource(each)).body[0].body  # type: ignore[attr-defined]
+            for field, said in pairwise(body):
+                if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
+                    found[ast.unparse(field.target)] = ast.literal_eval(said.value)
+    return found
 
 
 def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
