@@ -97,13 +97,11 @@ class Sweep(Table, extra="ignore"):
 
 
 def _of_joint(joint: int) -> type[Sweep]:
-    ends = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
+    ranges = Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)]
+    said = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
     fields: dict[str, Any] = {
-        "joint": (Annotated[Literal[joint], JOINT], Field(description="Which joint moves.")),
-        "ranges": (
-            Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)],
-            Field([], description=ends),
-        ),
+        "joint": Annotated[Literal[joint], JOINT],
+        "ranges": (ranges, Field([], description=said)),
     }
     for other in {*JOINTS} - {joint}:
         numbers = Annotated[Numbers, Quantity(UNITS_OF[other], _range(other), LIST)]
@@ -113,8 +111,7 @@ def _of_joint(joint: int) -> type[Sweep]:
     return create_model(f"SweepOfJoint{joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields)
 
 
-SWEEPS = {joint: _of_joint(joint) for joint in JOINTS}
-AnySweep = Annotated[Sweep, chosen_by("joint", SWEEPS, Sweep)]
+AnySweep = Annotated[Sweep, chosen_by("joint", {joint: _of_joint(joint) for joint in JOINTS}, Sweep)]
 
 
 def traverses_of(sweeps: list[Sweep], machine: Machine) -> pd.DataFrame:

@@ -11,13 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import (
-    BeforeValidator,
-    PlainValidator,
-    PrivateAttr,
-    WrapValidator,
-    create_model,
-)
+from pydantic import BeforeValidator, PlainValidator, PrivateAttr, WrapValidator, create_model
 
 from stickslip_fit._toml import Give, Table, Text, fault
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
@@ -53,9 +47,8 @@ class CauseTable(Table, extra="ignore"):
 def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
     """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
     hidden = [table.hidden() for table in tables]
-    return tuple(cause for cause, _ in hidden), np.array(
-        [value for _, own in hidden for value in own], dtype=float
-    )
+    values = [value for _, own in hidden for value in own]
+    return tuple(cause for cause, _ in hidden), np.array(values, dtype=float)
 
 
 def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
@@ -66,10 +59,8 @@ def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
     if named.name not in known:
         named.refuse((f"give one of {', '.join(known)}, {COVARIATE}COLUMN", ("name",)))
     cause = known[named.name]
-    keys: dict[str, Any] = {
-        name: _reference(cause, name, usual) for name, usual in _references(cause).items()
-    }
-    for name in {each.name for each in cause.parameters}:
+    keys: dict[str, Any] = {name: _reference(cause, name, own) for name, own in _references(cause).items()}
+    for name in dict.fromkeys(each.name for each in cause.parameters):
         own = [each for each in cause.parameters if each.name == name]
         given = Give(f"give {_example(own[0])}: {own[0].meaning}")
         keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
@@ -142,11 +133,7 @@ def _si(written: Any) -> float:
 
 def _quantity(written: Any) -> tuple[float, str]:
     """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
-    if (
-        isinstance(written, int | float)
-        and not isinstance(written, bool)
-        and abs(written) <= sys.float_info.max
-    ):
+    if type(written) in (int, float) and abs(written) <= sys.float_info.max:
         return float(written), "1"
     match = _QUANTITY.fullmatch(written.strip()) if isinstance(written, str) else None
     if match is None:

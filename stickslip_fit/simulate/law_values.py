@@ -113,9 +113,7 @@ class LawTable(Table, extra="ignore"):
     @model_validator(mode="after")
     def _days_are_of_all_sessions(self) -> Self:
         if self.session and "day_to_day" in self.fields_in_file():
-            self.refuse(
-                ("is no key of this table, which is of one session; leave it out", ("day_to_day_pct",))
-            )
+            self.refuse(("is no key of this table of one session; leave it out", ("day_to_day_pct",)))
         return self
 
     def entry(self) -> tuple[int, str, str | None]:
@@ -169,11 +167,10 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     causes, sizes = causes_of(read.cause)
     if causes:
         laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
-    values = {
-        law.entry(): np.array([*(getattr(law, _stem(each)) for each in LAWS[law.joint].parameters), *sizes])
-        for law in read.law
-    }
-    day_to_day: dict[Group, float] = {
-        (law.joint, law.direction): law.day_to_day for law in read.law if not law.session
-    }
+    values, day_to_day = {}, {}
+    for law in read.law:
+        own = [getattr(law, _stem(each)) for each in LAWS[law.joint].parameters]
+        values[law.entry()] = np.array([*own, *sizes])
+        if not law.session:
+            day_to_day[law.joint, str(law.direction)] = law.day_to_day
     return LawValues(laws, values, day_to_day)
