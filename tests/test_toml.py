@@ -38,8 +38,9 @@ FILES |= {
 FIVE = """\
 seed = "one"
 chek_every = 5
+replicates = 0
 [sessions]
-dates = []
+dates = [2012-03-05]
 
 [[sweep]]
 joint = 3
@@ -65,11 +66,10 @@ def test_five_faults_are_told_at_once_with_line_key_value_and_what_to_do():
         "plan.toml, line 1, column seed, value 'one': give a whole number from 0 to 9223372036854775807",
         "plan.toml, line 2, column chek_every, value '5': is no key of this table; did you mean check_every? "
         "It may have name, seed, check_every, order, replicates, sessions, timing, noise, sweep",
-        "plan.toml, line 4, column sessions.dates, value '[]': give dates, such as [2012-03-05, 2012-03-06]; "
-        "or first_date and count",
-        "plan.toml, line 8, column sweep 1 q2_deg, value '99': give a number in deg, -210 to 30, "
+        "plan.toml, line 3, column replicates, value '0': give a whole number from 1 to 10000",
+        "plan.toml, line 9, column sweep 1 q2_deg, value '99': give a number in deg, -210 to 30, "
         "or a list of such",
-        "plan.toml, line 12, column sweep 2 theta_deg, value '[0, 400]': give a number in deg, -360 to 360, "
+        "plan.toml, line 13, column sweep 2 theta_deg, value '[0, 400]': give a number in deg, -360 to 360, "
         "or a list of such",
     }
 
