@@ -9,8 +9,8 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "stickslip_fit"
 ROOMS = (
-    "errors", "files", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "anova", "diagnose",
-    "moves", "strategies", "capture", "report", "cli",
+    "errors", "files", "units", "_toml", "machine", "logs", "laws", "causes", "simulate", "fit", "anova",
+    "diagnose", "moves", "strategies", "capture", "report", "cli",
 )  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def test_the_command_line_starts_without_the_heavy_libraries():
     import subprocess
     import sys
 
-    heavy = ("numpy", "pandas", "scipy", "matplotlib", "pyarrow", "jinja2")
+    heavy = ("numpy", "pandas", "scipy", "matplotlib", "pyarrow", "jinja2", "pydantic")
     code = f"import sys, stickslip_fit.cli; print([name for name in {heavy} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

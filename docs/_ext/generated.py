@@ -15,6 +15,7 @@ import causes_page
 import columns_page
 import command_line
 import laws_page
+import toml_page
 
 HERE = Path(__file__).parents[1]
 GENERATED = HERE / "generated"
@@ -28,6 +29,8 @@ def pages() -> dict[str, str]:
         "causes.md": causes_page.page(),
         "laws.md": laws_page.page(),
         "columns.md": columns_page.page(),
+        "keys.md": toml_page.page(),
+        **{f"schemas/{name}.json": text for name, text in toml_page.schemas().items()},
         "notebooks.md": _list_of_notebooks(),
         **{f"api/{name}.md": text for name, text in api.pages().items()},
     }

@@ -1,25 +1,157 @@
-"""A plan from its TOML file; data/reference/README.md explains every key."""
+"""A plan from its TOML file."""
 
 from __future__ import annotations
 
 from datetime import date, datetime, time, timedelta
 from itertools import pairwise
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, Any, Literal, Self
 
+from annotated_types import Interval, Len, MinLen
+from pydantic import AfterValidator, BeforeValidator, model_validator
+
+from stickslip_fit._toml import Count, Give, Quantity, Table, Text, read_toml
 from stickslip_fit.logs.check import DIRECTIONS
 from stickslip_fit.logs.plan import Noise, NoiseKind, Order, Plan, PlannedSession, Timing
-from stickslip_fit.logs.settings import Settings, is_number, read_settings
-from stickslip_fit.logs.sweep import read_sweeps
+from stickslip_fit.logs.sweep import AnySweep, traverses_of
 from stickslip_fit.machine import JOINTS, Machine
 from stickslip_fit.units import to_si
 
-MOST_SESSIONS = 10_000
 YEARS = range(1900, 2200)  # what a log's times can hold, with room for every session
-MOST_REPLICATES = 10_000
 MOST_TRAVERSES = 5_000_000
-FASTEST_SLOWEST = (1e-5, 10.0)  # s
 LEAST_REPEATABLE = 20.0  # %; beyond, the spread of log(steps) is no relative error any more
+DRIVES = {f"{joint}{direction}": (joint, direction) for joint in JOINTS for direction in DIRECTIONS}
+DATES = "give dates, such as [2012-03-05, 2012-03-06]; or first_date and count"
+
+
+def _date(value: Any) -> date:
+    value = date.fromisoformat(value) if isinstance(value, str) else value
+    if isinstance(value, datetime) or not isinstance(value, date) or value.year not in YEARS:
+        raise ValueError("no date")
+    return value
+
+
+def _time(value: Any) -> time:
+    value = time.fromisoformat(value) if isinstance(value, str) else value
+    if not isinstance(value, time) or value.tzinfo is not None:
+        raise ValueError("no time of day")
+    return value.replace(microsecond=0)
+
+
+def _by_drive(value: Any) -> Any:
+    return value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)
+
+
+def _not_falling(ends: list[float]) -> list[float]:
+    if ends[0] > ends[1]:
+        raise ValueError("falling")
+    return ends
+
+
+Day = Annotated[date, BeforeValidator(_date)]
+Clock = Annotated[time, BeforeValidator(_time)]
+Patience = Quantity(("s", "min"), (0.0, 86_400.0), "give [lowest, highest], each {}")
+Seconds = Annotated[list[float], Len(2, 2), AfterValidator(_not_falling), Patience]
+Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
+Percent = Annotated[float, Interval(ge=0, le=LEAST_REPEATABLE)]
+Drive = Literal["1+", "1-", "2+", "2-", "3+", "3-"]
+
+
+class SessionsTable(Table):
+    """When it is measured."""
+
+    dates: Annotated[list[Day], MinLen(1), Give(DATES)] = []
+    """One for each session, unless there is a first date."""
+    first_date: Annotated[Day | None, Give("give a date such as 2012-03-05")] = None
+    """Of `count` days in a row."""
+    count: Count = 1
+    """How many days in a row."""
+    labels: Annotated[list[Text], Give('give texts in quotes, such as ["first day", "second day"]')] = []
+    """What the log calls the sessions; the dates if left out."""
+    start: Annotated[
+        Clock | list[Clock], Give('give a time of day such as "08:30", or a list of one for each session')
+    ] = time(8, 30)
+    """Time of day at which a session begins, or a list of one for each."""
+
+    def sessions(self) -> tuple[PlannedSession, ...]:
+        """The sessions, with one label and one start each, in order."""
+        days, first = self.dates, self.first_date
+        if first is not None:
+            days = [first + timedelta(days=number) for number in range(self.count)]
+        labels = self.labels or [day.isoformat() for day in days]
+        starts = self.start if isinstance(self.start, list) else [self.start] * len(days)
+        if not days:
+            self.refuse((DATES, ("dates",)))
+        if len(set(labels)) < len(labels):
+            self.refuse(("two sessions have one label; give labels that differ", ("labels",)))
+        if not len(labels) == len(starts) == len(days):
+            given = f"{len(labels)} labels, {len(starts)} starts, {len(days)} dates"
+            self.refuse((f"{given}; give each session one of each", ("labels",)))
+        begins = [datetime.combine(day, clock) for day, clock in zip(days, starts, strict=True)]
+        if any(later <= earlier for earlier, later in pairwise(begins)):
+            self.refuse(("a session does not begin after the one before it; put them in order", ("dates",)))
+        return tuple(PlannedSession(label, moment) for label, moment in zip(labels, begins, strict=True))
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        self.sessions()
+        return self
+
+
+class TimingTable(Table):
+    """How long things take."""
+
+    step_period: Annotated[float, Quantity(("ms", "s"), (1e-5, 10.0))] = Timing.step_period
+    """Between two steps."""
+    pause: Seconds = list(Timing.pause)
+    """Shortest and longest time to set the next configuration."""
+    turn: Seconds = list(Timing.turn)
+    """The same where nothing needs to be set."""
+
+
+class NoiseTable(Table):
+    """How well counts repeat; only a simulation needs it."""
+
+    repeatability_pct: Annotated[
+        dict[Drive, Percent],
+        BeforeValidator(_by_drive, json_schema_input_type=Percent | dict[Drive, Percent]),
+        Give(
+            f"give a percentage from 0 to {LEAST_REPEATABLE:g}, or a table of such by joint and direction: "
+            '{"3+" = 0.27, "3-" = 0.3}'
+        ),
+    ]
+    """Spread of the counts; one number, or a table such as `{"3+" = 0.27, "3-" = 0.3}`."""
+    kind: NoiseKind = "gaussian"
+    """`"t5"`: Student's t with 5 degrees of freedom, scaled to the same spread."""
+
+
+class PlanFile(Table):
+    """A plan: what is measured when."""
+
+    name: Text = ""
+    """Shown on the sheet; the file's name if left out."""
+    seed: Seed = 0
+    """Settles the random order and the simulation."""
+    check_every: Count = 5
+    """The end stop is looked for after so many steps."""
+    order: Order = "as-written"
+    """`"random"` shuffles each session's configurations; the traverses of one configuration stay together."""
+    replicates: Count = 1
+    """How often a session goes through the whole list of sweeps."""
+    sessions: SessionsTable
+    timing: TimingTable
+    noise: Annotated[NoiseTable | None, BeforeValidator(lambda written: written or None)] = None
+    sweep: Annotated[list[AnySweep], MinLen(1)]
+
+    @model_validator(mode="after")
+    def _few_enough(self) -> Self:
+        in_a_session = sum(sweep.configurations() * sweep.in_each() for sweep in self.sweep)
+        total = in_a_session * self.replicates * len(self.sessions.sessions())
+        if total > MOST_TRAVERSES:
+            self.refuse(
+                (f"the plan makes {total:,} traverses; keep it to {MOST_TRAVERSES:,}", ("replicates",))
+            )
+        return self
 
 
 def read_plan(path: str | Path, machine: Machine) -> Plan:
@@ -28,15 +160,14 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     Parameters
     ----------
     path : path
-        A TOML file: name, seed, check_every, order, replicates; tables [sessions], [timing], [noise];
-        one [[sweep]] for each set of configurations.
+        A TOML file with the keys of `PlanFile`.
     machine : Machine
         Its ranges fill in full traverses and bound everything else.
 
     Raises
     ------
     InputError
-        Naming every fault of the file with its key and value.
+        With every fault of the file.
 
     Examples
     --------
@@ -60,120 +191,19 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     1  2012-03-05      3         - -1.57  -1.57
     2  2012-03-05      3         + -1.57   0.00
     """
-    settings = read_settings(path)
-    plan = Plan(
-        name=settings.text("name", Path(path).stem),
-        sessions=_sessions(settings.table("sessions")),
-        traverses=read_sweeps(settings.tables("sweep"), machine),
-        replicates=settings.whole("replicates", 1, MOST_REPLICATES, 1),
-        order=settings.choice("order", get_args(Order), "as-written"),
-        check_every=settings.whole("check_every", 1, 10_000, 5),
-        timing=_timing(settings.table("timing")),
-        noise=_noise(settings.table("noise")),
-        seed=settings.whole("seed", 0, 2**63 - 1, 0),
+    read = read_toml(path, PlanFile, "plan file", machine)
+    noise, (shortest, longest), turn = read.noise, read.timing.pause, read.timing.turn
+    spreads = noise.repeatability_pct.items() if noise else ()
+    return Plan(
+        name=read.name or Path(path).stem,
+        sessions=read.sessions.sessions(),
+        traverses=traverses_of(read.sweep, machine),
+        replicates=read.replicates,
+        order=read.order,
+        check_every=read.check_every,
+        timing=Timing(read.timing.step_period, (shortest, longest), (turn[0], turn[1])),
+        noise=Noise({DRIVES[drive]: to_si(value, "%") for drive, value in spreads}, noise.kind)
+        if noise
+        else None,
+        seed=read.seed,
     )
-    settings.reject_unknown()
-    total = plan.traverses_per_session * len(plan.sessions)
-    if total > MOST_TRAVERSES:
-        settings.complain("replicates", f"the plan makes {total:,} traverses; keep it to {MOST_TRAVERSES:,}")
-    settings.finish()
-    return plan
-
-
-def _sessions(settings: Settings) -> tuple[PlannedSession, ...]:
-    dates = _dates(settings)
-    starts = settings.take("start", "08:30")
-    times = _times(starts if isinstance(starts, list) else [starts] * len(dates))
-    if times is None:
-        settings.complain("start", 'give a time of day such as "08:30", or a list of one for each session')
-        times = [time(0)] * len(dates)
-    labels = settings.take("labels", [day.isoformat() for day in dates])
-    settings.reject_unknown()
-    if not isinstance(labels, list) or not all(isinstance(label, str) and label for label in labels):
-        settings.complain("labels", 'give texts in quotes, such as ["first day", "second day"]')
-        return ()
-    if len(set(labels)) < len(labels):
-        settings.complain("labels", "two sessions have one label; give labels that differ")
-        return ()
-    if not len(labels) == len(times) == len(dates):
-        found = f"{len(labels)} labels, {len(times)} starts, {len(dates)} dates"
-        settings.complain("labels", f"{found}; give each session one of each")
-        return ()
-    begins = [datetime.combine(day, clock) for day, clock in zip(dates, times, strict=True)]
-    if any(later <= earlier for earlier, later in pairwise(begins)):
-        settings.complain("dates", "a session does not begin after the one before it; put them in order")
-    return tuple(PlannedSession(label, moment) for label, moment in zip(labels, begins, strict=True))
-
-
-def _dates(settings: Settings) -> list[date]:
-    """Either every date, or the first and how many days in a row."""
-    if "first_date" in settings.content:
-        first = _date(settings.take("first_date"))
-        count = settings.whole("count", 1, MOST_SESSIONS, 1)
-        if first is None:
-            settings.complain("first_date", "give a date such as 2012-03-05")
-            return []
-        return [first + timedelta(days=number) for number in range(count)]
-    given = settings.take("dates")
-    dates = [_date(value) for value in given] if isinstance(given, list) else []
-    if not dates or None in dates:
-        settings.complain("dates", "give dates, such as [2012-03-05, 2012-03-06]; or first_date and count")
-        return []
-    return [day for day in dates if day is not None]
-
-
-def _date(value: object) -> date | None:
-    try:
-        value = date.fromisoformat(value) if isinstance(value, str) else value
-    except ValueError:
-        return None
-    if isinstance(value, datetime) or not isinstance(value, date):
-        return None
-    return value if value.year in YEARS else None
-
-
-def _times(values: list[object]) -> list[time] | None:
-    try:
-        times = [time.fromisoformat(value) if isinstance(value, str) else value for value in values]
-    except ValueError:
-        return None
-    local = [value for value in times if isinstance(value, time) and value.tzinfo is None]
-    return [value.replace(microsecond=0) for value in local] if len(local) == len(times) else None
-
-
-def _timing(settings: Settings) -> Timing:
-    usual, patience = Timing(), (0.0, 86_400.0)
-    timing = Timing(
-        step_period=settings.number("step_period", ("ms", "s"), FASTEST_SLOWEST, usual.step_period),
-        pause=settings.pair("pause", ("s", "min"), patience, usual.pause),
-        turn=settings.pair("turn", ("s", "min"), patience, usual.turn),
-    )
-    settings.reject_unknown()
-    return timing
-
-
-def _noise(settings: Settings) -> Noise | None:
-    if not settings.content:
-        return None
-    noise = Noise(_repeatability(settings), settings.choice("kind", get_args(NoiseKind), "gaussian"))
-    settings.reject_unknown()
-    return noise
-
-
-def _repeatability(settings: Settings) -> dict[tuple[int, str], float]:
-    """One percentage for everything, or one for each joint and direction named."""
-    named = {f"{joint}{direction}": (joint, direction) for joint in JOINTS for direction in DIRECTIONS}
-    given = settings.take("repeatability_pct")
-    by_name = given if isinstance(given, dict) else dict.fromkeys(named, given)
-    if not all(name in named and _is_percentage(value) for name, value in by_name.items()):
-        settings.complain(
-            "repeatability_pct",
-            f"give a percentage from 0 to {LEAST_REPEATABLE:g}, or a table of such by joint and direction: "
-            '{"3+" = 0.27, "3-" = 0.3}',
-        )
-        return {}
-    return {named[name]: to_si(float(value), "%") for name, value in by_name.items()}
-
-
-def _is_percentage(value: object) -> bool:
-    return is_number(value) and 0 <= value <= LEAST_REPEATABLE

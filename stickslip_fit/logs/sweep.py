@@ -2,32 +2,124 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
-from math import nan, pi, prod
-from typing import Any
+from math import nan, prod, tau
+from typing import Annotated, Any, Literal, Self
 
 import pandas as pd
+from annotated_types import Interval, Len, MinLen
+from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
-from stickslip_fit.logs.check import DIRECTIONS
-from stickslip_fit.logs.settings import ANGLES, LENGTHS, Settings
+from stickslip_fit._toml import Bounds, Give, Quantity, Table, Text, chosen_by
 from stickslip_fit.machine import JOINTS, Machine
 
-AXES = {"q1": ANGLES, "q2": ANGLES, "q3": LENGTHS, "theta": ANGLES, "psi": ANGLES}
-DEFAULTS = {"q1": [0.0], "theta": [0.0], "psi": [0.0]}  # q2 and q3 act on every law: they have to be said
-ONE_TURN = (-2 * pi, 2 * pi)
-JOINT_OF = {"q1": 1, "q2": 2, "q3": 3}
+ANGLES = ("deg", "rad")
+UNITS_OF = {1: ANGLES, 2: ANGLES, 3: ("mm", "m", "µm", "nm")}
+AXES = ("q1", "q2", "q3", "theta", "psi")
 COLUMNS = ("sweep", "joint", "direction", *AXES, "start", "stop")
-MOST_IN_A_ROW = 1_000
 MOST_CONFIGURATIONS = 100_000
 
 
-def read_sweeps(sweeps: list[Settings], machine: Machine) -> pd.DataFrame:
+def _range(joint: int) -> Callable[[Machine], Bounds]:
+    return lambda machine: machine.ranges[joint]
+
+
+def _a_list(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+def _different(values: list[Any]) -> list[Any]:
+    if len(set(values)) < len(values):
+        raise ValueError("twice the same")
+    return values
+
+
+LIST, PAIRS = "give {}, or a list of such", "give a list of [from, to], two different ends, each {}"
+Numbers = Annotated[
+    list[float], MinLen(1), BeforeValidator(_a_list, json_schema_input_type=float | list[float])
+]
+Pairs = Annotated[list[Annotated[list[float], Len(2, 2), AfterValidator(_different)]], MinLen(1)]
+Turns = Annotated[Numbers, Quantity(ANGLES, (-tau, tau), LIST)]
+JOINT = Give("give one of 1, 2, 3")
+Joint = Annotated[int, JOINT, Interval(ge=1, le=3)]
+Ways = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_different)]
+
+
+class Sweep(Table, extra="ignore"):
+    """What each sweep may have; which keys it has besides depends on the joint."""
+
+    joint: Joint
+    """Which joint moves."""
+    name: Text = ""
+    """Heading on the sheet; the joint if left out."""
+    directions: Annotated[Ways, Give('give ["+", "-"], ["-", "+"], ["+"] or ["-"]')] = ["+", "-"]
+    """In turn."""
+    theta: Turns = [0.0]
+    """Orientation of the base, within one turn."""
+    psi: Turns = [0.0]
+    """Orientation of the base, within one turn."""
+    replicates: Annotated[int, Interval(ge=1, le=1_000)] = 1
+    """How often each configuration's directions are gone through in a row."""
+
+    @model_validator(mode="after")
+    def _few_enough(self) -> Self:
+        if (count := self.configurations()) > MOST_CONFIGURATIONS:
+            self.refuse((f"makes {count:,} configurations; keep it to {MOST_CONFIGURATIONS:,}", ("name",)))
+        return self
+
+    def configurations(self) -> int:
+        """How many combinations its lists make."""
+        return prod(len(getattr(self, axis, None) or [0]) for axis in ("ranges", *AXES))
+
+    def in_each(self) -> int:
+        """How many traverses each of them takes."""
+        return len(self.directions) * self.replicates
+
+    def axes(self, machine: Machine) -> dict[str, list[Any]]:
+        """What varies, in the order of the table's keys."""
+        axes = {axis: getattr(self, axis) for axis in ("ranges", *AXES) if hasattr(self, axis)}
+        axes["ranges"] = axes["ranges"] or [machine.ranges[self.joint]]
+        written = self.fields_in_file()
+        order = sorted(axes, key=lambda axis: written.index(axis) if axis in written else -1)
+        return {axis: axes[axis] for axis in order}
+
+    def rows(self, machine: Machine) -> Iterator[tuple[Any, ...]]:
+        """Its traverses, with the columns of `Plan.traverses` from sweep on."""
+        axes = self.axes(machine)
+        for combination in product(*axes.values()):
+            place = {f"q{self.joint}": nan, **dict(zip(axes, combination, strict=True))}
+            low, high = sorted(place["ranges"])
+            for direction in self.directions * self.replicates:
+                start, stop = (low, high) if direction == "+" else (high, low)
+                name = self.name or f"joint {self.joint}"
+                yield (name, self.joint, direction, *(place[axis] for axis in AXES), start, stop)
+
+
+def _of_joint(joint: int) -> type[Sweep]:
+    ranges = Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)]
+    said = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
+    fields: dict[str, Any] = {
+        "joint": Annotated[Literal[joint], JOINT],
+        "ranges": (ranges, Field([], description=said)),
+    }
+    for other in {*JOINTS} - {joint}:
+        numbers = Annotated[Numbers, Quantity(UNITS_OF[other], _range(other), LIST)]
+        # Joints 2 and 3 act on every law: where they stand has to be said.
+        default = [0.0] if other == 1 else ...
+        fields[f"q{other}"] = (numbers, Field(default, description=f"Where joint {other} stands."))
+    return create_model(f"SweepOfJoint{joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields)
+
+
+AnySweep = Annotated[Sweep, chosen_by("joint", {joint: _of_joint(joint) for joint in JOINTS}, Sweep)]
+
+
+def traverses_of(sweeps: list[Sweep], machine: Machine) -> pd.DataFrame:
     """The traverses of all [[sweep]] tables, in order, with the columns of `Plan.traverses`.
 
     A key's list is taken in every combination with the others', the last key of the table fastest.
     """
-    records = [record for sweep in sweeps for record in _read_sweep(sweep, machine)]
+    records = [row for sweep in sweeps for row in sweep.rows(machine)]
     table = pd.DataFrame(records, columns=list(COLUMNS)).astype({"joint": "int64"})
     table.insert(0, "visit", _visits(table))
     return table
@@ -39,46 +131,3 @@ def _visits(table: pd.DataFrame) -> pd.Series:
     ends = table[["start", "stop"]]
     setting["low"], setting["high"] = ends.min(axis=1), ends.max(axis=1)
     return (setting != setting.shift()).any(axis=1).cumsum() - 1
-
-
-def _read_sweep(sweep: Settings, machine: Machine) -> Iterator[tuple[Any, ...]]:
-    joint = sweep.choice("joint", JOINTS, None)
-    name = sweep.text("name", f"joint {joint}")
-    directions = _directions(sweep)
-    in_a_row = sweep.whole("replicates", 1, MOST_IN_A_ROW, 1)
-    if joint is None:
-        return
-    axes = _axes(sweep, joint, machine)
-    sweep.reject_unknown()
-    configurations = prod(map(len, axes.values()))
-    if configurations > MOST_CONFIGURATIONS:
-        sweep.complain("name", f"makes {configurations:,} configurations; keep it to {MOST_CONFIGURATIONS:,}")
-        return
-    for combination in product(*axes.values()):
-        place = {f"q{joint}": nan, **dict(zip(axes, combination, strict=True))}
-        low, high = sorted(place["ranges"])
-        for direction in directions * in_a_row:
-            start, stop = (low, high) if direction == "+" else (high, low)
-            yield (name, joint, direction, *(place[axis] for axis in AXES), start, stop)
-
-
-def _directions(sweep: Settings) -> list[str]:
-    given = sweep.take("directions", list(DIRECTIONS))
-    if isinstance(given, list) and given in (["+", "-"], ["-", "+"], ["+"], ["-"]):
-        return given
-    sweep.complain("directions", 'give ["+", "-"], ["-", "+"], ["+"] or ["-"]')
-    return []
-
-
-def _axes(sweep: Settings, joint: int, machine: Machine) -> dict[str, list[Any]]:
-    """What varies in a sweep, in the order of the table's keys; an empty list where a key is faulty."""
-    moving = f"q{joint}"
-    full = machine.ranges[joint]
-    axes: dict[str, list[Any]] = {"ranges": sweep.pairs("ranges", AXES[moving], full, [full])}
-    for axis in AXES:
-        if axis != moving:
-            within = machine.ranges[JOINT_OF[axis]] if axis in JOINT_OF else ONE_TURN
-            axes[axis] = sweep.numbers(axis, AXES[axis], within, DEFAULTS.get(axis))
-    written = [key.rpartition("_")[0] for key in sweep.content]
-    order = sorted(axes, key=lambda axis: written.index(axis) if axis in written else -1)
-    return {axis: axes[axis] for axis in order}

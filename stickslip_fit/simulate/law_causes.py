@@ -1,19 +1,21 @@
-"""Causes at work in a simulated campaign: the [[cause]] tables of a law file."""
+"""Causes at work in a simulated campaign: the [[cause]] tables of a law or study file."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from functools import partial
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BeforeValidator, PlainValidator, PrivateAttr, WrapValidator, create_model
 
+from stickslip_fit._toml import Give, Table, Text, fault
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
 from stickslip_fit.logs.columns import COVARIATE
-from stickslip_fit.logs.settings import Settings, is_number
 from stickslip_fit.units import UNITS, format_value, to_si
 
 Array = npt.NDArray[np.float64]
@@ -22,92 +24,91 @@ BEND_OVER = {"half": "1 K"}  # only a bent response asks for it
 _QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
-def read_causes(settings: Settings) -> tuple[tuple[Cause, ...], Array]:
-    """The causes of a law file, and the values of their parameters one after the other.
+class CauseTable(Table, extra="ignore"):
+    """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
 
-    Each [[cause]] has a name; every parameter as text with its unit, ``A = "3 %"``, or where each joint and
-    direction has its own, a table of such, ``k = {"3+" = "2 %"}``; and what the cause refers to besides: the
-    session of a jump, the mean of a column, the form of a bend.
-
-    Returns
-    -------
-    causes : tuple of Cause
-    values : array, shape (q,)
-        SI; NaN for what is faulty.
+    A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
+    of such, ``k = {"3+" = "2 %"}``.
     """
-    if "cause" not in settings.content:
-        settings.take("cause")
-        return (), np.zeros(0)
-    found = [each for table in settings.tables("cause") if (each := _cause(table)) is not None]
-    values = [value for _, own in found for value in own]
-    return tuple(cause for cause, _ in found), np.array(values, dtype=float)
+
+    name: Text
+    """One of the library's, or ``covariate:`` and a column of the lab's own."""
+    _cause: Any = PrivateAttr()
+
+    def hidden(self) -> tuple[Cause, list[float]]:
+        """The cause, and the values of its parameters, SI."""
+        values = {each.name: iter(getattr(self, each.name)) for each in self._cause.parameters}
+        cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
+        return cause, [next(values[each.name]) for each in self._cause.parameters]
 
 
-def _cause(table: Settings) -> tuple[Cause, list[float]] | None:
-    name = table.text("name", "")
+def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
+    """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
+    hidden = [table.hidden() for table in tables]
+    values = [value for _, own in hidden for value in own]
+    return tuple(cause for cause, _ in hidden), np.array(values, dtype=float)
+
+
+def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
+    named = inner(written)
     known = {cause.name: cause for cause in library()}
-    if name.startswith(COVARIATE) and name != COVARIATE:
-        known[name] = Covariate(name.removeprefix(COVARIATE))
-    if name not in known:
-        if name:
-            table.complain("name", f"give one of {', '.join(known)}, {COVARIATE}COLUMN")
-        return None
-    cause: Any = known[name]
+    if named.name.startswith(COVARIATE) and named.name != COVARIATE:
+        known[named.name] = Covariate(named.name.removeprefix(COVARIATE))
+    if named.name not in known:
+        named.refuse((f"give one of {', '.join(known)}, {COVARIATE}COLUMN", ("name",)))
+    cause = known[named.name]
+    keys: dict[str, Any] = {name: _reference(cause, name, own) for name, own in _references(cause).items()}
+    for name in dict.fromkeys(each.name for each in cause.parameters):
+        own = [each for each in cause.parameters if each.name == name]
+        given = Give(f"give {_example(own[0])}: {own[0].meaning}")
+        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
+    model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
+    table = model.model_validate(written)
+    table._cause = cause
+    return table
+
+
+Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
+
+
+def _references(cause: Any) -> dict[str, str | float]:
+    """What a cause refers to beside its parameters, with what is usual."""
     given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
-    given.pop("column", None)
-    cause = replace(
-        cause, **{key: _reference(table, key, usual, cause.forms) for key, usual in given.items()}
-    )
-    if "session" in cause.columns and not cause.session:
-        table.complain("session", "give the session in which it happens, in quotes")
-    values = _values(table, cause.parameters)
-    table.reject_unknown()
-    return cause, values
+    return {name: usual for name, usual in given.items() if name != "column"}
 
 
-def _reference(table: Settings, key: str, usual: str | float, forms: tuple[str, ...]) -> str | float:
-    """Something that a cause refers to beside its parameters; a number has no default."""
+def _reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, Any]:
+    """A field for it; a number has no default."""
     if isinstance(usual, float):
-        quantity = _quantity(table.take(key, BEND_OVER.get(key)))
-        if quantity is not None and quantity[1] in UNITS:
-            return to_si(*quantity)
-        table.complain(key, 'give a number, with its unit where it has one, e.g. "21 °C"')
-        return math.nan
-    value = table.take(key, usual)
-    if isinstance(value, str) and (not forms or value in forms):
-        return value
-    table.complain(key, f"give one of {', '.join(forms)}" if forms else "give a text in quotes")
-    return usual
+        given = Give('give a number, with its unit where it has one, e.g. "21 °C"')
+        default = _si(BEND_OVER[name]) if name in BEND_OVER else ...
+        return Annotated[float, BeforeValidator(_si), given], default
+    if name == "session" and "session" in cause.columns:
+        return Annotated[Text, Give("give the session in which it happens, in quotes")], usual or ...
+    if forms := cause.forms:
+        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], usual
+    return Text, usual
 
 
-def _values(table: Settings, parameters: Sequence[CauseParameter]) -> list[float]:
-    values = []
-    for each in parameters:
-        value = table.take(each.name)
-        if each.joint is not None and isinstance(value, dict):
-            # Joints and directions that are left out have none of it.
-            value = value.get(_drive(each), 0.0)
-        values.append(_value(table, each, value))
-    drives = {_drive(each): each.name for each in parameters if each.joint is not None}
-    for key in set(drives.values()):
-        if isinstance(table.content.get(key), dict) and not table.content[key].keys() <= drives.keys():
-            table.complain(key, f"name joints and directions as {', '.join(drives)}")
-    return values
+def _sizes(own: Sequence[CauseParameter], written: Any) -> list[float]:
+    """A value for each of the parameters that one key gives."""
+    if own[0].joint is None or not isinstance(written, dict):
+        return [_size(each, written) for each in own]
+    drives = [f"{each.joint}{each.direction}" for each in own]
+    if not written.keys() <= set(drives):
+        raise fault(f"name joints and directions as {', '.join(drives)}")
+    # Joints and directions that are left out have none of it.
+    return [_size(each, written.get(drive, 0.0)) for each, drive in zip(own, drives, strict=True)]
 
 
-def _drive(parameter: CauseParameter) -> str:
-    return f"{parameter.joint}{parameter.direction}"
-
-
-def _value(table: Settings, parameter: CauseParameter, written: object) -> float:
-    quantity, unit = _quantity(written), parameter.unit
-    if quantity is None or (quantity[0] and quantity[1] != unit):
-        table.complain(parameter.name, f"give {_example(parameter)}: {parameter.meaning}")
-        return math.nan
-    value = to_si(quantity[0], unit)
+def _size(parameter: CauseParameter, written: Any) -> float:
+    (number, unit), wanted = _quantity(written), parameter.unit
+    if number and unit != wanted:
+        raise ValueError("another unit")
+    value = to_si(number, wanted)
     if not parameter.lower <= value <= parameter.upper:
-        low, high = (format_value(end, unit, 2) for end in (parameter.lower, parameter.upper))
-        table.complain(parameter.name, f"lies outside what is possible, {low} to {high} (– for no limit)")
+        low, high = (format_value(end, wanted, 2) for end in (parameter.lower, parameter.upper))
+        raise fault(f"lies outside what is possible, {low} to {high} (– for no limit)")
     return value
 
 
@@ -120,12 +121,19 @@ def _example(parameter: CauseParameter) -> str:
     return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {written}}}'
 
 
-def _quantity(written: object) -> tuple[float, str] | None:
+def _si(written: Any) -> float:
+    number, unit = _quantity(written)
+    if unit not in UNITS:
+        raise ValueError("no unit")
+    return to_si(number, unit)
+
+
+def _quantity(written: Any) -> tuple[float, str]:
     """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
-    if is_number(written):
+    if type(written) in (int, float) and abs(written) <= sys.float_info.max:
         return float(written), "1"
     match = _QUANTITY.fullmatch(written.strip()) if isinstance(written, str) else None
     if match is None:
-        return None
+        raise ValueError("no number")
     unit = match[2].replace("urad", "µrad").replace("^2", "²")
     return float(match[1]), unit or "1"

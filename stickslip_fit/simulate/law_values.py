@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from annotated_types import MinLen
+from pydantic import Field, create_model, model_validator
 
+from stickslip_fit._toml import Quantity, Table, Text, chosen_by, read_toml
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
 from stickslip_fit.logs.check import DIRECTIONS
-from stickslip_fit.logs.settings import Settings, read_settings, spelling
-from stickslip_fit.machine import JOINTS, Machine
-from stickslip_fit.simulate.law_causes import read_causes
+from stickslip_fit.logs.sweep import JOINT, Joint
+from stickslip_fit.machine import Machine
+from stickslip_fit.simulate.law_causes import Causes, causes_of
 
 Array = npt.NDArray[np.float64]
 Group = tuple[int, str]
@@ -78,47 +82,6 @@ class LawValues:
         return values, shared
 
 
-def read_law_values(path: str | Path, machine: Machine) -> LawValues:
-    """Read and check a law file.
-
-    Parameters
-    ----------
-    path : path
-        A TOML file with one [[law]] table for each joint and direction: joint, direction, every parameter
-        of the joint's law under `key_of` its name, day_to_day_pct (0 without it). One with a session
-        besides gives that session's own parameters. [[cause]] tables, see `read_causes`, extend all laws.
-    machine : Machine
-
-    Raises
-    ------
-    InputError
-        Naming every fault of the file with its key and value.
-    """
-    settings = read_settings(path)
-    laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
-    values: dict[tuple[int, str, str | None], Array] = {}
-    day_to_day: dict[Group, float] = {}
-    for table in settings.tables("law"):
-        joint, direction = table.choice("joint", JOINTS, None), table.choice("direction", DIRECTIONS, None)
-        session = table.text("session", "") if "session" in table.content else None
-        if joint is None or direction is None:
-            continue
-        if (joint, direction, session) in values:
-            table.complain("direction", "an earlier [[law]] has this joint and direction; keep one of them")
-        read = [_parameter(table, parameter) for parameter in laws[joint].parameters]
-        values[joint, direction, session] = np.array(read)
-        if session is None:
-            day_to_day[joint, direction] = table.number("day_to_day", ("%",), (0.0, LARGEST_DAY_TO_DAY), 0.0)
-        table.reject_unknown()
-    causes, sizes = read_causes(settings)
-    settings.reject_unknown()
-    settings.finish()
-    if causes:
-        laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
-        values = {key: np.append(own, sizes) for key, own in values.items()}
-    return LawValues(laws, values, day_to_day)
-
-
 def key_of(parameter: Parameter) -> str:
     """The TOML key of a parameter: its name with its unit, written once where the name ends in it.
 
@@ -129,12 +92,85 @@ def key_of(parameter: Parameter) -> str:
     >>> [key_of(parameter) for parameter in Base.parameters]
     ['gamma0_reach_0_urad', 'gamma0_urad_per_mm', 'd_reach_0_urad', 'd_urad_per_mm']
     """
-    return spelling(_stem(parameter), parameter.unit)
+    (key,) = Quantity((parameter.unit,)).keys(_stem(parameter))
+    return key
 
 
 def _stem(parameter: Parameter) -> str:
     return parameter.name.removesuffix("_per_mm")
 
 
-def _parameter(table: Settings, parameter: Parameter) -> float:
-    return table.number(_stem(parameter), (parameter.unit,), (parameter.lower, parameter.upper))
+class LawTable(Table, extra="ignore"):
+    """What each [[law]] must have; its parameters depend on the joint."""
+
+    joint: Joint
+    direction: Literal["+", "-"]
+    session: Text = ""
+    """The only one that has these parameters."""
+    day_to_day: Annotated[float, Quantity(("%",), (0.0, LARGEST_DAY_TO_DAY))] = 0.0
+    """Spread of the factor by which a session's step sizes differ; not with a session."""
+
+    @model_validator(mode="after")
+    def _days_are_of_all_sessions(self) -> Self:
+        if self.session and "day_to_day" in self.fields_in_file():
+            self.refuse(("is no key of this table of one session; leave it out", ("day_to_day_pct",)))
+        return self
+
+    def entry(self) -> tuple[int, str, str | None]:
+        """What the parameters are of."""
+        return self.joint, self.direction, self.session or None
+
+
+def _of_joint(joint: int) -> type[LawTable]:
+    fields: dict[str, Any] = {"joint": Annotated[Literal[joint], JOINT]}
+    for each in LAWS[joint].parameters:
+        quantity = Quantity((each.unit,), (each.lower, each.upper))
+        fields[_stem(each)] = (Annotated[float, quantity], Field(description=each.meaning))
+    return create_model(f"LawOfJoint{joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields)
+
+
+LAWS: dict[int, type[StepLaw]] = {1: Base, 2: Elbow, 3: Prismatic}
+AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joint in LAWS}, LawTable)]
+
+
+class LawFile(Table):
+    """Laws by joint and direction, and causes that extend them all."""
+
+    law: Annotated[list[AnyLaw], MinLen(1)]
+    cause: Causes = []
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        entries = [law.entry() for law in self.law]
+        again = [number for number, entry in enumerate(entries) if entry in entries[:number]]
+        advice = "an earlier [[law]] has this joint and direction; keep one of them"
+        self.refuse(*((advice, ("law", number, "direction")) for number in again))
+        return self
+
+
+def read_law_values(path: str | Path, machine: Machine) -> LawValues:
+    """Read and check a law file.
+
+    Parameters
+    ----------
+    path : path
+        A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters.
+    machine : Machine
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    read = read_toml(path, LawFile, "law file")
+    laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
+    causes, sizes = causes_of(read.cause)
+    if causes:
+        laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
+    values, day_to_day = {}, {}
+    for law in read.law:
+        own = [getattr(law, _stem(each)) for each in LAWS[law.joint].parameters]
+        values[law.entry()] = np.array([*own, *sizes])
+        if not law.session:
+            day_to_day[law.joint, str(law.direction)] = law.day_to_day
+    return LawValues(laws, values, day_to_day)

@@ -72,6 +72,7 @@ SUFFIXES = {
     "min": "min",
     "h": "h",
     "g": "g",
+    "g_mm2": "g mm²",
     "kg": "kg",
     "pct": "%",
     "V": "V",

@@ -10,7 +10,7 @@ from pathlib import Path
 import stickslip_fit
 from stickslip_fit.fit.provenance import versions
 
-ROOMS = ("units", "machine", "logs", "laws", "causes", "simulate", "fit", "moves", "strategies")
+ROOMS = ("_toml", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "moves", "strategies")
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class MadeBy:
 def this_process() -> MadeBy:
     """What computes numbers in this process."""
     package, code = Path(stickslip_fit.__file__).parent, hashlib.sha256()
-    for path in sorted(path for room in ROOMS for path in (package / room).rglob("*.py")):
-        code.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted(package.rglob("*.py")):
+        if path.relative_to(package).parts[0].removesuffix(".py") in ROOMS:
+            code.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     return MadeBy(tuple(versions().items()), code.hexdigest())

@@ -1,20 +1,23 @@
-"""A study plan from its TOML file; data/reference/README.md explains every key."""
+"""A study plan from its TOML file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, Any, Self
 
+from annotated_types import Interval, MinLen
+from pydantic import PlainValidator, ValidationInfo, model_validator
+
+from stickslip_fit._toml import Give, Misfit, Quantity, Table, Text, fault, read_toml
 from stickslip_fit.causes import Cause
-from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Plan
-from stickslip_fit.logs.read_plan import LEAST_REPEATABLE, read_plan
-from stickslip_fit.logs.settings import Settings, read_settings
+from stickslip_fit.logs.read_plan import DRIVES, LEAST_REPEATABLE, Seed, read_plan
 from stickslip_fit.machine import Machine
-from stickslip_fit.simulate import read_law_values
+from stickslip_fit.simulate import LawValues, read_law_values
 from stickslip_fit.simulate.driven import HISTORY
-from stickslip_fit.simulate.law_causes import read_causes
+from stickslip_fit.simulate.law_causes import Causes, causes_of
 from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
 from stickslip_fit.strategies.designs import IOptimal, Thesis
 from stickslip_fit.strategies.least_squares import LeastSquares
@@ -22,11 +25,131 @@ from stickslip_fit.strategies.study.plan import GOOD_ENOUGH, Scatter, Scenario, 
 from stickslip_fit.strategies.task import Strategy
 from stickslip_fit.strategies.usual import MORE, usual_strategies
 
-MOST_CAMPAIGNS = 1_000_000
-MOST_MOVES = 10_000
-WIDEST = 0.1  # a tenth of a step size: beyond, drawn laws would stall
-LENGTHS = (1e-6, 0.02)  # m
 THERE = {"session", "session_seconds", "step_period", *HISTORY}  # of what causes look at
+
+
+def _of_file(read: Callable[[Path, Machine], Any]) -> PlainValidator:
+    """The content of a file named from where the study file lies; its faults are faults of the study."""
+
+    def content(named: Any, info: ValidationInfo) -> Any:
+        if not isinstance(named, str) or not named:
+            raise ValueError("no name")
+        folder, machine = info.context  # type: ignore[misc]
+        try:
+            return read(folder / named, machine)
+        except InputError as error:
+            raise fault("cannot be used", error.problems) from None
+
+    return PlainValidator(content, json_schema_input_type=str)
+
+
+NAMED = Give("name a file in quotes, from where this one lies")
+Share = Annotated[
+    float, Quantity(("%",), (0.0, 0.1))
+]  # beyond a tenth of a step size, drawn laws would stall
+
+
+class SpreadTable(Table):
+    """Standard deviation of every parameter, as a share of what changes a step by its size; cut off at 3."""
+
+    campaigns: Share = 0.0
+    """From campaign to campaign."""
+    sessions: Share = 0.0
+    """From session to session."""
+
+
+class ScatterTable(Table):
+    """How well counts repeat."""
+
+    repeatability: Annotated[float | None, Quantity(("%",), (1e-6, LEAST_REPEATABLE / 100))] = None
+    """One number for every joint and direction; the plan's if left out."""
+    kind: Scatter | None = None
+    """`"uneven"`: up to twice as large in some configurations as in others; the plan's if left out."""
+
+
+class MovesTable(Table):
+    """Open-loop moves of the tip after each session, drawn once all over the workspace."""
+
+    count: Annotated[int, Interval(ge=0, le=10_000)] = 20
+    """0 for none."""
+    length: Annotated[float, Quantity(("mm", "µm", "m"), (1e-6, 0.02))] = 1e-3
+    """Of each."""
+
+
+class ScenarioTable(Table):
+    """What is hidden; several causes act together."""
+
+    name: Text
+    """What is hidden, in words."""
+    cause: Causes = []
+    """Without any, nothing is hidden."""
+
+
+class StudyFile(Table):
+    """A study: strategies let loose on simulated campaigns of a plan."""
+
+    plan: Annotated[Plan, _of_file(read_plan), NAMED]
+    """A plan file, named from where the study file lies."""
+    law: Annotated[LawValues, _of_file(read_law_values), NAMED]
+    """A law file, named likewise."""
+    name: Text = ""
+    """Shown above the answer; the file's name if left out."""
+    campaigns: Annotated[int, Interval(ge=1, le=1_000_000)] = 1000
+    """Of each scenario."""
+    seed: Seed = 0
+    """A campaign depends on it, the scenario's name and the campaign's number, and on no other campaign."""
+    strategies: Annotated[list[str] | None, Give("give a list of names in quotes")] = None
+    """Names as `stickslip-fit compare` shows them; five that take milliseconds a campaign if left out."""
+    more: Annotated[int, Interval(ge=1, le=1000)] = MORE
+    """Traverses beyond the parameters, where least squares takes more."""
+    good_enough: Annotated[float, Quantity(("%",), (1e-5, 1.0))] = GOOD_ENOUGH
+    """Rms error of the mean step size with which the lab can live."""
+    spread: SpreadTable
+    noise: ScatterTable
+    moves: MovesTable
+    scenario: Annotated[list[ScenarioTable], MinLen(1)]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        self.refuse(*self._misfits())
+        return self
+
+    def _misfits(self) -> Iterator[Misfit]:
+        known = [strategy.name for strategy in usual_strategies(self.more, self.seed)]
+        given = known if self.strategies is None else self.strategies
+        if not given or not set(given) <= set(known) or len(set(given)) < len(given):
+            yield f"give a list of different ones of {', '.join(map(repr, known))}", ("strategies",)
+        names = [scenario.name for scenario in self.scenario]
+        if len(set(names)) < len(names):
+            yield f"give names that differ; these are {', '.join(names)}", ("scenario",)
+        rows, spreads = self.plan.traverses, self.repeatability()
+        for joint in sorted({*map(int, rows["joint"])} - {joint for joint, _, _ in self.law.values}):
+            yield f"has no [[law]] of joint {joint}, which the plan drives; add it", ("law",)
+        drives = set(zip(map(int, rows["joint"]), rows["direction"], strict=True))
+        if not spreads:
+            yield "give a number in %, or give the plan a [noise]", ("noise", "repeatability_pct")
+        for joint, direction in sorted(drives - spreads.keys()) if spreads else ():
+            yield f'its repeatability_pct has no "{joint}{direction}", which it drives', ("plan",)
+        if self.moves.count and len(drives) < len(DRIVES):
+            yield "the plan does not calibrate all joints both ways; set count = 0", ("moves",)
+        sessions = {session.label for session in self.plan.sessions}
+        for number, scenario in enumerate(self.scenario):
+            for cause in causes_of(scenario.cause)[0]:
+                if why := _inert(cause, sessions):
+                    yield f"{cause.name} {why}", ("scenario", number, "name")
+
+    def repeatability(self) -> dict[tuple[int, str], float]:
+        """The campaign plan's, or one number for every joint and direction in its place."""
+        if self.noise.repeatability is not None:
+            return dict.fromkeys(DRIVES.values(), self.noise.repeatability)
+        return self.plan.noise.repeatability if self.plan.noise else {}
+
+    def chosen(self) -> tuple[Strategy, ...]:
+        """The strategies, in the order of the file."""
+        if self.strategies is None:
+            return usual_of_study(self.more)
+        known = {strategy.name: strategy for strategy in usual_strategies(self.more, self.seed)}
+        return tuple(known[name] for name in self.strategies)
 
 
 def read_study(path: str | Path, machine: Machine) -> StudyPlan:
@@ -35,42 +158,33 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     Parameters
     ----------
     path : path
-        A TOML file: plan and law, files named from where it lies; name, campaigns, seed, strategies, more,
-        good_enough_pct; tables [spread], [noise], [moves]; one [[scenario]] for each of what may be hidden.
+        A TOML file with the keys of `StudyFile`.
     machine : Machine
 
     Raises
     ------
     InputError
-        Naming every fault of the file with its key and value.
+        With every fault of the file, and of those that it names.
     """
-    settings, path = read_settings(path), Path(path)
-    plan = _file(settings, "plan", lambda file: read_plan(file, machine))
-    truth = _file(settings, "law", lambda file: read_law_values(file, machine))
-    spread, noise, moves = (settings.table(key) for key in ("spread", "noise", "moves"))
-    usual = plan.noise.kind if plan is not None and plan.noise is not None else "gaussian"
-    given = {
-        "name": settings.text("name", path.stem),
-        "scenarios": _scenarios(settings),
-        "strategies": _strategies(settings),
-        "repeatability": _repeatability(noise, plan),
-        "scatter": noise.choice("kind", get_args(Scatter), usual),
-        "campaigns": settings.whole("campaigns", 1, MOST_CAMPAIGNS, 1000),
-        "seed": settings.whole("seed", 0, 2**63 - 1, 0),
-        "between_campaigns": spread.number("campaigns", ("%",), (0.0, WIDEST), 0.0),
-        "between_sessions": spread.number("sessions", ("%",), (0.0, WIDEST), 0.0),
-        "moves": moves.whole("count", 0, MOST_MOVES, 20),
-        "length": moves.number("length", ("mm", "µm", "m"), LENGTHS, 1e-3),
-        "good_enough": settings.number("good_enough", ("%",), (1e-5, 1.0), GOOD_ENOUGH),
-    }
-    for table in (spread, noise, moves, settings):
-        table.reject_unknown()
-    settings.finish()
-    assert plan is not None
-    assert truth is not None
-    study = StudyPlan(plan=plan, truth=truth, machine=machine, **given)
-    _check_together(study, settings)
-    return study
+    path = Path(path)
+    read = read_toml(path, StudyFile, "study file", (path.parent, machine))
+    return StudyPlan(
+        name=read.name or path.stem,
+        plan=read.plan,
+        truth=read.law,
+        machine=machine,
+        scenarios=tuple(Scenario(each.name, *causes_of(each.cause)) for each in read.scenario),
+        strategies=read.chosen(),
+        repeatability=read.repeatability(),
+        scatter=read.noise.kind or (read.plan.noise.kind if read.plan.noise else "gaussian"),
+        campaigns=read.campaigns,
+        seed=read.seed,
+        between_campaigns=read.spread.campaigns,
+        between_sessions=read.spread.sessions,
+        moves=read.moves.count,
+        length=read.moves.length,
+        good_enough=read.good_enough,
+    )
 
 
 def usual_of_study(more: int = MORE) -> tuple[Strategy, ...]:
@@ -86,79 +200,6 @@ def usual_of_study(more: int = MORE) -> tuple[Strategy, ...]:
         ConstantStep(), ClosedForm(), LeastSquares(Thesis(), more), LeastSquares(IOptimal()),
         LeastSquares(IOptimal(), more),
     )  # fmt: skip
-
-
-def _file[Part](settings: Settings, key: str, read: Callable[[Path], Part]) -> Part | None:
-    """What a file that the plan names has to say; its faults are faults of the study."""
-    named = settings.take(key)
-    if not isinstance(named, str) or not named:
-        settings.complain(key, "name a file in quotes, from where this one lies")
-        return None
-    try:
-        return read(Path(settings.file).parent / named)
-    except InputError as error:
-        settings.problems.extend(error.problems)
-        return None
-
-
-def _scenarios(settings: Settings) -> tuple[Scenario, ...]:
-    found = []
-    for number, table in enumerate(settings.tables("scenario"), start=1):
-        name = table.text("name", "")
-        # The causes' own complaints do not say in which scenario they stand.
-        inside = Settings(table.content, f"{settings.file}, scenario {number}", "", settings.problems)
-        causes, sizes = read_causes(inside)
-        table.take("cause")
-        table.reject_unknown()
-        found.append(Scenario(name, causes, sizes))
-    names = [scenario.name for scenario in found]
-    if len(set(names)) < len(names):
-        settings.complain("scenario", f"give names that differ; these are {', '.join(names)}")
-    return tuple(found)
-
-
-def _strategies(settings: Settings) -> tuple[Strategy, ...]:
-    more = settings.whole("more", 1, 1000, MORE)
-    known = {strategy.name: strategy for strategy in usual_strategies(more, settings.content.get("seed", 0))}
-    given = settings.take("strategies")
-    if given is None:
-        return usual_of_study(more)
-    names = [name for name in given if name in known] if isinstance(given, list) else []
-    if not names or names != given or len(set(names)) < len(names):
-        settings.complain("strategies", f"give a list of different ones of {', '.join(map(repr, known))}")
-        return ()
-    return tuple(known[name] for name in names)
-
-
-def _repeatability(noise: Settings, plan: Plan | None) -> dict[tuple[int, str], float]:
-    """The campaign plan's, or one number for every joint and direction in its place."""
-    planned = plan.noise.repeatability if plan is not None and plan.noise is not None else {}
-    key, _ = noise.find("repeatability", ("%",))
-    if key not in noise.content and (planned or plan is None):
-        return planned
-    value = noise.number("repeatability", ("%",), (1e-6, LEAST_REPEATABLE / 100))
-    return {(joint, direction): value for joint in (1, 2, 3) for direction in ("+", "-")}
-
-
-def _check_together(study: StudyPlan, settings: Settings) -> None:
-    """What is right by itself must fit together."""
-    rows = study.plan.traverses
-    lacking = sorted({*map(int, rows["joint"])} - {joint for joint, _, _ in study.truth.values})
-    for joint in lacking:
-        settings.complain("law", f"has no [[law]] of joint {joint}, which the plan drives; add it")
-    drives = set(zip(map(int, rows["joint"]), rows["direction"], strict=True))
-    for joint, direction in sorted(drives - study.repeatability.keys()):
-        settings.complain("plan", f'its repeatability_pct has no "{joint}{direction}", which it drives')
-    if study.moves and len(drives) < 6:
-        settings.complain("moves", "the plan does not calibrate all joints both ways; set count = 0")
-    sessions = {session.label for session in study.plan.sessions}
-    for scenario in study.scenarios:
-        for cause in scenario.causes:
-            if why := _inert(cause, sessions):
-                settings.problems.append(
-                    Problem(f"{cause.name} {why}", settings.file, column="scenario", value=scenario.name)
-                )
-    settings.finish()
 
 
 def _inert(cause: Cause, sessions: set[str]) -> str:

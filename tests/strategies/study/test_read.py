@@ -79,8 +79,8 @@ def test_what_the_campaign_plan_says_of_scatter_holds_without_another_word(read)
         ('kind = "uneven"', 'kind = "odd"', "column noise.kind, value 'odd': give one of 'gaussian', 't5', "),
         ("sessions_pct = 1", "sessions_pct = 40", "column spread.sessions_pct, value '40': .* in %, 0 to 10"),
         ("count = 5", "counts = 5", "column moves.counts, value '5': is no key of this table"),
-        ('tau = "40 min"', 'tau = "40 km"', "scenario 2, column cause 1 tau, value '40 km': give"),
-        ('"end-stop-latency"', '"late"', "scenario 2, column cause 2 name, value 'late': give one of"),
+        ('tau = "40 min"', 'tau = "40 km"', "column scenario 2 cause 1 tau, value '40 km': give"),
+        ('"end-stop-latency"', '"late"', "column scenario 2 cause 2 name, value 'late': give one of"),
         ('"warm and late"', '"nothing"', "column scenario, .*give names that differ; these are nothing"),
         (
             'name = "end-stop-latency"\nL = "50 steps"',

@@ -1,0 +1,68 @@
+"""The keys of every TOML file, from the models that read them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from markdown import code, table, text
+
+from stickslip_fit._toml import Table
+from stickslip_fit.logs.read_plan import PlanFile
+from stickslip_fit.machine.machine_file import MachineFile
+from stickslip_fit.simulate.law_values import LawFile
+from stickslip_fit.strategies.study.read import StudyFile
+
+FILES: dict[str, type[Table]] = {
+    "plan": PlanFile, "law": LawFile, "study": StudyFile, "machine": MachineFile
+}  # fmt: skip
+Row = tuple[str, str, str, str, str]
+
+
+def schemas() -> dict[str, str]:
+    """The JSON schema of each file."""
+    return {name: json.dumps(model.model_json_schema(), indent=1) for name, model in FILES.items()}
+
+
+def page() -> str:
+    """A table of keys for each file."""
+    return "\n\n".join(_section(name, model.model_json_schema()) for name, model in FILES.items())
+
+
+def _section(name: str, schema: dict[str, Any]) -> str:
+    rows = []
+    # One row for all units that a key may have.
+    for _, same in groupby(_rows(schema, schema.get("$defs", {})), lambda row: (row[0], row[4] or row[1])):
+        (place, key, without, advice, meaning), *more = same
+        keys = ", ".join([code(key), *(code(each[1]) for each in more)])
+        rows.append((place, keys, without, f"{_sentence(meaning)} {text(_sentence(advice))}".strip()))
+    listed = table(["table", "key", "without it", "meaning"], rows)
+    return (
+        f"## Keys of a {name} file\n\n{listed}\n\n{{download}}`JSON schema </generated/schemas/{name}.json>`"
+    )
+
+
+def _rows(schema: dict[str, Any], tables: dict[str, Any], place: str = "") -> Iterator[Row]:
+    needed = {key for each in schema.get("allOf", ()) for one in each["oneOf"] for key in one["required"]}
+    for key, entry in schema["properties"].items():
+        items = entry.get("items", entry)
+        kinds = [each["$ref"].rpartition("/")[2] for each in items.get("anyOf", [items]) if "$ref" in each]
+        if kinds:
+            inside = f"{place}.{key}".strip(".")
+            listed = [list(_rows(tables[kind], tables, inside)) for kind in kinds]
+            shown = f"[[{inside}]]" if "items" in entry else f"[{inside}]"
+            for row in dict.fromkeys(row for rows in listed for row in rows):
+                of = [str(number) for number, rows in enumerate(listed, start=1) if row in rows]
+                mark = "" if len(of) == len(listed) else f", joint {' and '.join(of)}"
+                yield (row[0] or code(shown) + mark, *row[1:])
+        else:
+            usual = json.dumps(entry.get("default"), ensure_ascii=False)
+            without = "" if usual in ("null", '""', "[]") else code(usual)
+            meaning = entry.get("description", "")
+            yield "", key, "must be given" if key in needed else without, entry["title"], meaning
+
+
+def _sentence(said: str) -> str:
+    return "" if said in ("", "give a text in quotes") else f"{said[0].upper()}{said[1:].rstrip('.')}."

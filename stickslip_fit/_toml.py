@@ -1,0 +1,341 @@
+"""A TOML file into a pydantic model; all its faults at once, each with what a person can do about it."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import partial
+from itertools import pairwise
+from math import inf, isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
+
+from annotated_types import Interval, MinLen
+from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic.functional_validators import WrapValidator
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
+
+from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.units import SUFFIXES, from_si, to_si
+
+Bounds = tuple[float, float]
+Place = tuple[str | int, ...]
+Misfit = tuple[str, Place]
+"""Advice, and the path of the key that it is about from its table on."""
+Text = Annotated[str, MinLen(1)]
+Count = Annotated[int, Interval(ge=1, le=10_000)]
+
+SLACK = 1e-9  # share of a range; less is rounding
+SUFFIX_OF = {symbol: suffix for suffix, symbol in SUFFIXES.items()}
+FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class Give:
+    """Metadata of a field: what a person reads whose value cannot be used."""
+
+    advice: str
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Metadata of a field whose keys end in a unit; the model has it in SI.
+
+    Attributes
+    ----------
+    units : tuple of str
+        Those that a key may have.
+    within : (float, float) or callable
+        Bounds of every number, SI; a callable takes the context of the validation.
+    advice : str
+        As of `Give`; ``{}`` stands for a number, its unit and its bounds.
+    """
+
+    units: tuple[str, ...]
+    within: Bounds | Callable[[Any], Bounds] = (-inf, inf)
+    advice: str = "give {}"
+
+    def keys(self, stem: str) -> dict[str, str]:
+        """Every key that may give the quantity, with its unit.
+
+        Examples
+        --------
+        >>> Quantity(("µrad/mm", "1")).keys("gamma0")
+        {'gamma0_urad_per_mm': 'µrad/mm', 'gamma0': '1'}
+        """
+        return {stem if unit == "1" else f"{stem}_{SUFFIX_OF[unit]}": unit for unit in self.units}
+
+    def advice_in(self, unit: str, context: Any) -> str:
+        """The advice for a key in `unit`; without a context, what holds in any."""
+        low, high = (from_si(end, unit) for end in self._bounds(context))
+        span = f", {low:g} or more" if high == inf else f", {low:g} to {high:g}"
+        number = "a number" if unit == "1" else f"a number in {unit}"
+        return self.advice.format(number + span * isfinite(low))
+
+    def _bounds(self, context: Any) -> Bounds:
+        if not callable(self.within):
+            return self.within
+        return (-inf, inf) if context is None else self.within(context)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        """As the field's own type, with every number checked and taken to SI."""
+
+        def read(written: tuple[Any, str], inner: Callable[[Any], Any], info: ValidationInfo) -> Any:
+            low, high = self._bounds(info.context)
+            slack = SLACK * (high - low) if isfinite(high - low) else 0.0
+
+            def si(number: float) -> float:
+                value = to_si(number, written[1])
+                if not low - slack <= value <= high + slack:
+                    raise ValueError("out of bounds")
+                return value
+
+            return _each_number(si, inner(written[0]))
+
+        return core_schema.with_info_wrap_validator_function(read, handler(source))
+
+
+class Table(BaseModel):
+    """A table of a TOML file: no key but its fields', no value taken for one of another type."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    _written: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    @classmethod
+    def fields_by_key(cls) -> dict[str, tuple[str, str]]:
+        """The field that each key gives, and the unit if it is a quantity."""
+        found: dict[str, tuple[str, str]] = {}
+        for name, field in cls.model_fields.items():
+            units = next(
+                (each.keys(name) for each in field.metadata if isinstance(each, Quantity)), {name: ""}
+            )
+            found |= {key: (name, unit) for key, unit in units.items()}
+        return found
+
+    def fields_in_file(self) -> list[str]:
+        """The fields that stand in the file, in its order."""
+        return [self.fields_by_key()[key][0] for key in self._written]
+
+    def refuse(self, *misfits: Misfit) -> None:
+        """Raise what is wrong with values that are right by themselves, if anything is."""
+        found = [_fault(advice, place, _value_at(self._written, place)) for advice, place in misfits]
+        if found:
+            raise ValidationError.from_exception_data(type(self).__name__, found)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _read(cls, written: Any, handler: Callable[[Any], Self], info: ValidationInfo) -> Self:
+        if not isinstance(written, dict):
+            return handler(written)
+        keys, faults = cls.fields_by_key(), []
+        content: dict[str, Any] = {name: {} for name in cls.model_fields if _is_table(cls, name)}
+        key_of = {name: key for key, (name, _) in reversed(keys.items())}
+        for key, value in written.items():
+            name, unit = keys.get(key, ("", ""))
+            if unit and name in content:
+                faults.append(
+                    _fault(f"{key_of[name]} gives the same quantity; keep one of them", (key,), value)
+                )
+            elif name:
+                content[name], key_of[name] = (value, unit) if unit else value, key
+            elif cls.model_config["extra"] == "forbid":
+                faults.append(_fault(_unknown(key, keys), (key,), value))
+        try:
+            table = handler(content)
+        except ValidationError as error:
+            own: dict[str, InitErrorDetails] = {}
+            for each in error.errors(include_url=False):
+                key, problems = key_of[str(each["loc"][0])], each.get("ctx", {}).get("problems", ())
+                if each["type"] == FAULT and len(each["loc"]) > 1:
+                    faults.append(_fault(each["msg"], each["loc"], each["input"], problems))
+                else:
+                    said = each["msg"] if each["type"] == FAULT else _advice(cls, key, info.context)
+                    own.setdefault(key, _fault(said, (key,), written.get(key), problems))
+            faults += own.values()
+        if faults:
+            raise ValidationError.from_exception_data(cls.__name__, faults)
+        table._written = written
+        return table
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        """The schema with a file's keys, in their units."""
+        schema = handler(core)
+        own = handler.resolve_ref_schema(schema)
+        fields, own["properties"] = own["properties"], {}
+        meanings = _attribute_docstrings(cls)
+        needed: dict[str, list[Any]] = {
+            name: [] for name in own.pop("required", ()) if not _is_table(cls, name)
+        }
+        for key, (name, unit) in cls.fields_by_key().items():
+            entry = own["properties"][key] = fields[name] | {"title": _advice(cls, key, None)}
+            entry |= {"description": meanings[name]} if name in meanings else {}
+            if unit and entry.get("default") is not None:
+                entry["default"] = _each_number(partial(from_si, symbol=unit), entry["default"])
+            if name in needed:
+                needed[name].append({"required": [key]})
+        if needed:
+            own["allOf"] = [{"oneOf": keys} for keys in needed.values()]
+        return schema
+
+
+def read_toml[Model: Table](path: str | Path, model: type[Model], kind: str, context: Any = None) -> Model:
+    """Read a file that `kind` names; see `file_bytes` and `parse_toml`."""
+    return parse_toml(file_bytes(path, kind), str(path), model, context)
+
+
+def file_bytes(path: str | Path, kind: str) -> bytes:
+    """What is in a file; raises InputError if it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); name an existing {kind}"
+        raise InputError(Problem(message, str(path))) from None
+
+
+def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
+    """A TOML text as a model.
+
+    Raises
+    ------
+    InputError
+        With every fault: its file, line, key and value, and what to do.
+    """
+    try:
+        text = raw.decode("utf-8-sig")
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(Problem(f"is no TOML file ({error}); correct it there", file)) from None
+    try:
+        return model.model_validate(content, context=context)
+    except ValidationError as error:
+        lines, problems = _lines(text), list[Problem]()
+        for each in error.errors(include_url=False):
+            place, value = each["loc"], each["input"]
+            line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
+            here = Problem(each["msg"], file, line, _path(place), None if value is None else _shown(value))
+            problems += each["ctx"]["problems"] or [here]
+        raise InputError(problems) from None
+
+
+def fault(advice: str, problems: Sequence[Problem] = ()) -> PydanticCustomError:
+    """For a validator of a field: what is wrong in words of its own, or problems of another file."""
+    return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "problems": problems})
+
+
+def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -> WrapValidator:
+    """For a table whose keys depend on the value of one of them; `other` where that has no model."""
+
+    def read(written: Any, inner: Any, info: ValidationInfo) -> Any:
+        value = written.get(key) if isinstance(written, dict) else None
+        model = models.get(value, other) if type(value) in (int, str) else other
+        return model.model_validate(written, context=info.context)
+
+    return WrapValidator(read, json_schema_input_type=Union[tuple(models.values())])  # noqa: UP007
+
+
+def _fault(advice: str, place: Place, value: Any, problems: Sequence[Problem] = ()) -> InitErrorDetails:
+    return InitErrorDetails(type=fault(advice, problems), loc=place, input=value)
+
+
+def _each_number(change: Callable[[float], float], value: Any) -> Any:
+    return [_each_number(change, each) for each in value] if isinstance(value, list) else change(value)
+
+
+def _is_table(table: type[Table], name: str) -> bool:
+    kind = table.model_fields[name].annotation
+    return isinstance(kind, type) and issubclass(kind, Table)
+
+
+def _advice(table: type[Table], key: str, context: Any) -> str:
+    """What to write for a key: as its field says, or as its type does."""
+    name, unit = table.fields_by_key()[key]
+    field = table.model_fields[name]
+    for each in field.metadata:
+        if isinstance(each, Give):
+            return each.advice
+        if isinstance(each, Quantity):
+            return each.advice_in(unit, context)
+        if isinstance(each, Interval):
+            return f"give a whole number from {each.ge} to {each.le}"
+    kinds = [field.annotation, *get_args(field.annotation)]
+    if choices := next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ()):
+        return f"give one of {', '.join(map(repr, choices))}"
+    if str in kinds:
+        return "give a text in quotes"
+    return f"write it as a table: [{key}]" if _is_table(table, name) else f"give at least one table [[{key}]]"
+
+
+def _attribute_docstrings(table: type[Table]) -> dict[str, str]:
+    """The strings below fields; pydantic could read them too, but would at every start of a command."""
+    found = {}
+    for each in table.__mro__[-3::-1]:
+        with suppress(OSError):
+            body = ast.parse(inspect.getsource(each)).body[0].body  # type: ignore[attr-defined]
+            for field, said in pairwise(body):
+                if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
+                    found[ast.unparse(field.target)] = ast.literal_eval(said.value)
+    return found
+
+
+def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
+    alike = get_close_matches(key, keys, 1)
+    meant = f"did you mean {alike[0]}? It" if alike else "it"
+    one_each = {name: key for key, (name, _) in reversed(keys.items())}
+    return f"is no key of this table; {meant} may have {', '.join(reversed(one_each.values()))}"
+
+
+def _value_at(value: Any, place: Place) -> Any:
+    for part in place:
+        value = value.get(part) if isinstance(value, dict) else value[part]
+        if value is None:
+            break
+    return value
+
+
+def _path(place: Place) -> str:
+    """A key as people find it.
+
+    Examples
+    --------
+    >>> _path(("sessions", "dates")), _path(("scenario", 1, "cause", 0, "tau"))
+    ('sessions.dates', 'scenario 2 cause 1 tau')
+    """
+    parts = [f" {part + 1} " if isinstance(part, int) else f".{part}" for part in place]
+    return "".join(parts).replace(" .", " ").strip(". ")
+
+
+def _shown(value: object) -> str:
+    """A value much as it stands in the file."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _lines(text: str) -> dict[Place, int]:
+    """The line of every table and key that begins one."""
+    found: dict[Place, int] = {}
+    table: Place = ()
+    count: Counter[Place] = Counter()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*(\[\[?)\s*([\w.-]+)\s*\]", line):
+            *parents, last = header[2].split(".")
+            table = ()
+            for name in parents:
+                table = (*table, name, count[*table, name] - 1) if count[*table, name] else (*table, name)
+            table = (*table, last)
+            found.setdefault(table, number)
+            if header[1] == "[[":
+                count[table] += 1
+                table = (*table, count[table] - 1)
+                found[table] = number
+        elif key := re.match(r"\s*([\w-]+)\s*=", line):
+            found.setdefault((*table, key[1]), number)
+    return found

@@ -1,0 +1,118 @@
+"""What all TOML files have in common: their faults, the examples in the documentation, their JSON schemas."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+
+import pytest
+
+from stickslip_fit._toml import parse_toml
+from stickslip_fit.errors import InputError
+from stickslip_fit.logs.read_plan import PlanFile
+from stickslip_fit.machine import load_machine
+from stickslip_fit.machine.machine_file import MachineFile
+from stickslip_fit.simulate.law_values import LawFile
+from stickslip_fit.strategies.study.read import StudyFile
+from tests.docs.commands import ROOT
+from tests.docs.fences import fences
+
+REFERENCE = ROOT / "data/reference"
+LAW = (REFERENCE / "law.toml").read_text("utf-8")
+MODELS = {
+    "plan": (PlanFile, load_machine()),
+    "law": (LawFile, None),
+    "study": (StudyFile, (REFERENCE, load_machine())),
+    "machine": (MachineFile, None),
+}
+FILES = {path.name: path.read_text("utf-8") for path in sorted(REFERENCE.glob("*.toml"))}
+FILES |= {"mm3a.toml": (ROOT / "stickslip_fit/machine/mm3a.toml").read_text("utf-8")}
+FILES |= {
+    f"{page.relative_to(ROOT)}:{fence.line}": fence.text
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    if "generated" not in page.parts
+    for fence in fences(page)
+    if fence.language == "toml" and "[project" not in fence.text
+}
+FIVE = """\
+seed = "one"
+chek_every = 5
+replicates = 0
+[sessions]
+dates = [2012-03-05]
+
+[[sweep]]
+joint = 3
+q2_deg = 99
+
+[[sweep]]
+joint = 2
+theta_deg = [0, 400]
+q3_mm = [0,
+  6]
+"""
+
+
+def kind_of(text):
+    keys = {"sweep": "plan", "geometry": "machine", "scenario": "study", "law": "law", "cause": "law"}
+    return next(kind for key, kind in keys.items() if key in tomllib.loads(text))
+
+
+def test_five_faults_are_told_at_once_with_line_key_value_and_what_to_do():
+    with pytest.raises(InputError) as caught:
+        parse_toml(FIVE.encode(), "plan.toml", PlanFile, load_machine())
+    assert {str(problem) for problem in caught.value.problems} == {
+        "plan.toml, line 1, column seed, value 'one': give a whole number from 0 to 9223372036854775807",
+        "plan.toml, line 2, column chek_every, value '5': is no key of this table; did you mean check_every? "
+        "It may have name, seed, check_every, order, replicates, sessions, timing, noise, sweep",
+        "plan.toml, line 3, column replicates, value '0': give a whole number from 1 to 10000",
+        "plan.toml, line 9, column sweep 1 q2_deg, value '99': give a number in deg, -210 to 30, "
+        "or a list of such",
+        "plan.toml, line 13, column sweep 2 theta_deg, value '[0, 400]': give a number in deg, -360 to 360, "
+        "or a list of such",
+    }
+
+
+def test_a_missing_key_is_told_at_the_line_of_its_table():
+    text = LAW.replace("a_nm = 903\n", "").replace("c_nm = 438", "c_nm = 438\nc_um = 0.438")
+    with pytest.raises(InputError) as caught:
+        parse_toml(text.encode(), "law.toml", LawFile)
+    lines = text.splitlines()
+    places = [(problem.column, lines[problem.line - 1]) for problem in caught.value.problems]
+    assert places == [("law 1 c_um", "c_um = 0.438"), ("law 2 a_nm", "[[law]]")]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_example_is_a_good_file(name):
+    text = FILES[name]
+    model, context = MODELS[kind_of(text)]
+    # Pieces of a law file are shown without the laws.
+    whole = text if "law" in tomllib.loads(text) or model is not LawFile else f"{LAW}\n{text}"
+    parse_toml(whole.encode(), name, model, context)
+
+
+@pytest.fixture(scope="module")
+def schemas():
+    sys.path.insert(0, str(ROOT / "docs/_ext"))
+    try:
+        import toml_page
+
+        return {name: json.loads(text) for name, text in toml_page.schemas().items()}
+    finally:
+        sys.path.remove(str(ROOT / "docs/_ext"))
+
+
+def complaints(schema, text):
+    from jsonschema import Draft202012Validator
+
+    content = json.loads(json.dumps(tomllib.loads(text), default=str))
+    return [error.message for error in Draft202012Validator(schema).iter_errors(content)]
+
+
+@pytest.mark.parametrize("name", ["plan.toml", "law.toml", "study.toml", "mm3a.toml"])
+def test_the_json_schema_of_a_file_takes_what_the_model_takes(schemas, name):
+    schema = schemas[kind_of(FILES[name])]
+    assert complaints(schema, FILES[name]) == []
+    assert complaints(schema, f"nonsense = 1\n{FILES[name]}")
+    assert complaints(schema, FILES[name].replace("\n[[", "\n[[un"))
