@@ -9,8 +9,8 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "stickslip_fit"
 ROOMS = (
-    "errors", "files", "units", "machine", "logs", "laws", "causes", "simulate", "fit", "anova", "diagnose",
-    "moves", "strategies", "capture", "report", "cli",
+    "errors", "files", "units", "_format", "_summary", "machine", "logs", "laws", "causes", "simulate",
+    "fit", "anova", "diagnose", "moves", "strategies", "capture", "report", "cli",
 )  # fmt: skip
 
 

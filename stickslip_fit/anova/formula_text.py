@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from stickslip_fit._format import format_p_value, join_words
+from stickslip_fit._summary import text_table
 from stickslip_fit.anova.linear import RESIDUAL
 from stickslip_fit.anova.verdict import LEVEL
-from stickslip_fit.anova.wording import bare_probability, listed, probability
-from stickslip_fit.units import text_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,10 +33,10 @@ def _sentence(table: pd.DataFrame) -> str:
     untested = list(terms.loc[terms["df"] == 0, "term"])
     told = "Nothing in the formula shows an effect."
     if len(shown):
-        worst = probability(shown["p_holm"].max())
-        told = f"What shows an effect: {listed(list(shown['term']))} (adjusted p {worst})."
+        worst = format_p_value(shown["p_holm"].max(), relation=True)
+        told = f"What shows an effect: {join_words(list(shown['term']))} (adjusted p {worst})."
     if untested:
-        told += f" Other terms say all that {listed(untested)} could say."
+        told += f" Other terms say all that {join_words(untested)} could say."
     return told
 
 
@@ -44,6 +44,6 @@ def _row(row: pd.Series) -> list[str]:
     if row["term"] == RESIDUAL or not row["df"]:
         mean = f"{row['ms']:.6g}" if row["df"] else ""
         return [row["term"], f"{row['ss']:.6g}", str(row["df"]), mean, "", "", "", ""]
-    probabilities = [bare_probability(row[name]) for name in ("p", "p_holm")]
+    probabilities = [format_p_value(row[name]) for name in ("p", "p_holm")]
     numbers = [f"{row['ss']:.6g}", str(row["df"]), f"{row['ms']:.6g}", f"{row['F']:.4g}"]
     return [row["term"], *numbers, *probabilities, f"{row['omega_squared']:.2f}"]

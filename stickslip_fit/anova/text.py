@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+from stickslip_fit._format import format_direction, format_p_value, format_step, format_step_range, step_unit
+from stickslip_fit._summary import text_table
 from stickslip_fit.anova.answer import Answer
 from stickslip_fit.anova.components import Component, Components
-from stickslip_fit.anova.readings import step_unit
 from stickslip_fit.anova.verdict import advice, doubts, reasons, verdicts
 from stickslip_fit.anova.within import MOST_SESSIONS
-from stickslip_fit.anova.wording import bare_probability, between, size, way
-from stickslip_fit.units import from_si, text_table
+from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:
     from stickslip_fit.anova.analyse import Anova
@@ -84,23 +84,23 @@ def _row(answer: Answer) -> list[str]:
     floor = answer.permutation.p_value <= answer.permutation.floor * (1 + 1e-9)
     return [
         *_question(answer),
-        size(answer.effect.difference, joint),
-        between(answer.effect.low, answer.effect.high, joint),
-        " less ".join(map(way, answer.furthest)),
+        format_step(answer.effect.difference, joint),
+        format_step_range(answer.effect.low, answer.effect.high, joint),
+        " less ".join(map(format_direction, answer.furthest)),
         f"{answer.statistic:.4g}",
         ", ".join(str(freedom) for freedom in answer.squares.freedom[1:]),
-        bare_probability(answer.p_value),
-        bare_probability(answer.p_holm),
-        bare_probability(answer.permutation.p_value) + ("*" if floor else " "),
+        format_p_value(answer.p_value),
+        format_p_value(answer.p_holm),
+        format_p_value(answer.permutation.p_value) + ("*" if floor else " "),
         f"{float(answer.squares.omega_squared):.2f}",
-        size(answer.detectable, joint),
+        format_step(answer.detectable, joint),
     ]
 
 
 def _question(answer: Answer) -> list[str]:
     asked = answer.question
     sessions = asked.session or ("all" if asked.analysis == "day" else "over all")
-    return [asked.analysis, way(asked.direction or ""), sessions]
+    return [asked.analysis, format_direction(asked.direction or ""), sessions]
 
 
 def _squares(answers: Sequence[Answer]) -> str:
@@ -119,7 +119,7 @@ def _line(line: Any, joint: int) -> list[str]:
     unit = step_unit(joint)
     sums = [from_si(from_si(value, unit), unit) for value in (line.ss, line.ms)]
     shown = [f"{value:.5g} {unit}²" if value == value else "" for value in sums]
-    tested = [f"{line.F:.4g}", bare_probability(line.p)] if line.F == line.F else ["", ""]
+    tested = [f"{line.F:.4g}", format_p_value(line.p)] if line.F == line.F else ["", ""]
     return [line.term, shown[0], str(line.df), shown[1], *tested]
 
 
@@ -132,11 +132,12 @@ def _components_row(found: Components) -> list[str]:
     def shown(part: Component | None) -> str:
         if part is None:
             return "–"
-        return f"{size(part.deviation, found.joint)} ({between(part.low, part.high, found.joint)})"
+        bounds = format_step_range(part.low, part.high, found.joint)
+        return f"{format_step(part.deviation, found.joint)} ({bounds})"
 
     direction = "–"
     if found.direction is not None and found.direction_low is not None and found.direction_high is not None:
-        bounds = between(found.direction_low, found.direction_high, found.joint)
-        direction = f"{size(found.direction, found.joint)} ({bounds})"
+        bounds = format_step_range(found.direction_low, found.direction_high, found.joint)
+        direction = f"{format_step(found.direction, found.joint)} ({bounds})"
     parts = (found.day, found.day_direction, found.total, found.replicate)
     return [f"joint {found.joint}", *map(shown, parts), direction]

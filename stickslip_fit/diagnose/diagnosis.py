@@ -9,8 +9,8 @@ from typing import Any, Literal
 import pandas as pd
 
 from stickslip_fit.diagnose.searching.search import Search
-from stickslip_fit.diagnose.sizes.amplitude import Interval
 from stickslip_fit.fit.result import AxesOf
+from stickslip_fit.units import Interval
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 

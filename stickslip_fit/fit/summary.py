@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import format_uncertain, format_value
+from stickslip_fit._summary import text_table
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import EVERYWHERE, JointFit, Result
-from stickslip_fit.units import format_uncertain, format_value, from_si, text_table
+from stickslip_fit.units import from_si
 
 # A season of sessions does not fit a screen; the JSON and the report hold them all.
 MOST_SESSIONS = 12

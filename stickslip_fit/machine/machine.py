@@ -13,10 +13,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from stickslip_fit.errors import InputError, Problem
-from stickslip_fit.units import to_si
-
-JOINTS = (1, 2, 3)
-PRISMATIC = 3
+from stickslip_fit.units import JOINTS, to_si
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import format_direction, format_percent, format_uncertain, joint_name, pluralize
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.fit import JointFit, Repeatability, Result
 from stickslip_fit.fit.result import EVERYWHERE
 from stickslip_fit.laws import Parameter
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import count, joint_name, percent_number, uncertain, way
-from stickslip_fit.units import format_uncertain
 
 MOST_SESSIONS = 8
 DISAGREES = "*"
@@ -45,8 +44,8 @@ def agreement(table: pd.DataFrame) -> str:
             "traverses the closed form has no error bars."
         )
     told = (
-        f"{agrees} of {count(comparable, 'parameter')} from least squares lie within the closed form's 95 % "
-        "interval"
+        f"{agrees} of {pluralize(comparable, 'parameter')} from least squares lie within the closed form's "
+        "95 % interval"
     )
     if agrees >= 0.9 * comparable:
         return f"{told}, as they should if the law holds and nothing changed during a session."
@@ -74,7 +73,7 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
         found = [indexed.loc[(group.session, group.direction, each.name)] for each in parameters]
         for which, estimator in (("closed", "closed form"), ("fit", "least squares")):
             cells = (_cell(row, which) for row in found)
-            body.append((str(group.session), way(group.direction), estimator, *cells))
+            body.append((str(group.session), format_direction(group.direction), estimator, *cells))
     meanings = "; ".join(f"{each.name}: {each.meaning}" for each in parameters)
     note = f"± one standard error. {DISAGREES} outside the closed form's 95 % interval. {meanings}."
     if len(shown) < len(sessions):
@@ -84,7 +83,9 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
 
 def _cell(row: pd.Series, which: str) -> str:
     off = which == "fit" and row["comparable"] and not row["agrees"]
-    value = uncertain(row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"])
+    value = format_uncertain(
+        row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"], with_unit=False
+    )
     return value + (DISAGREES if off else "")
 
 
@@ -126,7 +127,7 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
                     _repeatability_cells(replicates) if replicates.source == "replicates" else ("–", "–")
                 )
                 cells = (*of_replicates, *_repeatability_cells(joint_fit.repeatability[sign]))
-                body.append((joint_name(joint), way(sign), *cells))
+                body.append((joint_name(joint), format_direction(sign), *cells))
     note = (
         "Standard deviation of a traverse's count, relative, rounding left out. Replicates made hours apart "
         "also hold what drifted between them; residuals also hold what the law lacks."
@@ -135,4 +136,4 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
 
 
 def _repeatability_cells(found: Repeatability) -> tuple[str, str]:
-    return percent_number(found.value), f"{found.freedom:,}"
+    return format_percent(found.value, with_unit=False), f"{found.freedom:,}"

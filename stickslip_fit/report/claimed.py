@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
+from stickslip_fit._format import format_plain, joint_name, step_unit, typeset
+from stickslip_fit._summary import Column, Table, paragraph, text_table
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.report.claims import NOTE, PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
 from stickslip_fit.report.implied import NOTES, implied_table, within
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import joint_name, plain, step_unit, typeset
 from stickslip_fit.strategies import Comparison
-from stickslip_fit.strategies.text import WIDTH
-from stickslip_fit.units import text_table
 
 
 def claimed_table(found: Comparison, joint: int) -> Table:
@@ -38,11 +34,11 @@ def claimed_text(found: Comparison) -> str:
         heads = ["strategy", *(f"{column.group} {column.head}" for column in each.columns[1:])]
         parts.append(f"{each.caption} (%)\n{text_table(heads, each.rows)}")
     notes = [NOTE, *dict.fromkeys(NOTES[step_unit(joint)] for joint in reversed(found.joints))]
-    return "\n\n".join([*parts, fill(" ".join(notes), WIDTH)]) if parts else ""
+    return "\n\n".join([*parts, paragraph(" ".join(notes))]) if parts else ""
 
 
 def _head(claim: Claim) -> str:
-    return f"±{plain(claim.limit)} {claim.unit}"
+    return f"±{format_plain(claim.limit)} {claim.unit}"
 
 
 def _of_whom(claim: Claim) -> str:

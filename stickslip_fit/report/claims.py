@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_percent, format_plain, format_value, joint_name
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import joint_name, plain, quantity, signed_percent
 from stickslip_fit.units import to_si
 
 
@@ -64,8 +64,10 @@ def claims_table(errors: pd.DataFrame) -> Table:
             within = float(np.mean(np.abs(error) <= to_si(claim.limit, claim.unit)))
             name = "law" if claim.model == "law" else "constant step"
             worst = error[np.argmax(np.abs(error))]
-            shown = signed_percent(worst) if claim.unit == "%" else quantity(worst, claim.unit)
-            cells = (name, f"±{plain(claim.limit)} {claim.unit}", share(within), shown)
+            shown = (
+                format_percent(worst, signed=True) if claim.unit == "%" else format_value(worst, claim.unit)
+            )
+            cells = (name, f"±{format_plain(claim.limit)} {claim.unit}", share(within), shown)
             body.append((joint_name(int(joint)), *cells))
     return Table("The thesis's claims and this log", columns, tuple(body), stubs=2, note=NOTE)
 

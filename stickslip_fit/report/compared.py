@@ -6,25 +6,26 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from stickslip_fit._format import (
+    MINUS,
+    MISSING,
+    format_number,
+    format_percent,
+    format_percent_range,
+    format_range,
+    joint_name,
+    step_unit,
+    typeset,
+)
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.report.claimed import claimed_table
 from stickslip_fit.report.figures.pareto import pareto_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.implied import implied_table
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    MINUS,
-    UNKNOWN,
-    joint_name,
-    number,
-    percent_number,
-    step_unit,
-    typeset,
-)
 from stickslip_fit.report.worst import worst_table
 from stickslip_fit.strategies import Comparison
 from stickslip_fit.strategies.text import heading, left_out
 from stickslip_fit.strategies.verdict import against_best, answer
-from stickslip_fit.units.format import MISSING
 
 NOTE = "Verdicts allow for all pairs of strategies being compared at once (Holm); the intervals do not."
 
@@ -146,20 +147,16 @@ def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
         str(row["strategy"]),
         f"{row['traverses_made']:.3g}",
         f"{row['seconds'] / 60:.0f}",
-        number(row["rms"], unit),
-        _interval(number(row["rms_low"], unit), number(row["rms_high"], unit)),
-        number(row["bias"], unit),
-        number(row["worst"], unit),
-        percent_number(row["rms_relative"]),
-        _interval(percent_number(row["rms_relative_low"]), percent_number(row["rms_relative_high"])),
+        format_number(row["rms"], unit),
+        format_range(row["rms_low"], row["rms_high"], unit),
+        format_number(row["bias"], unit),
+        format_number(row["worst"], unit),
+        format_percent(row["rms_relative"], with_unit=False),
+        format_percent_range(row["rms_relative_low"], row["rms_relative_high"]),
     )
 
 
 def _against(row: pd.Series, against: pd.DataFrame) -> tuple[str, str]:
     pair = against.loc[row["strategy"]]
-    low, high = (percent_number(pair[f"difference_relative_{end}"]) for end in ("low", "high"))
-    return _interval(low, high), str(pair["verdict"]).removesuffix(" on this log")
-
-
-def _interval(low: str, high: str) -> str:
-    return MISSING if UNKNOWN in (low, high) else f"{low} to {high}"
+    bounds = format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"])
+    return bounds, str(pair["verdict"]).removesuffix(" on this log")

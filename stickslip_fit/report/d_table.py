@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import format_direction, format_length, format_number, format_uncertain
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.report.figures.traverses import recent
 from stickslip_fit.report.load_coefficient import ITERATIONS
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import length, number, uncertain, way
 
 
 def d_table(table: pd.DataFrame) -> Table:
@@ -30,14 +30,14 @@ def d_table(table: pd.DataFrame) -> Table:
     body = tuple(
         (
             str(row["session"]),
-            way(row["direction"]),
-            length(row["q3"]),
-            uncertain(row["gamma0"], row["gamma0_error"], "µrad"),
-            number(row["delta"], "µrad"),
-            number(row["d"], "µrad"),
-            number(row["d_error"], "µrad"),
-            number(row["quadratic"], "µrad"),
-            *(number(row[f"iteration_{k}"], "µrad") for k in range(ITERATIONS + 1)),
+            format_direction(row["direction"]),
+            format_length(row["q3"]),
+            format_uncertain(row["gamma0"], row["gamma0_error"], "µrad", with_unit=False),
+            format_number(row["delta"], "µrad"),
+            format_number(row["d"], "µrad"),
+            format_number(row["d_error"], "µrad"),
+            format_number(row["quadratic"], "µrad"),
+            *(format_number(row[f"iteration_{k}"], "µrad") for k in range(ITERATIONS + 1)),
         )
         for _, row in shown.iterrows()
     )

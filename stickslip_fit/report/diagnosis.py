@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import join_words, typeset
+from stickslip_fit._summary import Table, template, trusted
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
@@ -22,10 +24,6 @@ from stickslip_fit.report.figures.gains import gain_picture
 from stickslip_fit.report.figures.likeness import likeness_picture
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.ranking import ranking_picture
-from stickslip_fit.report.interactive.trusted import trusted
-from stickslip_fit.report.jinja import template
-from stickslip_fit.report.table import Table
-from stickslip_fit.report.wording import listed, typeset
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
 
 
 def _unseen(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    return [(listed(causes), typeset(why)) for why, causes in unseen(diagnosis).items()]
+    return [(join_words(causes), typeset(why)) for why, causes in unseen(diagnosis).items()]
 
 
 def _remarks(diagnosis: Diagnosis) -> list[str]:

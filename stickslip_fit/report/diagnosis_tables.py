@@ -5,21 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import (
+    MINUS,
+    format_angle,
+    format_direction,
+    format_estimate,
+    format_interval,
+    format_length,
+    format_p_value,
+    format_percent,
+    pluralize,
+    typeset,
+)
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.diagnose import Diagnosis, Gain, NextTraverse
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.telling.text import LIKELY_ENOUGH, ranking, where
-from stickslip_fit.diagnose.telling.wording import amount, probability, spread
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    MINUS,
-    angle,
-    count,
-    length,
-    percent_number,
-    signed_percent,
-    typeset,
-    way,
-)
 
 MOST_RANKED, MOST_TRAVERSES = 10, 20
 NONE = "–"
@@ -40,10 +41,10 @@ def findings_tables(diagnosis: Diagnosis) -> list[Table]:
     rows = tuple(
         (
             finding.cause,
-            percent_number(finding.effect.estimate),
-            spread(finding.effect, "%", 1),
+            format_percent(finding.effect.estimate, with_unit=False),
+            format_interval(finding.effect, "%", 1),
             ", ".join(map(str, finding.joints)),
-            probability(finding.p_value),
+            format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or NONE,
         )
         for finding in diagnosis.findings
@@ -119,8 +120,8 @@ def _parameters(diagnosis: Diagnosis) -> Table:
         (
             finding.cause,
             each.name,
-            typeset(amount(each.size, each.unit, signed=True)),
-            spread(each.size, each.unit, 1),
+            typeset(format_estimate(each.size, each.unit, signed=True)),
+            format_interval(each.size, each.unit, 1),
             where(each),
         )
         for finding in diagnosis.findings
@@ -145,25 +146,25 @@ def _wild(traverses: pd.DataFrame) -> Table:
         (
             str(row["session"]),
             row["time"].strftime("%Y-%m-%d %H:%M:%S"),
-            f"{row['joint']} {way(str(row['direction']))}",
+            f"{row['joint']} {format_direction(str(row['direction']))}",
             f"{row['steps']:,}",
-            signed_percent(float(row["departure"])).removesuffix("%").strip(),
+            format_percent(float(row["departure"]), signed=True).removesuffix("%").strip(),
         )
         for _, row in shown.iterrows()
     )
     left_out = len(shown) < len(traverses)
-    note = f"The {MOST_TRAVERSES} furthest off of {count(len(traverses), 'count')}." if left_out else ""
+    note = f"The {MOST_TRAVERSES} furthest off of {pluralize(len(traverses), 'count')}." if left_out else ""
     return Table("Counts that are wildly off", columns, rows, note=note)
 
 
 def _gain(name: str, gain: Gain) -> tuple[str, ...]:
     return (
         name,
-        percent_number(gain.baseline),
-        percent_number(gain.extended),
-        percent_number(gain.baseline - gain.extended),
-        f"{percent_number(gain.low)} to {percent_number(gain.high)}",
-        percent_number(gain.noise_floor),
+        format_percent(gain.baseline, with_unit=False),
+        format_percent(gain.extended, with_unit=False),
+        format_percent(gain.baseline - gain.extended, with_unit=False),
+        f"{format_percent(gain.low, with_unit=False)} to {format_percent(gain.high, with_unit=False)}",
+        format_percent(gain.noise_floor, with_unit=False),
     )
 
 
@@ -180,10 +181,10 @@ def _next(diagnosis: Diagnosis) -> Table:
 
 
 def _traverse(each: NextTraverse) -> tuple[str, ...]:
-    ends = length if each.joint == 3 else angle
+    ends = format_length if each.joint == 3 else format_angle
     stands = [(name, getattr(each, name)) for name in ("q1", "q2", "q3", "theta", "psi")]
     places = [
-        (length if name == "q3" else angle)(value)
+        (format_length if name == "q3" else format_angle)(value)
         if np.isfinite(value) and name != f"q{each.joint}"
         else NONE
         for name, value in stands
@@ -191,7 +192,7 @@ def _traverse(each: NextTraverse) -> tuple[str, ...]:
     limits = [ends(value) if np.isfinite(value) else "stop" for value in (each.start, each.stop)]
     return (
         ", ".join(each.tells_apart),
-        f"{each.joint} {way(each.direction)}",
+        f"{each.joint} {format_direction(each.direction)}",
         str(each.repeats),
         *places,
         *limits,

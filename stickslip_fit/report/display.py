@@ -9,34 +9,33 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from stickslip_fit._format import (
+    MINUS,
+    format_direction,
+    format_number,
+    format_p_value,
+    format_percent,
+    format_uncertain,
+    join_words,
+    joint_name,
+    pluralize,
+    step_unit,
+    typeset,
+)
+from stickslip_fit._summary import Column, Table, template
 from stickslip_fit.anova import Anova, Answer, FormulaTable
 from stickslip_fit.anova.formula_text import formula_text
 from stickslip_fit.anova.linear import RESIDUAL
 from stickslip_fit.anova.text import told_by_joint
 from stickslip_fit.anova.verdict import doubts, reasons
-from stickslip_fit.anova.wording import bare_probability
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.logs import Log
 from stickslip_fit.report.calibrated import departures_tables, own_parameters
-from stickslip_fit.report.jinja import template
 from stickslip_fit.report.measured import coverage_table, facts, sessions_table
 from stickslip_fit.report.remarks import remarks
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    MINUS,
-    count,
-    joint_name,
-    listed,
-    number,
-    percent,
-    step_unit,
-    typeset,
-    uncertain,
-    way,
-)
 from stickslip_fit.strategies import Comparison
 from stickslip_fit.strategies.text import heading, left_out_text
 from stickslip_fit.strategies.verdict import answer
@@ -116,7 +115,9 @@ def formula_html(found: FormulaTable) -> str:
         )
         for row in found.table.itertuples(index=False)
     )
-    note = f"Type {found.kind}; {count(found.count, 'reading')}. Sums of squares in the response's SI unit."
+    note = (
+        f"Type {found.kind}; {pluralize(found.count, 'reading')}. Sums of squares in the response's SI unit."
+    )
     return template("display.html.j2").render(
         title=found.formula,
         said=[typeset(formula_text(found).partition("\n")[0])],
@@ -183,19 +184,19 @@ def _answers_table(joint: int, answers: Sequence[Answer]) -> Table:
 def _answer_row(answer: Answer) -> tuple[str, ...]:
     asked, effect, unit = answer.question, answer.effect, step_unit(answer.question.joint)
     return (
-        f"{asked.analysis} {way(asked.direction)}" if asked.direction else asked.analysis,
+        f"{asked.analysis} {format_direction(asked.direction)}" if asked.direction else asked.analysis,
         asked.session or "all",
-        number(effect.difference, unit),
-        f"{number(effect.low, unit)} to {number(effect.high, unit)}",
-        bare_probability(answer.p_holm),
-        number(answer.detectable, unit),
+        format_number(effect.difference, unit),
+        f"{format_number(effect.low, unit)} to {format_number(effect.high, unit)}",
+        format_p_value(answer.p_holm),
+        format_number(answer.detectable, unit),
     )
 
 
 def _tested(row: Any) -> list[str]:
     if row.term == RESIDUAL or not row.df:
         return ["", "", ""]
-    return [f"{row.F:.3g}", bare_probability(row.p), bare_probability(row.p_holm)]
+    return [f"{row.F:.3g}", format_p_value(row.p), format_p_value(row.p_holm)]
 
 
 def parameters_table(result: Result, joint: int) -> Table:
@@ -223,7 +224,7 @@ def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str
     if len(told) > MOST_REMARKS:
         told = [
             *told[:MOST_REMARKS],
-            f"{count(len(told) - MOST_REMARKS, 'more remark')}: print it to read all.",
+            f"{pluralize(len(told) - MOST_REMARKS, 'more remark')}: print it to read all.",
         ]
     files, method = _files(result.provenance.log_files), result.method.replace("-", " ").capitalize()
     return template("display.html.j2").render(
@@ -239,11 +240,13 @@ def _result_html(result: Result, said: Sequence[str], folded: Sequence[tuple[str
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
     found = {row.name: row for row in table.itertuples(index=False)}
     cells = [
-        uncertain(row.estimate, row.standard_error, row.unit) if (row := found.get(each.name)) else ""
+        format_uncertain(row.estimate, row.standard_error, row.unit, with_unit=False)
+        if (row := found.get(each.name))
+        else ""
         for each in own_parameters(fit)
     ]
     label = ALL_SESSIONS if pd.isna(session) else str(session)
-    return (label, way(direction), *cells, _flags(table))
+    return (label, format_direction(direction), *cells, _flags(table))
 
 
 def _flags(table: pd.DataFrame) -> str:
@@ -253,28 +256,33 @@ def _flags(table: pd.DataFrame) -> str:
         for flag in dict.fromkeys(flags):
             raised.setdefault(flag, []).append(name)
     return "; ".join(
-        f"{listed(names) if len(names) < len(table) else 'all'}: {FLAGS.get(flag, flag.replace('_', ' '))}"
+        f"{join_words(names) if len(names) < len(table) else 'all'}: "
+        f"{FLAGS.get(flag, flag.replace('_', ' '))}"
         for flag, names in raised.items()
     )
 
 
 def _repeatability(fit: JointFit) -> str:
     known = [
-        f"{percent(found.value)} ({way(sign)}, {_source(found)})"
+        f"{format_percent(found.value)} ({format_direction(sign)}, {_source(found)})"
         for sign, found in fit.repeatability.items()
         if found.freedom > 0
     ]
-    return f"Repeatability {listed(known)}." if known else "Repeatability not known."
+    return f"Repeatability {join_words(known)}." if known else "Repeatability not known."
 
 
 def _source(found: Repeatability) -> str:
     return (
-        "given" if found.source == "given" else f"{found.source}, {count(found.freedom, 'degree')} of freedom"
+        "given"
+        if found.source == "given"
+        else f"{found.source}, {pluralize(found.freedom, 'degree')} of freedom"
     )
 
 
 def _latest(sessions: int) -> str:
-    return f"The latest {MOST_SESSIONS} of {count(sessions, 'session')}." if sessions > MOST_SESSIONS else ""
+    return (
+        f"The latest {MOST_SESSIONS} of {pluralize(sessions, 'session')}." if sessions > MOST_SESSIONS else ""
+    )
 
 
 def _begun_large(text: str) -> str:
@@ -285,14 +293,14 @@ def _files(names: Sequence[str]) -> str:
     """The log's files in a title, without their folders; empty for a log that was never in a file."""
     short = [Path(name).name for name in names[:MOST_FILES]]
     if len(names) > MOST_FILES:
-        short.append(count(len(names) - MOST_FILES, "more file"))
-    return listed(short) if short else ""
+        short.append(pluralize(len(names) - MOST_FILES, "more file"))
+    return join_words(short) if short else ""
 
 
 def provenance_of(source: Provenance) -> list[tuple[str, str]]:
     """Where numbers come from, line by line."""
     return [
-        ("log", f"{listed(source.log_files or ['no file'])}; sha256 {source.log_sha256}"),
+        ("log", f"{join_words(source.log_files or ['no file'])}; sha256 {source.log_sha256}"),
         (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
         ("command", source.command or "none: made from Python"),

@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from stickslip_fit._format import (
+    MINUS,
+    format_direction,
+    format_number,
+    format_p_value,
+    format_range,
+    joint_name,
+    step_unit,
+    typeset,
+)
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.anova import Anova, Answer, Component, Components
 from stickslip_fit.anova.text import told_by_joint
 from stickslip_fit.anova.verdict import doubts, reasons
-from stickslip_fit.anova.wording import bare_probability
 from stickslip_fit.report.figures.factors import factor_pictures
 from stickslip_fit.report.figures.picture import Picture
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import MINUS, joint_name, number, step_unit, typeset, way
 
 MOST_ROWS = 24
 NONE = "–"
@@ -82,21 +90,25 @@ def _answers_table(joint: int, answers: Sequence[Answer]) -> Table:
 def _row(answer: Answer) -> tuple[str, ...]:
     asked, effect, unit = answer.question, answer.effect, step_unit(answer.question.joint)
     at_floor = answer.permutation.p_value <= answer.permutation.floor * (1 + 1e-9)
-    levels = answer.furthest if asked.analysis == "day" else tuple(map(typeset, map(way, answer.furthest)))
+    levels = (
+        answer.furthest
+        if asked.analysis == "day"
+        else tuple(map(typeset, map(format_direction, answer.furthest)))
+    )
     probabilities = [
-        bare_probability(value) for value in (answer.p_value, answer.p_holm, answer.permutation.p_value)
+        format_p_value(value) for value in (answer.p_value, answer.p_holm, answer.permutation.p_value)
     ]
     statistic = f"{answer.statistic:.3g}" if answer.statistic < 1000 else f"{answer.statistic:,.0f}"
     return (
-        f"{asked.analysis} {way(asked.direction)}" if asked.direction else asked.analysis,
+        f"{asked.analysis} {format_direction(asked.direction)}" if asked.direction else asked.analysis,
         asked.session or "all",
         _less(*levels),
-        f"{number(effect.difference, unit)} ({number(effect.low, unit)} to {number(effect.high, unit)})",
+        f"{format_number(effect.difference, unit)} ({format_range(effect.low, effect.high, unit)})",
         f"{float(answer.squares.omega_squared):.2f}",
         f"{statistic} ({', '.join(str(freedom) for freedom in answer.squares.freedom[1:])})",
         *probabilities[:2],
         probabilities[2] + (AT_FLOOR if at_floor else ""),
-        number(answer.detectable, unit),
+        format_number(answer.detectable, unit),
     )
 
 
@@ -134,17 +146,17 @@ def _components_table(found: Components) -> Table:
     body = [
         (
             name,
-            number(part.deviation, unit),
-            f"{number(part.low, unit)} to {number(part.high, unit)}",
+            format_number(part.deviation, unit),
+            f"{format_number(part.low, unit)} to {format_number(part.high, unit)}",
             f"{100 * part.deviation / found.mean:.2f}",
         )
         for name, part in parts
         if part is not None
     ]
     if found.direction is not None and found.direction_low is not None and found.direction_high is not None:
-        bounds = f"{number(found.direction_low, unit)} to {number(found.direction_high, unit)}"
+        bounds = f"{format_number(found.direction_low, unit)} to {format_number(found.direction_high, unit)}"
         share = f"{100 * found.direction / found.mean:.2f}".replace("-", MINUS)
-        body.append((f"direction, + less {MINUS}", number(found.direction, unit), bounds, share))
+        body.append((f"direction, + less {MINUS}", format_number(found.direction, unit), bounds, share))
     note = (
         "Sessions are drawn at random; the two directions are all there are, so that the last row is a "
         "difference and no standard deviation. Restricted maximum likelihood; an interval that begins at 0 "

@@ -5,22 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    NO_BREAK,
+from stickslip_fit._format import (
+    MISSING,
+    format_percent,
+    format_plain,
+    format_value,
     joint_name,
-    percent,
-    plain,
-    quantity,
-    signed_percent,
     step_unit,
     typeset,
 )
+from stickslip_fit._summary import Column, Table
+from stickslip_fit.machine import PRISMATIC
+from stickslip_fit.report.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
 from stickslip_fit.strategies import ClosedForm, Comparison, ConstantStep
 from stickslip_fit.units import to_si
-from stickslip_fit.units.format import MISSING
 
 # Of the thesis, or worked out from what it prints; data/published says which, and where from.
 STEP = {"nm": 12e6 / 12300, "µrad": 95.0}
@@ -53,18 +51,18 @@ def implied(claim: Claim, unit: str) -> str:
 
     Examples
     --------
-    >>> implied(Claim("law", 20.0, "%"), "nm").replace(NO_BREAK, " ")
+    >>> implied(Claim("law", 20.0, "%"), "nm")
     '195 nm of its 976 nm step'
-    >>> implied(Claim("constant", 1.3, "%"), "µrad").replace(NO_BREAK, " ")
+    >>> implied(Claim("constant", 1.3, "%"), "µrad")
     'off by up to 25.7 % (joint 2)'
     """
-    step = f"{STEP[unit]:.0f}{NO_BREAK}{unit}"
+    step = f"{STEP[unit]:.0f} {unit}"
     if claim.model == "constant":
         whose = " (joint 2)" if unit == "µrad" else ""
-        return f"off by up to {plain(CONSTANT_STEP_ERROR[unit])}{NO_BREAK}%{whose}"
+        return f"off by up to {format_plain(CONSTANT_STEP_ERROR[unit])} %{whose}"
     if claim.unit == "%":
-        return f"{STEP[unit] * claim.limit / 100:.3g}{NO_BREAK}{unit} of its {step} step"
-    return f"{100 * claim.limit / STEP[unit]:.2g}{NO_BREAK}% of its {step} step"
+        return f"{STEP[unit] * claim.limit / 100:.3g} {unit} of its {step} step"
+    return f"{100 * claim.limit / STEP[unit]:.2g} % of its {step} step"
 
 
 def implied_table(found: Comparison, joint: int) -> Table:
@@ -87,7 +85,9 @@ def implied_table(found: Comparison, joint: int) -> Table:
         )
         own = shared[shared["strategy"] == name]
         reached = _reached(accuracy.loc[joint, name], own, claim) if len(own) else (MISSING,) * 3
-        body.append((f"{model} ±{plain(claim.limit)} {claim.unit}", implied(claim, unit), name, *reached))
+        body.append(
+            (f"{model} ±{format_plain(claim.limit)} {claim.unit}", implied(claim, unit), name, *reached)
+        )
     caption = f"{joint_name(joint).capitalize()}: what the thesis claims, implies, and what is reached"
     return Table(caption, columns, tuple(body), note=typeset(NOTES[unit]))
 
@@ -101,5 +101,9 @@ def within(errors: pd.DataFrame, claim: Claim) -> float:
 def _reached(summed: pd.Series, errors: pd.DataFrame, claim: Claim) -> tuple[str, str, str]:
     kept = share(within(errors, claim))
     if claim.unit == "%":
-        return percent(summed["rms_relative"]), signed_percent(summed["worst_relative"]), kept
-    return quantity(summed["rms"], claim.unit), quantity(summed["worst"], claim.unit), kept
+        return (
+            format_percent(summed["rms_relative"]),
+            format_percent(summed["worst_relative"], signed=True),
+            kept,
+        )
+    return format_value(summed["rms"], claim.unit), format_value(summed["worst"], claim.unit), kept

@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import (
+    format_configuration,
+    format_direction,
+    format_plain,
+    join_words,
+    joint_name,
+    pluralize,
+)
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.logs import Log
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import configuration, count, joint_name, listed, plain, way
 from stickslip_fit.units import from_si
 
 MOST_ROWS = 24
@@ -20,13 +27,14 @@ def facts(log: Log) -> str:
     rows = log.rows
     dates = dict.fromkeys(f"{moment:%Y-%m-%d}" for moment in (rows["time"].min(), rows["time"].max()))
     told = (
-        f"{count(len(rows), 'traverse')} in {count(len(log.sessions), 'session')} ({' to '.join(dates)}), "
-        f"{listed([joint_name(joint) for joint in log.joints])}."
+        f"{pluralize(len(rows), 'traverse')} in {pluralize(len(log.sessions), 'session')} "
+        f"({' to '.join(dates)}), "
+        f"{join_words([joint_name(joint) for joint in log.joints])}."
     )
     states = rows["status"].value_counts()
-    unused = [count(int(states[name]), f"{name} traverse") for name in NOT_FITTED if name in states]
+    unused = [pluralize(int(states[name]), f"{name} traverse") for name in NOT_FITTED if name in states]
     return f"{told} " + (
-        f"Not fitted, but part of the history: {listed(unused)}." if unused else "All are usable."
+        f"Not fitted, but part of the history: {join_words(unused)}." if unused else "All are usable."
     )
 
 
@@ -37,7 +45,7 @@ def sessions_table(log: Log) -> Table:
         Column("session", text=True),
         Column("first traverse", text=True),
         Column("last traverse", text=True),
-        *(Column(way(sign), group=f"joint {joint}") for joint, sign in kinds),
+        *(Column(format_direction(sign), group=f"joint {joint}") for joint, sign in kinds),
         *(Column(name, group="not fitted") for name in NOT_FITTED),
     )
     body = []
@@ -96,15 +104,15 @@ def remarked_table(log: Log) -> Table | None:
         (
             f"{row['time']:%Y-%m-%d %H:%M:%S}",
             str(row["session"]),
-            f"{row['joint']} {way(row['direction'])}",
-            configuration(row, log.machine.span(row["joint"])),
+            f"{row['joint']} {format_direction(row['direction'])}",
+            format_configuration(row, log.machine.span(row["joint"])),
             str(row["status"]),
             str(row["note"]),
         )
         for _, row in rows.head(MOST_ROWS).iterrows()
     )
     left = len(rows) - len(body)
-    note = f"{count(left, 'more traverse')} with a note or not fitted: see the log." if left else ""
+    note = f"{pluralize(left, 'more traverse')} with a note or not fitted: see the log." if left else ""
     return Table("Traverses with a note or not fitted", columns, body, note=note)
 
 
@@ -114,15 +122,15 @@ def _values(values: pd.Series[float], unit: str) -> str:
     if not len(distinct):
         return "–"
     if len(distinct) <= FEW_VALUES:
-        return ", ".join(plain(value) for value in distinct)
-    ends = f"{plain(distinct[0])} to {plain(distinct[-1])}"
+        return ", ".join(format_plain(value) for value in distinct)
+    ends = f"{format_plain(distinct[0])} to {format_plain(distinct[-1])}"
     spacing = np.diff(distinct)
     if np.allclose(spacing, spacing[0], atol=2e-3):
-        return f"{ends} by {plain(spacing[0])}"
+        return f"{ends} by {format_plain(spacing[0])}"
     return f"{ends}, {len(distinct):,} values"
 
 
 def _latest(caption: str, columns: tuple[Column, ...], body: list[tuple[str, ...]], what: str) -> Table:
     more = len(body) > MOST_ROWS
-    note = f"The latest {MOST_ROWS} of {count(len(body), what)}." if more else ""
+    note = f"The latest {MOST_ROWS} of {pluralize(len(body), what)}." if more else ""
     return Table(caption, columns, tuple(body[-MOST_ROWS:]), note=note)

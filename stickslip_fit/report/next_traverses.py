@@ -7,12 +7,12 @@ from textwrap import fill
 
 import pandas as pd
 
+from stickslip_fit._format import format_configuration, format_direction, join_words, pluralize
+from stickslip_fit._summary import text_table
 from stickslip_fit.diagnose import Diagnosis, NextTraverse
 from stickslip_fit.diagnose.experiments.unseen import Unseen
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.machine import Machine
-from stickslip_fit.report.wording import configuration, count, listed, way
-from stickslip_fit.units import text_table
 
 WIDTH = 110
 
@@ -58,8 +58,8 @@ def _answer(
     if traverses:
         number = sum(each.repeats for each in traverses)
         told.append(
-            f"{count(number, 'traverse')}, and the calibration that goes with them, would tell apart what "
-            "this log cannot."
+            f"{pluralize(number, 'traverse')}, and the calibration that goes with them, would tell apart "
+            "what this log cannot."
         )
     for one, other in beyond:
         told.append(f"No traverse within reach separates {one} from {other}.")
@@ -77,7 +77,7 @@ def _state(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
         return "Nothing is wrong that this log could show."
     each = [
-        listed([finding.cause, *finding.equivalent], "or") if finding.equivalent else finding.cause
+        join_words([finding.cause, *finding.equivalent], "or") if finding.equivalent else finding.cause
         for finding in diagnosis.findings
     ]
     return f"Found: {'; '.join(each)}."
@@ -87,7 +87,9 @@ def _table(traverses: Sequence[NextTraverse], machine: Machine) -> str:
     header = ["causes", "joint", "configuration", "times", "when"]
     rows = [
         [
-            ", ".join(each.tells_apart), f"{each.joint} {way(each.direction)}", _where(each, machine),
+            ", ".join(each.tells_apart),
+            f"{each.joint} {format_direction(each.direction)}",
+            _where(each, machine),
             str(each.repeats), each.note,
         ]
         for each in traverses
@@ -101,7 +103,7 @@ def _where(traverse: NextTraverse, machine: Machine) -> str:
     if pd.isna(traverse.start):
         ends = {"start": low, "stop": high}
     places = {name: getattr(traverse, name) for name in ("joint", "q1", "q2", "q3", "theta", "psi")}
-    return configuration(pd.Series(places | ends), machine.span(traverse.joint))
+    return format_configuration(pd.Series(places | ends), machine.span(traverse.joint))
 
 
 def _in_words(unseen: Unseen) -> str:

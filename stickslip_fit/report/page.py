@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from stickslip_fit._format import joint_name, typeset
+from stickslip_fit._summary import Table, embedded, template, trusted
 from stickslip_fit.anova import analyse
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.errors import InputError
@@ -21,12 +23,8 @@ from stickslip_fit.report.diagnosis import diagnosed
 from stickslip_fit.report.factors import cautions, factors
 from stickslip_fit.report.gallery import gallery
 from stickslip_fit.report.interactive.traverses import shown_traverses
-from stickslip_fit.report.interactive.trusted import embedded, trusted
-from stickslip_fit.report.jinja import template
 from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.report.remarks import remarks
-from stickslip_fit.report.table import Table
-from stickslip_fit.report.wording import joint_name, typeset
 from stickslip_fit.strategies import Comparison
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from stickslip_fit._format import join_words, pluralize
 from stickslip_fit.fit import Remark, Result
-from stickslip_fit.report.wording import count, listed
 
 MOST_NAMED = 6
 
@@ -22,7 +22,7 @@ def remarks(*results: Result) -> list[str]:
     lines: dict[str, list[str]] = {}
     for (method, _), alike in told.items():
         lines.setdefault(_once(alike), []).append(method.replace("-", " "))
-    return [f"{line[0].upper()}{line[1:]} ({listed(methods)})" for line, methods in lines.items()]
+    return [f"{line[0].upper()}{line[1:]} ({join_words(methods)})" for line, methods in lines.items()]
 
 
 def _once(alike: list[Remark]) -> str:
@@ -31,6 +31,8 @@ def _once(alike: list[Remark]) -> str:
         return f"{first.message}."
     names = [remark.session for remark in others]
     more = (
-        [*names[:MOST_NAMED], count(len(names) - MOST_NAMED, "other")] if len(names) > MOST_NAMED else names
+        [*names[:MOST_NAMED], pluralize(len(names) - MOST_NAMED, "other")]
+        if len(names) > MOST_NAMED
+        else names
     )
-    return f"{first.message}. The same in {'session' if len(names) == 1 else 'sessions'} {listed(more)}."
+    return f"{first.message}. The same in {'session' if len(names) == 1 else 'sessions'} {join_words(more)}."

@@ -6,9 +6,10 @@ from textwrap import fill
 
 import numpy as np
 
+from stickslip_fit._format import format_percent, join_words, pluralize
+from stickslip_fit._summary import text_table
 from stickslip_fit.diagnose.experiments.matrix import CONFUSED, Matrix, Showing
-from stickslip_fit.report.wording import count, listed, percent
-from stickslip_fit.units import from_si, text_table
+from stickslip_fit.units import from_si
 
 WIDTH = 110
 SHOWN_AT = 8.0  # strength at which rates of confusion are shown
@@ -52,14 +53,14 @@ def _answer(
 ) -> str:
     shown = len(found.showing) + len(found.by_scatter)
     told = (
-        f"{plan}: {count(traverses, 'traverse')} in {count(sessions, 'session')} could show "
+        f"{plan}: {pluralize(traverses, 'traverse')} in {pluralize(sessions, 'session')} could show "
         f"{shown} of {shown + len(found.untestable)} causes."
     )
     never = [f"{one} from {other}" for one, other, _ in hard if not found.apart(one, other)]
     if never:
-        told += f" At no plausible size could they tell {listed(never, 'or')}."
+        told += f" At no plausible size could they tell {join_words(never, 'or')}."
     elif hard:
-        told += f" {count(len(hard), 'pair')} of them could be found before they could be told apart."
+        told += f" {pluralize(len(hard), 'pair')} of them could be found before they could be told apart."
     else:
         told += " Whatever of these is large enough to be found is told from all others."
     return fill(told, WIDTH, break_on_hyphens=False)
@@ -79,7 +80,7 @@ def _hardest(found: Matrix, cause: str) -> str:
     rates = [found.rate(cause, other, SHOWN_AT) for other in others]
     if not rates or max(rates) < CONFUSED:
         return "–"
-    return f"{others[int(np.argmax(rates))]} {percent(max(rates))}"
+    return f"{others[int(np.argmax(rates))]} {format_percent(max(rates))}"
 
 
 def _how(found: Matrix) -> str:
@@ -87,14 +88,14 @@ def _how(found: Matrix) -> str:
     if not found.showing:
         return ""
     scatter = (
-        f" Not listed: {listed(found.by_scatter)}, which single counts show." if found.by_scatter else ""
+        f" Not listed: {join_words(found.by_scatter)}, which single counts show." if found.by_scatter else ""
     )
     return fill(
         f"found from: the size that raises the alarm in nine of ten logs, at a false-alarm rate of "
-        f"{percent(found.alpha)}; for that, strength (rms effect left after recalibration, over the "
+        f"{format_percent(found.alpha)}; for that, strength (rms effect left after recalibration, over the "
         f"repeatability, times the square root of the traverses) must be {min(strengths):.1f} to "
         f"{max(strengths):.1f}, by logs of this plan in which nothing is wrong. hardest rival: taken for "
-        f"each other in so many logs at strength {SHOWN_AT:.0f}, where that is {percent(CONFUSED)} or "
+        f"each other in so many logs at strength {SHOWN_AT:.0f}, where that is {format_percent(CONFUSED)} or "
         f"more.{scatter}",
         WIDTH,
         break_on_hyphens=False,
@@ -104,7 +105,7 @@ def _how(found: Matrix) -> str:
 def _pairs(found: Matrix, hard: list[tuple[str, str, float]]) -> str:
     rows = [
         [
-            one, other, percent(found.rate(one, other, SHOWN_AT)),
+            one, other, format_percent(found.rate(one, other, SHOWN_AT)),
             f"{needed:.1f}" if np.isfinite(needed) else "never",
             _from(found.of(one), needed), _from(found.of(other), needed),
         ]

@@ -5,15 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import (
+    format_number,
+    format_percent,
+    format_percent_range,
+    format_value,
+    joint_name,
+    step_unit,
+    typeset,
+)
+from stickslip_fit._summary import Column, Table, template
 from stickslip_fit.fit.provenance import versions
 from stickslip_fit.machine import JOINTS
-from stickslip_fit.report.jinja import template
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import joint_name, number, percent_number, step_unit, typeset
 from stickslip_fit.strategies.study import Study
 from stickslip_fit.strategies.study.text import heading, left_out_text, moves_made, tip_answer
 from stickslip_fit.strategies.study.verdict import answer
-from stickslip_fit.units import format_value
 
 
 def study_html(found: Study) -> str:
@@ -76,13 +82,13 @@ def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
         str(row["strategy"]),
         f"{row['traverses']:.3g}",
         f"{row['seconds'] / 60:.0f}",
-        percent_number(row["rms_relative"]),
-        f"{percent_number(row['rms_relative_low'])} to {percent_number(row['rms_relative_high'])}",
-        percent_number(row["bias_relative"]),
-        percent_number(row["worst_relative"]),
-        number(row["rms"], unit),
+        format_percent(row["rms_relative"], with_unit=False),
+        format_percent_range(row["rms_relative_low"], row["rms_relative_high"]),
+        format_percent(row["bias_relative"], with_unit=False),
+        format_percent(row["worst_relative"], with_unit=False),
+        format_number(row["rms"], unit),
         f"{100 * row['covered']:.0f}" if np.isfinite(row["covered"]) else "",
-        percent_number(row["failed"]) if row["failed"] > 0 else "0",
+        format_percent(row["failed"], with_unit=False) if row["failed"] > 0 else "0",
     )
 
 

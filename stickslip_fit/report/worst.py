@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
 import pandas as pd
 
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import configuration, joint_name, number, percent_number, step_unit, way
+from stickslip_fit._format import (
+    format_configuration,
+    format_direction,
+    format_number,
+    format_percent,
+    joint_name,
+    step_unit,
+)
+from stickslip_fit._summary import Column, Table, paragraph, text_table
 from stickslip_fit.strategies import Comparison
-from stickslip_fit.strategies.text import WIDTH
 from stickslip_fit.strategies.trials import WHERE
-from stickslip_fit.units import text_table
 
 NOTE = (
     "Rms over the traverses of a configuration and direction, all sessions; the largest relative ones are "
@@ -48,13 +51,13 @@ def worst_table(found: Comparison, joint: int, most: int = ON_A_PAGE) -> Table:
     for strategy in found.compared(joint):
         for _, row in table[table["strategy"] == strategy].head(most).iterrows():
             cells = (
-                configuration(row, high - low),
-                way(str(row["direction"])),
+                format_configuration(row, high - low),
+                format_direction(str(row["direction"])),
                 f"{int(row['traverses']):,}",
-                number(row["rms"], unit),
-                number(row["bias"], unit),
-                percent_number(row["rms_relative"]),
-                percent_number(row["worst_relative"]),
+                format_number(row["rms"], unit),
+                format_number(row["bias"], unit),
+                format_percent(row["rms_relative"], with_unit=False),
+                format_percent(row["worst_relative"], with_unit=False),
                 f"{row['times_scatter']:.1f}",
             )
             body.append((strategy, *cells))
@@ -86,4 +89,4 @@ def worst_text(found: Comparison) -> str:
         heads = ["strategy", "configuration", "", "n", f"rms {unit}", "rms %", "/ scatter"]
         body = [(*row[:5], row[6], row[8]) for row in table.rows]
         parts.append(f"{table.caption}\n{text_table(heads, body, left=3)}")
-    return "\n\n".join([*parts, fill(NOTE, WIDTH)]) if parts else ""
+    return "\n\n".join([*parts, paragraph(NOTE)]) if parts else ""

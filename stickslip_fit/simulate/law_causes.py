@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._format import format_value
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
 from stickslip_fit.causes.load_nonlinearity import BENDS
 from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.logs.settings import Settings, is_number
-from stickslip_fit.units import UNITS, format_value, to_si
+from stickslip_fit.units import UNITS, to_si
 
 Array = npt.NDArray[np.float64]
 

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from textwrap import fill
-
-import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_number, format_range, step_unit
+from stickslip_fit._summary import paragraph, text_table
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.strategies.comparison import Comparison
-from stickslip_fit.strategies.verdict import against_best, answer, unit_of
-from stickslip_fit.units import format_value, text_table
-from stickslip_fit.units.format import MISSING
+from stickslip_fit.strategies.verdict import against_best, answer
 
-WIDTH = 110
-NO_BREAK = "\N{NO-BREAK SPACE}"
 ADJUSTED = " p allows for all pairs of a joint being compared at once (Holm); the intervals do not."
-DECIMALS = {"nm": 1, "µrad": 2, "%": 2}
 
 
 def text(found: Comparison) -> str:
@@ -53,7 +46,7 @@ def left_out_text(found: Comparison) -> str:
     lines = ["left out"]
     for strategy, joints, ways, sessions, why in left_out(found):
         where = f"joint {joints}, {f'direction {ways}, ' * bool(ways)}session {sessions}"
-        lines.append(paragraph(f"{strategy}: {where}: {why}", "  ", "    "))
+        lines.append(paragraph(f"{strategy}: {where}: {why}", first="  ", then="    "))
     return "\n".join(lines) if len(lines) > 1 else ""
 
 
@@ -72,20 +65,13 @@ def left_out(found: Comparison) -> list[tuple[str, str, str, str, str]]:
     ]
 
 
-def quantity(value: float, unit: str) -> str:
-    """An error without its unit, to the digits that a log supports."""
-    return format_value(value, unit, DECIMALS[unit]).removesuffix(f" {unit}")
-
-
 def between(row: pd.Series, name: str, unit: str) -> str:
     """An interval without its unit."""
-    if not np.isfinite(row[f"{name}_low"]):
-        return MISSING
-    return f"{quantity(row[f'{name}_low'], unit)} to {quantity(row[f'{name}_high'], unit)}"
+    return format_range(row[f"{name}_low"], row[f"{name}_high"], unit)
 
 
 def _absolute_text(found: Comparison, joint: int) -> str:
-    unit, cost = unit_of(joint), found.cost()
+    unit, cost = step_unit(joint), found.cost()
     table = _of(found.accuracy(), joint).merge(_of(cost, joint), on="strategy", suffixes=("", "_made"))
     header = [f"in {unit}", "each way", "min", "rms", "95 %", "bias", "95 %", "worst", "typical worst"]
     rows = [
@@ -93,12 +79,12 @@ def _absolute_text(found: Comparison, joint: int) -> str:
             row["strategy"],
             f"{row['traverses_made']:.3g}",
             f"{row['seconds'] / 60:.0f}",
-            quantity(row["rms"], unit),
+            format_number(row["rms"], unit),
             between(row, "rms", unit),
-            quantity(row["bias"], unit),
+            format_number(row["bias"], unit),
             between(row, "bias", unit),
-            quantity(row["worst"], unit),
-            quantity(row["typical_worst"], unit),
+            format_number(row["worst"], unit),
+            format_number(row["typical_worst"], unit),
         ]
         for _, row in table.iterrows()
     ]
@@ -112,8 +98,8 @@ def _relative_text(found: Comparison, joint: int) -> str:
     rows = []
     for _, row in _of(found.accuracy(), joint).iterrows():
         name = str(row["strategy"])
-        cells = [name, quantity(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
-        cells.append(quantity(row["worst_relative"], "%"))
+        cells = [name, format_number(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
+        cells.append(format_number(row["worst_relative"], "%"))
         if name == best:
             rows.append([*cells, "", "", "least rms"])
             continue
@@ -134,24 +120,10 @@ def _directions_text(found: Comparison, joint: int) -> str:
     for strategy, own in mine.groupby("strategy", sort=False):
         cells = []
         for _, row in own.set_index("direction").loc[ways].iterrows():
-            cells += [quantity(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
+            cells += [format_number(row["rms_relative"], "%"), between(row, "rms_relative", "%")]
         rows.append([str(strategy), *cells])
     return text_table(header, rows)
 
 
 def _of(table: pd.DataFrame, joint: int) -> pd.DataFrame:
     return table[table["joint"] == joint]
-
-
-def paragraph(said: str, first: str = "", then: str = "") -> str:
-    """Fill lines, no number parted from its unit.
-
-    Examples
-    --------
-    >>> print(paragraph(f"{'-' * 98} within 7.5 µm").replace("-" * 98, "(98 signs)"))
-    (98 signs) within
-    7.5 µm
-    """
-    whole = re.sub(r"(?<=\d) (?=%|nm|mm|µm|µrad|min\b)", NO_BREAK, said)
-    lines = fill(whole, WIDTH, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)
-    return lines.replace(NO_BREAK, " ")

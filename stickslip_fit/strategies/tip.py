@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import format_value
+from stickslip_fit._summary import text_table
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import JOINTS, forward, jacobian
@@ -17,7 +19,6 @@ from stickslip_fit.moves.path import split
 from stickslip_fit.moves.truth import Group
 from stickslip_fit.simulate import draw_noise
 from stickslip_fit.strategies.task import Predictor
-from stickslip_fit.units import format_value, text_table
 
 Array = npt.NDArray[np.float64]
 Seed = int | np.random.SeedSequence

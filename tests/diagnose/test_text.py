@@ -12,9 +12,9 @@ import pytest
 from stickslip_fit.causes import covariates, library
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Finding, Gain, NextTraverse, SizedParameter
-from stickslip_fit.diagnose.sizes.amplitude import Interval
 from stickslip_fit.diagnose.telling.answer import answer
 from stickslip_fit.diagnose.telling.told import SENTENCES, what_happens
+from stickslip_fit.units import Interval
 from tests.diagnose.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
 WIDTH = 110

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit import cli
+from stickslip_fit._format import NO_BREAK
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.diagnose import decide
 from stickslip_fit.diagnose.diagnosis import Gain, NextTraverse
@@ -25,7 +26,6 @@ from stickslip_fit.report.figures.evidence import draw_everything, draw_finding
 from stickslip_fit.report.figures.gains import draw_gain
 from stickslip_fit.report.figures.likeness import rates_of
 from stickslip_fit.report.figures.ranking import draw_ranking, looks_of
-from stickslip_fit.report.wording import NO_BREAK
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stickslip_fit.units import UNITS, format_uncertain, format_value, from_si, to_si
+from stickslip_fit._format import format_uncertain, format_value
+from stickslip_fit.units import UNITS, from_si, to_si
 
 
 @pytest.mark.parametrize(

@@ -7,30 +7,17 @@ given the alarm (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal case)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
+from stickslip_fit.units import Interval
+
 Array = npt.NDArray[np.float64]
 
 COVERAGE = 0.95
 LARGE = 12.0  # strength beyond which the alarm was certain
-
-
-@dataclass(frozen=True)
-class Interval:
-    """An estimate and its interval of 95 %; NaN where it is not known."""
-
-    estimate: float
-    low: float
-    high: float
-
-    def times(self, factor: float) -> Interval:
-        """All three times a factor."""
-        return Interval(self.estimate * factor, self.low * factor, self.high * factor)
 
 
 def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:

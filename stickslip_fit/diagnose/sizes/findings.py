@@ -19,10 +19,11 @@ from stickslip_fit.diagnose.searching.search import MISFIRE, Found, Search, othe
 from stickslip_fit.diagnose.shapes.candidates import acts_on
 from stickslip_fit.diagnose.shapes.hypothesis import Hypothesis
 from stickslip_fit.diagnose.shapes.memory import Memory
-from stickslip_fit.diagnose.sizes.amplitude import Interval, strength_interval, threshold_length
+from stickslip_fit.diagnose.sizes.amplitude import strength_interval, threshold_length
 from stickslip_fit.diagnose.sizes.carried import carried
 from stickslip_fit.diagnose.sizes.effect import effect_of
 from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.units import Interval
 
 Array = npt.NDArray[np.float64]
 TWO_SIDED = 1.959964

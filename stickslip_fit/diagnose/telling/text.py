@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from stickslip_fit._format import (
+    format_direction,
+    format_estimate,
+    format_interval,
+    format_p_value,
+    format_percent,
+    format_value,
+    join_words,
+)
+from stickslip_fit._summary import text_table
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain, NextTraverse, SizedParameter
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnose.telling.answer import answer
-from stickslip_fit.diagnose.telling.wording import (
-    amount,
-    listed,
-    percent,
-    probability,
-    spread,
-    way,
-)
-from stickslip_fit.units import format_value, text_table
 
 WIDTH = 110
 INDENTED: dict[str, Any] = {
@@ -55,10 +56,10 @@ def findings_text(diagnosis: Diagnosis) -> str:
     rows = [
         [
             finding.cause,
-            percent(finding.effect.estimate),
-            spread(finding.effect, "%", 1),
+            format_percent(finding.effect.estimate),
+            format_interval(finding.effect, "%", 1),
             ", ".join(map(str, finding.joints)),
-            probability(finding.p_value),
+            format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or "–",
         ]
         for finding in diagnosis.findings
@@ -72,8 +73,8 @@ def parameters_text(diagnosis: Diagnosis) -> str:
         [
             finding.cause,
             each.name,
-            amount(each.size, each.unit, signed=True),
-            spread(each.size, each.unit, 1),
+            format_estimate(each.size, each.unit, signed=True),
+            format_interval(each.size, each.unit, 1),
             where(each),
         ]
         for finding in diagnosis.findings
@@ -84,7 +85,9 @@ def parameters_text(diagnosis: Diagnosis) -> str:
 
 def where(parameter: SizedParameter) -> str:
     """What a parameter belongs to, where that is not the whole campaign."""
-    joint = f"joint {parameter.joint} {way(parameter.direction)}".strip() if parameter.joint else ""
+    joint = (
+        f"joint {parameter.joint} {format_direction(parameter.direction)}".strip() if parameter.joint else ""
+    )
     session = f"session {parameter.session}" if parameter.session else ""
     return ", ".join(filter(None, [joint, session]))
 
@@ -128,11 +131,11 @@ def gain_text(diagnosis: Diagnosis) -> str:
     rows = [
         [
             name,
-            percent(gain.baseline),
-            percent(gain.extended),
-            f"{percent(gain.baseline - gain.extended)}",
-            f"{percent(gain.low).removesuffix(' %')} to {percent(gain.high)}",
-            percent(gain.noise_floor),
+            format_percent(gain.baseline),
+            format_percent(gain.extended),
+            f"{format_percent(gain.baseline - gain.extended)}",
+            f"{format_percent(gain.low).removesuffix(' %')} to {format_percent(gain.high)}",
+            format_percent(gain.noise_floor),
         ]
         for name, gain in lines
         if gain is not None
@@ -151,7 +154,7 @@ def next_text(diagnosis: Diagnosis) -> str:
         lines = [fill(note, **INDENTED) for note in notes]
         parts.append("\n".join(["traverses that would tell", text_table(header, rows, left=3), *lines]))
     for pair in out_of_reach(diagnosis.findings, diagnosis.next_experiment):
-        parts.append(f"no traverse within reach tells {listed(pair)} apart")
+        parts.append(f"no traverse within reach tells {join_words(pair)} apart")
     return "\n".join(parts)
 
 
@@ -168,7 +171,12 @@ def drive(traverse: NextTraverse) -> list[str]:
     ends = (
         ["all of", "its range"] if whole else [format_value(x, unit) for x in (traverse.start, traverse.stop)]
     )
-    return [f"{traverse.joint} {way(traverse.direction)}", str(traverse.repeats), ", ".join(at), *ends]
+    return [
+        f"{traverse.joint} {format_direction(traverse.direction)}",
+        str(traverse.repeats),
+        ", ".join(at),
+        *ends,
+    ]
 
 
 def alike_text(diagnosis: Diagnosis) -> str:
@@ -182,7 +190,9 @@ def alike_text(diagnosis: Diagnosis) -> str:
 
 def untestable_text(diagnosis: Diagnosis) -> str:
     """What the log could not have shown, reason by reason."""
-    lines = [fill(f"{listed(causes)}: {reason}", **INDENTED) for reason, causes in unseen(diagnosis).items()]
+    lines = [
+        fill(f"{join_words(causes)}: {reason}", **INDENTED) for reason, causes in unseen(diagnosis).items()
+    ]
     return "\n".join(["this log could not have shown", *lines]) if lines else ""
 
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import log, log10
 
+from stickslip_fit._format import capitalize_first as begun_large
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import format_estimate as amount
+from stickslip_fit._format import format_number as number
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import grow_or_shrink as more_or_less
+from stickslip_fit._format import join_words as listed
 from stickslip_fit.diagnose.diagnosis import Finding, SizedParameter
-from stickslip_fit.diagnose.sizes.amplitude import Interval
-from stickslip_fit.diagnose.telling.wording import (
-    amount,
-    begun_large,
-    listed,
-    more_or_less,
-    number,
-    percent,
-    way,
-)
 from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.units import Interval
 
 HALF_WAY = -36e-6  # m^2; of q3 (q3 - 12 mm) at 6 mm
 Parameters = tuple[SizedParameter, ...]

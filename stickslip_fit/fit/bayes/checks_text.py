@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._summary import text_table
 from stickslip_fit.fit.bayes.checks import leave_one_out, predictive_p_values
 from stickslip_fit.fit.bayes.posterior import Posterior
-from stickslip_fit.units import text_table
 
 ODD = 0.002  # in either tail; one of the p-values of all joints is this odd in about one fit of thirty
 # What a p-value near 0, and one near 1, says. A largest departure that is smaller than usual is no harm.

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._format import format_value
+from stickslip_fit._summary import text_table
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.bayes.cause_priors import CausePriors
 from stickslip_fit.fit.bayes.traverses import each_group
 from stickslip_fit.laws import Rows, StepLaw, travel
 from stickslip_fit.logs import Log
-from stickslip_fit.units import format_value, text_table
 
 Array = npt.NDArray[np.float64]
 Group = tuple[int, str]

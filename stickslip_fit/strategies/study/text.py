@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import MISSING, format_number, format_value, step_unit
+from stickslip_fit._summary import paragraph, text_table
 from stickslip_fit.machine import JOINTS, PRISMATIC
 from stickslip_fit.strategies.study.study import Study
 from stickslip_fit.strategies.study.verdict import answer, of_joint
-from stickslip_fit.strategies.text import between, paragraph, quantity
-from stickslip_fit.strategies.verdict import unit_of
-from stickslip_fit.units import format_value, text_table
-from stickslip_fit.units.format import MISSING
+from stickslip_fit.strategies.text import between
 
 
 def text(found: Study) -> str:
@@ -68,12 +67,12 @@ def left_out_text(found: Study) -> str:
     for (strategy, joint, reason), mine in table.groupby(["strategy", "joint", "reason"], sort=False):
         ways = " and ".join(dict.fromkeys(mine["direction"]))
         said = f"{strategy}: joint {joint}, direction {ways}: {reason}"
-        lines.append(paragraph(said, "  ", "    "))
+        lines.append(paragraph(said, first="  ", then="    "))
     return "\n".join(lines)
 
 
 def _joint_text(found: Study, joint: int) -> str:
-    unit = unit_of(joint)
+    unit = step_unit(joint)
     header = ["rms in %", "each way", "min", "rms", "95 %", "bias", "worst", unit, "held"]
     rows = []
     for scenario, mine in of_joint(found.accuracy(), joint).groupby("scenario", sort=False):
@@ -88,11 +87,11 @@ def _cells(row: pd.Series, unit: str) -> list[str]:
         f"  {row['strategy']}{failed}",
         f"{row['traverses']:.3g}",
         f"{row['seconds'] / 60:.0f}",
-        quantity(row["rms_relative"], "%"),
+        format_number(row["rms_relative"], "%"),
         between(row, "rms_relative", "%"),
-        quantity(row["bias_relative"], "%"),
-        quantity(row["worst_relative"], "%"),
-        quantity(row["rms"], unit),
+        format_number(row["bias_relative"], "%"),
+        format_number(row["worst_relative"], "%"),
+        format_number(row["rms"], unit),
         format_value(row["covered"], "%", 0) if np.isfinite(row["covered"]) else MISSING,
     ]
 
