@@ -78,7 +78,7 @@ class Table:
     note : str
         Stands below: what a mark in a cell means, what was left out.
     folded : bool
-        Whether HTML shows the caption alone until it is opened.
+        Whether the caption alone is shown: HTML opens the table at a click, text leaves it out unless full.
     """
 
     caption: str
@@ -125,12 +125,15 @@ class Section:
     tables : tuple of Table
     figures : tuple of Figure
         Shown by pages alone.
+    key : str
+        Names the section in a page's addresses.
     """
 
     title: str = ""
     paragraphs: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ class Summary:
     ----------
     title : str
     headline : tuple of str
-        The answer, a paragraph each.
+        The answer, a paragraph each; text begins with it, the title stands below.
     sections : tuple of Section
     flags : tuple of str
         What is wrong or doubtful.
@@ -168,18 +171,18 @@ class Summary:
         """The tables of all sections, in order."""
         return [table for section in self.sections for table in section.tables]
 
-    def as_text(self, width: int = WIDTH) -> str:
-        """For a terminal of `width` letters; a table may be wider."""
-        return "\n\n".join(filter(None, self._blocks(width)))
+    def as_text(self, width: int = WIDTH, *, full: bool = False) -> str:
+        """For a terminal of `width` letters; a table may be wider. `full` shows folded tables too."""
+        return "\n\n".join(filter(None, self._blocks(width, full)))
 
-    def _blocks(self, width: int) -> Iterator[str]:
-        yield self.title
+    def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(each, width) for each in self.headline)
+        yield self.title
         yield "\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags)
         for section in self.sections:
             said = [paragraph(each, width) for each in section.paragraphs]
             yield "\n".join(filter(None, [section.title, *said]))
-            yield from (table.as_text(width) for table in section.tables)
+            yield from (table.as_text(width) for table in section.tables if full or not table.folded)
 
     def as_html(self) -> str:
         """A fragment that needs nothing but itself, on light and on dark ground."""

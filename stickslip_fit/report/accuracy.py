@@ -85,8 +85,8 @@ def explain(errors: pd.DataFrame) -> str:
     return (
         f"{pluralize(len(errors), 'traverse')} that took no part in the calibration, each predicted by its "
         "own session's closed-form calibration and by that session's constant step. An error is predicted "
-        "less measured mean step size; rms with its 95 % interval (for Gaussian errors); worst is the largest "
-        "of all, with its sign; bias is the mean."
+        "less measured mean step size; rms with its 95 % interval (for Gaussian errors); worst is the "
+        "largest of all, with its sign; bias is the mean."
     )
 
 

@@ -6,9 +6,8 @@ import pandas as pd
 
 from stickslip_fit._format import format_direction, format_percent, format_uncertain, joint_name, pluralize
 from stickslip_fit._summary import Column, Table
-from stickslip_fit.fit import JointFit, Repeatability, Result
-from stickslip_fit.fit.result import EVERYWHERE
-from stickslip_fit.laws import Parameter
+from stickslip_fit.fit import Repeatability, Result
+from stickslip_fit.fit.summary import own_parameters
 
 MOST_SESSIONS = 8
 DISAGREES = "*"
@@ -87,25 +86,6 @@ def _cell(row: pd.Series, which: str) -> str:
         row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"], with_unit=False
     )
     return value + (DISAGREES if off else "")
-
-
-def own_parameters(fit: JointFit) -> list[Parameter]:
-    """Those of the published law, without those of causes."""
-    return [each for each in fit.law.parameters if each.name not in fit.common]
-
-
-def departures_tables(result: Result) -> list[Table]:
-    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
-    table = result.parameters
-    table = table[table["joint"] == EVERYWHERE]
-    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
-    rows = [
-        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
-        for row in table.itertuples(index=False)
-    ]
-    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
-    note = "One number each for all joints, directions and sessions. ± one standard error."
-    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
 
 
 def repeatability_table(calibration: Result, fit: Result) -> Table:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._format import format_value
-from stickslip_fit._summary import text_table
+from stickslip_fit._summary import Column, Table
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.bayes.cause_priors import CausePriors
 from stickslip_fit.fit.bayes.traverses import each_group
@@ -84,12 +84,23 @@ class Priors:
     causes: CausePriors | None = None
 
     def __str__(self) -> str:
-        rows = [line for group, prior in self.of.items() for line in _lines(group, prior)]
-        header = ["joint", "", "parameter", "campaign mean", "between sessions (95 %)"]
-        told = text_table(header, rows, left=3)
+        return "\n\n".join(table.as_text() for table in self.tables())
+
+    def tables(self) -> tuple[Table, ...]:
+        """Those of sessions, and those of causes where there are some."""
+        heads = ("joint", "direction", "parameter")
+        columns = (
+            *(Column(head, text=True) for head in heads),
+            Column("campaign mean"),
+            Column("between sessions (95 %)"),
+        )
+        rows = tuple(tuple(line) for group, prior in self.of.items() for line in _lines(group, prior))
+        of_sessions = Table("Priors", columns, rows, stubs=len(heads))
         if self.causes is None:
-            return told
-        return f"{told}\n\n{text_table(['cause', 'for the whole campaign (95 %)'], self.causes.lines())}"
+            return (of_sessions,)
+        columns = (Column("cause", text=True), Column("for the whole campaign (95 %)"))
+        rows = tuple(tuple(line) for line in self.causes.lines())
+        return of_sessions, Table("Priors of causes", columns, rows)
 
     def prior(self, joint: int, direction: str) -> Prior:
         """The prior of a joint and direction.
