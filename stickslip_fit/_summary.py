@@ -177,7 +177,7 @@ class Summary:
 
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(each, width) for each in self.headline)
-        yield self.title
+        yield self.title if self.flags or self.sections else ""
         yield "\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags)
         for section in self.sections:
             said = [paragraph(each, width) for each in section.paragraphs]

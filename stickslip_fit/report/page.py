@@ -19,7 +19,6 @@ from stickslip_fit.fit.summary import departures_tables, remarks
 from stickslip_fit.logs import Log
 from stickslip_fit.report import accuracy, calibrated
 from stickslip_fit.report.answer import answer, answer_table
-from stickslip_fit.report.claims import claims_table
 from stickslip_fit.report.compared import compared
 from stickslip_fit.report.d_table import d_table
 from stickslip_fit.report.diagnosis import diagnosed
@@ -28,6 +27,7 @@ from stickslip_fit.report.gallery import gallery
 from stickslip_fit.report.interactive.traverses import shown_traverses
 from stickslip_fit.report.load_coefficient import load_coefficients
 from stickslip_fit.strategies import Comparison
+from stickslip_fit.strategies.claims import claims_table
 
 
 def report_html(

@@ -74,7 +74,7 @@ def test_the_summary_says_what_a_person_wants_to_know(replicated, read):
     # Driven in + and -, interrupted, excluded.
     assert "monday 2012-03-05 09:00 2012-03-05 09:05 3 3 1 0" in lines
     assert "tuesday" in text
-    assert {"traverses 7", "over the full range 7", "configurations 2", "replicates 3"} <= {*lines}
+    assert {"traverses 7", "over the full range 6", "configurations 2", "replicates 3"} <= {*lines}
     assert {"q2 (°) −90", "q3 (mm) moves", "psi (°) 0"} <= {*lines}
     assert "temperature (°C) 8 of 8 21.5" in lines
     assert "covariate:Humidity_pct 8 of 8 990.25" in lines

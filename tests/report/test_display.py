@@ -253,7 +253,7 @@ def test_a_comparison_has_its_verdicts_in_view(months, read_page):
     found = compare(months.log, [ConstantStep(), ClosedForm()])
     caption = "Strategies for joint 3 (prismatic)"
     page = read_page(found._repr_html_())
-    assert len(page.heads[caption]) == 7, "more do not fit a notebook"
+    assert len(page.heads[caption]) == 9, "more do not fit a notebook"
     assert page.column(caption, "verdict") == ["worse", "least rms"]
     cost = found.cost().set_index("strategy")["seconds"]["closed form"] / 60
     assert float(page.column(caption, "timemin")[1]) == pytest.approx(cost, abs=0.51)

@@ -1,6 +1,9 @@
-"""The thesis's claims beside what its own printed numbers imply, and beside what a log shows."""
+"""The thesis's accuracy (Ch. 7): what it claims, what its own numbers imply, and what a log shows."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -15,11 +18,46 @@ from stickslip_fit._format import (
     typeset,
 )
 from stickslip_fit._summary import Column, Table
-from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS, Claim, share
-from stickslip_fit.strategies import ClosedForm, Comparison, ConstantStep
-from stickslip_fit.units import to_si
+from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
+from stickslip_fit.units import PRISMATIC, to_si
 
+if TYPE_CHECKING:
+    from stickslip_fit.strategies.comparison import Comparison
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An error that the thesis says is not exceeded.
+
+    Attributes
+    ----------
+    model : {"law", "constant"}
+    limit : float
+        In people's unit.
+    unit : {"%", "nm", "µrad"}
+    """
+
+    model: str
+    limit: float
+    unit: str
+
+
+PRISMATIC_CLAIMS = (
+    Claim("law", 20.0, "%"),
+    Claim("law", 15.0, "%"),
+    Claim("law", 100.0, "nm"),
+    Claim("constant", 10.0, "%"),
+)
+ROTARY_CLAIMS = (
+    Claim("law", 1.0, "µrad"),
+    Claim("law", 2.0, "µrad"),
+    Claim("law", 2.0, "%"),
+    Claim("constant", 1.3, "%"),
+)
+NOTE = (
+    "The thesis makes these statements side by side; they do not agree with each other. Its own parameters "
+    "put the constant step's error at up to 159 % (prismatic) and 25.7 % (rotary)."
+)
 # Of the thesis, or worked out from what it prints; data/published says which, and where from.
 STEP = {"nm": 12e6 / 12300, "µrad": 95.0}
 CONSTANT_STEP_ERROR = {"nm": 159.0, "µrad": 25.7}  # %
@@ -38,6 +76,56 @@ NOTES = {
         "psi = 0."
     ),
 }
+
+
+def claims_of(joint: int) -> tuple[Claim, ...]:
+    """What the thesis says of a joint."""
+    return PRISMATIC_CLAIMS if joint == PRISMATIC else ROTARY_CLAIMS
+
+
+def claims_table(errors: pd.DataFrame) -> Table:
+    """Each claim with the share of this log's traverses that keep to it."""
+    columns = (
+        Column("joint", text=True),
+        Column("model", text=True),
+        Column("claimed"),
+        Column("traverses within", "%", "this log"),
+        Column("worst", group="this log"),
+    )
+    body = []
+    for joint, mine in errors.groupby("joint"):
+        for claim in claims_of(joint):
+            error = _error(mine, claim)
+            within = float(np.mean(np.abs(error) <= to_si(claim.limit, claim.unit)))
+            name = "law" if claim.model == "law" else "constant step"
+            worst = error[np.argmax(np.abs(error))]
+            shown = (
+                format_percent(worst, signed=True) if claim.unit == "%" else format_value(worst, claim.unit)
+            )
+            cells = (name, f"±{format_plain(claim.limit)} {claim.unit}", share(within), shown)
+            body.append((joint_name(int(joint)), *cells))
+    return Table("The thesis's claims and this log", columns, tuple(body), stubs=2, note=NOTE)
+
+
+def _error(errors: pd.DataFrame, claim: Claim) -> np.ndarray:
+    predicted, measured = errors[claim.model].to_numpy(), errors["measured"].to_numpy()
+    return predicted / measured - 1.0 if claim.unit == "%" else predicted - measured
+
+
+def share(part: float) -> str:
+    """A share in per cent that says 100 only of all, and 0 only of none.
+
+    Examples
+    --------
+    >>> share(1.0), share(0.9999), share(0.5), share(0.001)
+    ('100', '>99', '50', '<1')
+    """
+    shown = 100 * part
+    if 0 < shown < 1:
+        return "<1"
+    if 99 < shown < 100:
+        return ">99"
+    return f"{shown:.0f}"
 
 
 def implied(claim: Claim, unit: str) -> str:
@@ -79,7 +167,7 @@ def implied_table(found: Comparison, joint: int) -> Table:
         Column("traverses within", "%", "this log"),
     )
     body = []
-    for claim in PRISMATIC_CLAIMS if joint == PRISMATIC else ROTARY_CLAIMS:
+    for claim in claims_of(joint):
         name, model = (
             (ClosedForm.name, "law") if claim.model == "law" else (ConstantStep.name, "constant step")
         )
@@ -107,3 +195,24 @@ def _reached(summed: pd.Series, errors: pd.DataFrame, claim: Claim) -> tuple[str
             kept,
         )
     return format_value(summed["rms"], claim.unit), format_value(summed["worst"], claim.unit), kept
+
+
+def claimed_table(found: Comparison, joint: int) -> Table:
+    """For each strategy, the share of traverses that keep to each of the thesis's claims."""
+    shared = found.shared
+    mine = shared[shared["joint"] == joint]
+    columns = [Column(_head(claim), "%", _of_whom(claim)) for claim in claims_of(joint)]
+    body = []
+    for strategy in found.compared(joint):
+        own = mine[mine["strategy"] == strategy]
+        body.append((strategy, *(share(within(own, claim)) for claim in claims_of(joint))))
+    caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
+    return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset(NOTE))
+
+
+def _head(claim: Claim) -> str:
+    return f"±{format_plain(claim.limit)} {claim.unit}"
+
+
+def _of_whom(claim: Claim) -> str:
+    return "law" if claim.model == "law" else "constant step"
