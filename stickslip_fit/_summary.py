@@ -64,6 +64,16 @@ class Column:
     text: bool = False
 
 
+def words(*heads: str) -> tuple[Column, ...]:
+    """Columns of words."""
+    return tuple(Column(head, text=True) for head in heads)
+
+
+def numbers(*heads: str, unit: str = "", group: str = "") -> tuple[Column, ...]:
+    """Columns of numbers in one unit, below one upper head."""
+    return tuple(Column(head, unit, group) for head in heads)
+
+
 @dataclass(frozen=True)
 class Table:
     """A captioned table.

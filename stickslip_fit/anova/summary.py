@@ -20,7 +20,7 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.anova.answer import Answer
 from stickslip_fit.anova.components import Component, Components
 from stickslip_fit.anova.verdict import LEVEL, advice, doubts, reasons, verdicts
@@ -72,15 +72,10 @@ def _tables(joint: int, anova: Anova) -> list[Table]:
 def _answers_table(joint: int, answers: Sequence[Answer]) -> Table:
     unit = step_unit(joint)
     columns = (
-        Column("question", text=True),
-        Column("session", text=True),
-        Column("largest less smallest", text=True),
+        *words("question", "session", "largest less smallest"),
         Column("difference (95 %)", unit),
-        Column("omega²"),
-        Column("F (degrees)"),
-        Column("F test", group="p"),
-        Column("adjusted", group="p"),
-        Column("permuted", group="p"),
+        *numbers("omega²", "F (degrees)"),
+        *numbers("F test", "adjusted", "permuted", group="p"),
         Column("would show", unit),
     )
     shown = [each for each in answers if len(answers) <= MAX_ROWS or each.question.session is None]
@@ -146,14 +141,11 @@ def _places(answers: Sequence[Answer]) -> str:
 def _squares_table(joint: int, answers: Sequence[Answer]) -> Table:
     unit = step_unit(joint)
     columns = (
-        Column("question", text=True),
-        Column("session", text=True),
-        Column("term", text=True),
+        *words("question", "session", "term"),
         Column("SS", f"{unit}²"),
         Column("df"),
         Column("MS", f"{unit}²"),
-        Column("F"),
-        Column("p"),
+        *numbers("F", "p"),
     )
     rows = [
         (*_question(each), *_line(line, unit))
@@ -176,8 +168,7 @@ def _components_table(found: Components) -> Table:
     unit = step_unit(found.joint)
     columns = (
         Column("source", text=True),
-        Column("standard deviation", unit),
-        Column("95 % interval", unit),
+        *numbers("standard deviation", "95 % interval", unit=unit),
         Column("share of the step size", "%"),
     )
     parts: list[tuple[str, Component | None]] = [

@@ -15,7 +15,7 @@ from stickslip_fit._format import (
     joint_name,
     pluralize,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
@@ -86,8 +86,7 @@ def _parameters(result: Result, joint: int) -> Table:
     shared = table["session"].isna()
     shown = pd.concat([table[table["session"].isin(sessions[-MAX_ROWS:])], table[shared]])
     columns = (
-        Column("session", text=True),
-        Column("direction", text=True),
+        *words("session", "direction"),
         *(Column(each.name, each.unit.replace("1", "")) for each in own_parameters(fit)),
         Column("remarks", text=True),
     )
@@ -164,8 +163,7 @@ def profile_section(table: pd.DataFrame) -> Section:
     columns = (
         *(Column(head, text=True) for head in ("joint", "session", "parameter")),
         Column("estimate"),
-        Column("quadratic", group="95 %"),
-        Column("profile", group="95 %"),
+        *numbers("quadratic", "profile", group="95 %"),
     )
     rows = []
     for row in known.itertuples(index=False):

@@ -17,7 +17,7 @@ from stickslip_fit._format import (
     joint_name,
     pluralize,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.logs.columns import CONDITIONS, COVARIATE, FIELDS
 from stickslip_fit.units import SUFFIXES, from_si
 
@@ -78,9 +78,7 @@ def _sessions(log: Log) -> Table:
     """When each session was and what was driven in it."""
     kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
     columns = (
-        Column("session", text=True),
-        Column("first traverse", text=True),
-        Column("last traverse", text=True),
+        *words("session", "first traverse", "last traverse"),
         *(Column(format_direction(sign), group=f"joint {joint}") for joint, sign in kinds),
         *(Column(name, group="not fitted") for name in NOT_FITTED),
     )
@@ -144,7 +142,7 @@ def _columns(log: Log) -> Table:
         )
         for name in given + own
     )
-    return Table("Conditions", (Column("column", text=True), Column("given"), Column("values")), body)
+    return Table("Conditions", (Column("column", text=True), *numbers("given", "values")), body)
 
 
 def _noted(log: Log) -> Table | None:

@@ -15,7 +15,7 @@ from stickslip_fit._format import (
     pluralize,
     step_unit,
 )
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.fit import summarise
 from stickslip_fit.machine import Machine
 
@@ -101,15 +101,10 @@ def _columns(joint: int, *heads: str) -> tuple[Column, ...]:
     return (
         *(Column(head, text=True) for head in heads),
         Column("traverses"),
-        Column("rms", unit, "law"),
-        Column("95 % interval", unit, "law"),
-        Column("worst", unit, "law"),
-        Column("bias", unit, "law"),
-        Column("rms", "%", "law"),
-        Column("worst", "%", "law"),
+        *numbers("rms", "95 % interval", "worst", "bias", unit=unit, group="law"),
+        *numbers("rms", "worst", unit="%", group="law"),
         Column("rms", unit, "constant step"),
-        Column("rms", "%", "constant step"),
-        Column("worst", "%", "constant step"),
+        *numbers("rms", "worst", unit="%", group="constant step"),
     )
 
 

@@ -16,7 +16,7 @@ from stickslip_fit._format import (
     pluralize,
     step_unit,
 )
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.fit import Result, summarise
 from stickslip_fit.fit.held_out import held_out_misfit
 from stickslip_fit.laws import expected_steps
@@ -61,15 +61,10 @@ def promises_kept(log: Log, calibration: Result, errors: pd.DataFrame) -> pd.Ser
 def answer_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFrame) -> Table:
     """The answer in numbers, for each joint and direction."""
     columns = (
-        Column("joint", text=True),
-        Column("direction", text=True),
+        *words("joint", "direction"),
         Column("traverses predicted"),
-        Column("rms", "%", "law"),
-        Column("average", "%", "law"),
-        Column("worst", "%", "law"),
-        Column("inside its 95 %", "%", "law"),
-        Column("rms", "%", "constant step"),
-        Column("worst", "%", "constant step"),
+        *numbers("rms", "average", "worst", "inside its 95 %", unit="%", group="law"),
+        *numbers("rms", "worst", unit="%", group="constant step"),
         Column("repeatability", "%"),
     )
     by = ["joint", "direction"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from stickslip_fit._format import format_direction, format_percent, format_uncertain, joint_name, pluralize
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, words
 from stickslip_fit.fit import Repeatability, Result
 from stickslip_fit.fit.summary import own_parameters
 
@@ -91,8 +91,7 @@ def _cell(row: pd.Series, which: str) -> str:
 def repeatability_table(calibration: Result, fit: Result) -> Table:
     """How well a traverse repeats, by replicates and by what the fit leaves over."""
     columns = (
-        Column("joint", text=True),
-        Column("direction", text=True),
+        *words("joint", "direction"),
         Column("repeatability", "%", "from replicates"),
         Column("degrees of freedom", group="from replicates"),
         Column("repeatability", "%", "from the fit's residuals"),

@@ -4,30 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from stickslip_fit._format import joint_name
 from stickslip_fit._summary import Summary
 from stickslip_fit.report.figures.pareto import pareto_picture
 from stickslip_fit.strategies import Comparison
 
 
-def compared(found: Comparison, sessions: int = 0) -> Summary:
+def compared(found: Comparison, sessions_in_log: int = 0) -> Summary:
     """A comparison with its figures drawn.
 
     Parameters
     ----------
     found : Comparison
-    sessions : int, optional
-        Of the log; said where the comparison is over fewer.
+    sessions_in_log : int, optional
+        Said where the comparison is over fewer.
     """
-    summary = found.summary()
-    if not found.joints:
-        return summary
-    how, *parts = summary.sections
+    summary, sections = found.summary(), []
+    for section in summary.sections:
+        joint = next((each for each in found.joints if section.title.lower() == joint_name(each)), None)
+        sections.append(replace(section, figures=(pareto_picture(found, joint),)) if joint else section)
     seen = {*found.spent["session"], *found.left_out["session"]} - {""}
-    if len(seen) < sessions:
-        fewer = (
-            f"Compared on the latest {len(seen)} of {sessions:,} sessions; stickslip-fit compare takes all."
-        )
-        how = replace(how, paragraphs=(*how.paragraphs, fewer))
-    for place, joint in enumerate(found.joints):
-        parts[place] = replace(parts[place], figures=(pareto_picture(found, joint),))
-    return replace(summary, sections=(how, *parts))
+    headline = summary.headline
+    if len(seen) < sessions_in_log:
+        told = f"Compared on the latest {len(seen)} of {sessions_in_log:,} sessions"
+        headline = (*headline, f"{told}; stickslip-fit compare takes all.")
+    return replace(summary, headline=headline, sections=tuple(sections))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from stickslip_fit._format import format_direction, format_length, format_number, format_uncertain
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.report.figures.traverses import recent
 from stickslip_fit.report.load_coefficient import ITERATIONS
 
@@ -13,14 +13,9 @@ from stickslip_fit.report.load_coefficient import ITERATIONS
 def d_table(table: pd.DataFrame) -> Table:
     """The table of `load_coefficients`, the latest sessions."""
     columns = (
-        Column("session", text=True),
-        Column("direction", text=True),
-        Column("q3", text=True),
-        Column("gamma0", "µrad"),
-        Column("delta", "µrad"),
-        Column("exact", "µrad", "d"),
-        Column("±", "µrad", "d"),
-        Column("Eq. 6.6", "µrad", "d"),
+        *words("session", "direction", "q3"),
+        *numbers("gamma0", "delta", unit="µrad"),
+        *numbers("exact", "±", "Eq. 6.6", unit="µrad", group="d"),
         *(
             Column("first guess" if k == 0 else f"pass {k}", "µrad", "d by the thesis's iteration")
             for k in range(ITERATIONS + 1)

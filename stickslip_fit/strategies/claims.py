@@ -17,7 +17,7 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
 from stickslip_fit.units import PRISMATIC, to_si
 
@@ -86,8 +86,7 @@ def claims_of(joint: int) -> tuple[Claim, ...]:
 def claims_table(errors: pd.DataFrame) -> Table:
     """Each claim with the share of this log's traverses that keep to it."""
     columns = (
-        Column("joint", text=True),
-        Column("model", text=True),
+        *words("joint", "model"),
         Column("claimed"),
         Column("traverses within", "%", "this log"),
         Column("worst", group="this log"),
@@ -159,11 +158,9 @@ def implied_table(found: Comparison, joint: int) -> Table:
     shared = found.shared[found.shared["joint"] == joint]
     accuracy = found.accuracy().set_index(["joint", "strategy"])
     columns = (
-        Column("claim", text=True),
-        Column("its own numbers say", text=True),
+        *words("claim", "its own numbers say"),
         Column("calibrated by", group="this log", text=True),
-        Column("rms", group="this log"),
-        Column("worst", group="this log"),
+        *numbers("rms", "worst", group="this log"),
         Column("traverses within", "%", "this log"),
     )
     body = []

@@ -19,7 +19,7 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.strategies.claims import claimed_table, implied_table
 from stickslip_fit.strategies.comparison import Comparison
 from stickslip_fit.strategies.trials import WHERE
@@ -78,9 +78,7 @@ def strategies_table(found: Comparison, joint: int) -> Table:
         Column("strategy", text=True),
         Column("each way", "traverses", "a session"),
         Column("time", "min", "a session"),
-        Column("rms", "%", "relative error"),
-        Column("95 % interval", "%", "relative error"),
-        Column("worst", "%", "relative error"),
+        *numbers("rms", "95 % interval", "worst", unit="%", group="relative error"),
         Column("95 % interval", "%", "less the best's"),
         Column("p", group="less the best's"),
         Column("verdict", text=True),
@@ -167,14 +165,10 @@ def worst_table(found: Comparison, joint: int, most: int = MAX_WORST) -> Table:
     """
     table, unit = worst_configurations(found, joint), step_unit(joint)
     columns = (
-        Column("strategy", text=True),
-        Column("configuration", text=True),
-        Column("direction", text=True),
+        *words("strategy", "configuration", "direction"),
         Column("traverses"),
-        Column("rms", unit),
-        Column("bias", unit),
-        Column("rms", "%"),
-        Column("worst", "%"),
+        *numbers("rms", "bias", unit=unit),
+        *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
     low, high = found.machine.ranges[joint]

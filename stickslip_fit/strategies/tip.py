@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_number
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import JOINTS, forward, jacobian
@@ -52,8 +52,7 @@ class TipErrors:
         """The distribution of each strategy's errors."""
         columns = (
             Column("strategy", text=True),
-            Column("moves"),
-            Column("unknown"),
+            *numbers("moves", "unknown"),
             *(Column(head, "µm") for head in ("rms", "median", "95 % within", "worst", "along")),
             *(Column(f"joint {joint}", "%", "share of the mean square") for joint in JOINTS),
         )

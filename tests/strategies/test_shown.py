@@ -134,6 +134,6 @@ def test_nothing_shared_is_said_and_not_drawn(log):
     few = log.select(log.rows["joint"] == 3)
     found = compare(few, [LeastSquares(AtRandom(), 90)])
     assert "No session is left" in " ".join(str(found).split())
-    assert found._repr_html_().count("<table") == 0
+    assert [table.caption for table in found.summary().tables] == ["Left out"]
     with pytest.raises(InputError, match="nothing to draw"):
         found.plot_pareto()

@@ -22,7 +22,7 @@ from stickslip_fit._format import (
     pluralize,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain, NextTraverse, SizedParameter
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN, Misfit
@@ -70,8 +70,7 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
         return []
     columns = (
         Column("found", text=True),
-        Column("effect, rms", "%"),
-        Column("95 % interval", "%"),
+        *numbers("effect, rms", "95 % interval", unit="%"),
         Column("joints", text=True),
         Column("p"),
         Column("cannot be told from", text=True),
@@ -97,10 +96,8 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
 
 def _parameters(diagnosis: Diagnosis) -> list[Table]:
     columns: tuple[Column, ...] = (
-        Column("cause", text=True),
-        Column("parameter", text=True),
-        Column("estimate"),
-        Column("95 % interval"),
+        *words("cause", "parameter"),
+        *numbers("estimate", "95 % interval"),
         Column("of", text=True),
     )
     rows: tuple[tuple[str, ...], ...] = tuple(
@@ -128,13 +125,7 @@ def _scope(parameter: SizedParameter) -> str:
 
 
 def _outliers(traverses: pd.DataFrame) -> Table:
-    columns = (
-        Column("session", text=True),
-        Column("time", text=True),
-        Column("joint", text=True),
-        Column("steps"),
-        Column("count less law", "%"),
-    )
+    columns = (*words("session", "time", "joint"), Column("steps"), Column("count less law", "%"))
     order = traverses["departure"].abs().sort_values(ascending=False).index
     shown = traverses.loc[order].head(MAX_TRAVERSES)
     rows = tuple(
@@ -233,8 +224,7 @@ def _next_tables(diagnosis: Diagnosis) -> list[Table]:
     """The traverses that would tell causes apart."""
     places = ("q1", "q2", "q3", "theta", "psi", "from", "to")
     columns = (
-        Column("tells apart", text=True),
-        Column("joint", text=True),
+        *words("tells apart", "joint"),
         Column("times"),
         *map(Column, places),
         Column("when", text=True),

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._format import format_value
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.bayes.cause_priors import CausePriors
 from stickslip_fit.fit.bayes.traverses import each_group
@@ -91,8 +91,7 @@ class Priors:
         heads = ("joint", "direction", "parameter")
         columns = (
             *(Column(head, text=True) for head in heads),
-            Column("campaign mean"),
-            Column("between sessions (95 %)"),
+            *numbers("campaign mean", "between sessions (95 %)"),
         )
         rows = tuple(tuple(line) for group, prior in self.of.items() for line in _lines(group, prior))
         of_sessions = Table("Priors", columns, rows, stubs=len(heads))

@@ -17,7 +17,7 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.fit.provenance import versions
 from stickslip_fit.strategies.study.study import Study
 from stickslip_fit.strategies.study.verdict import answer, of_joint
@@ -68,17 +68,12 @@ def _joint_table(found: Study, joint: int) -> Table:
     """One joint's strategies in each scenario."""
     unit = step_unit(joint)
     columns = (
-        Column("scenario", text=True),
-        Column("strategy", text=True),
+        *words("scenario", "strategy"),
         Column("each way", group="a session"),
         Column("time", "min", "a session"),
-        Column("rms", "%"),
-        Column("95 %", "%"),
-        Column("bias", "%"),
-        Column("worst", "%"),
+        *numbers("rms", "95 %", "bias", "worst", unit="%"),
         Column("rms", unit),
-        Column("held", "%"),
-        Column("failed", "%"),
+        *numbers("held", "failed", unit="%"),
     )
     rows = tuple(_cells(row, unit) for _, row in of_joint(found.accuracy(), joint).iterrows())
     return Table(f"Strategies for {joint_name(joint)}", columns, rows, stubs=2)
@@ -120,8 +115,7 @@ def _tip_answer(tips: pd.DataFrame) -> str:
 def _tips_table(found: Study, tips: pd.DataFrame) -> Table:
     heads = ("rms", "half within", "95 % within", "in 9 campaigns of 10", "worst")
     columns = (
-        Column("scenario", text=True),
-        Column("strategy", text=True),
+        *words("scenario", "strategy"),
         *(Column(head, "µm") for head in heads),
         *(Column(f"joint {joint}", "%", "share of the mean square") for joint in JOINTS),
         Column("unknown", "%"),
