@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import sqrt
 
 from stickslip_fit._format import (
+    capitalize_first,
     format_direction,
     format_p_value,
     format_percent,
@@ -33,7 +34,7 @@ def verdicts(joint: int, answers: Sequence[Answer]) -> list[str]:
     mine = [each for each in answers if each.question.joint == joint]
     tellers = {"day": _day, "direction": _direction, "normal-force": _normal_force}
     by_name = {name: [each for each in mine if each.question.analysis == name] for name in tellers}
-    return [_capital(tell(by_name[name])) for name, tell in tellers.items() if by_name[name]]
+    return [capitalize_first(tell(by_name[name])) for name, tell in tellers.items() if by_name[name]]
 
 
 def advice(found: Components, answers: Sequence[Answer]) -> list[str]:
@@ -152,10 +153,6 @@ def _may_drift(answers: Sequence[Answer]) -> bool:
     )
 
 
-def _capital(sentence: str) -> str:
-    return sentence[0].upper() + sentence[1:]
-
-
 def _way(answer: Answer) -> str:
     return format_direction(str(answer.question.direction))
 
@@ -184,7 +181,7 @@ def doubts(answers: Sequence[Answer]) -> list[str]:
             else:
                 told[premise.verdict].setdefault(premise.message, []).append(each.question)
     lines = [
-        f"{_capital(message)} ({named(asked)})."
+        f"{capitalize_first(message)} ({named(asked)})."
         for by_message in told.values()
         for message, asked in by_message.items()
     ]
@@ -196,7 +193,7 @@ def reasons(refused: Sequence[Refusal]) -> list[str]:
     told: dict[str, list[Refusal]] = {}
     for each in refused:
         told.setdefault(each.reason, []).append(each)
-    return [f"{_capital(named(asked))}: {reason}." for reason, asked in told.items()]
+    return [f"{capitalize_first(named(asked))}: {reason}." for reason, asked in told.items()]
 
 
 def named(asked: Sequence[Question | Refusal]) -> str:

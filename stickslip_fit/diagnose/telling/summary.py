@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,7 @@ def summarize(diagnosis: Diagnosis, command: str = "") -> Summary:
         As typed.
     """
     name = Path(diagnosis.log_file).name or "a log that was never in a file"
+    further = traverses_table("Traverses that would tell", diagnosis.next_experiment)
     return Summary(
         f"Diagnosis of {name}",
         tuple(map(typeset, answer(diagnosis))),
@@ -51,7 +53,10 @@ def summarize(diagnosis: Diagnosis, command: str = "") -> Summary:
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),
-                (*_ranking_tables(diagnosis), *_next_tables(diagnosis)),
+                (
+                    *_ranking_tables(diagnosis),
+                    *traverses_table("Traverses that would tell", diagnosis.next_experiment),
+                ),
                 key="alternatives",
             ),
             Section("What this log could not have shown", tuple(_not_seen(diagnosis)), key="unseen"),
@@ -220,17 +225,12 @@ def _ranking_tables(diagnosis: Diagnosis) -> list[Table]:
     return [Table("What may be at work", columns, rows)] if rows else []
 
 
-def _next_tables(diagnosis: Diagnosis) -> list[Table]:
-    """The traverses that would tell causes apart."""
+def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Table]:
+    """Traverses to make next, with the causes that they tell apart or show; nothing where there are none."""
     places = ("q1", "q2", "q3", "theta", "psi", "from", "to")
-    columns = (
-        *words("tells apart", "joint"),
-        Column("times"),
-        *map(Column, places),
-        Column("when", text=True),
-    )
-    rows = tuple(map(_traverse, diagnosis.next_experiment))
-    return [Table("Traverses that would tell", columns, rows)] if rows else []
+    columns = (*words("causes", "joint"), *map(Column, ("times", *places)), *words("when"))
+    rows = tuple(map(_traverse, traverses))
+    return [Table(caption, columns, rows)] if rows else []
 
 
 def _traverse(each: NextTraverse) -> tuple[str, ...]:
