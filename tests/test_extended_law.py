@@ -229,7 +229,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
 def test_the_guide_s_example_comes_out_as_printed_there(run):
     guide = (REFERENCE.parents[1] / "docs" / "howto" / "extend-the-law.md").read_text("utf-8")
     causes = re.search(r"```toml\n(.*?)```", guide, re.S)[1]
-    printed = re.search(r"```text\n(departures from the published laws.*?)```", guide, re.S)[1]
+    printed = re.search(r"```text\n(Departures from the published laws.*?)```", guide, re.S)[1]
     Path("guide.toml").write_text(causes + (REFERENCE / "law.toml").read_text("utf-8"))
     run("simulate", REFERENCE / "plan.toml", "--law", "guide.toml", "-o", "guide.csv")
     names = re.findall(r'name = "(.*)"', causes)

@@ -60,7 +60,7 @@ def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_pa
     saved, chart = tmp_path / "out.json", tmp_path / "out.png"
     status, out, _ = run("plan", plan, "--alpha", 0.05, "--json", saved, "--chart", chart)
     assert status == 0
-    answer, *tables = out.split("\n\n")
+    answer, _, *tables = out.split("\n\n")
     assert answer.startswith("three loads: 30 traverses in 1 session could show ")
     assert "drift" in tables[1]
     assert "wear" in tables[1]
@@ -119,7 +119,7 @@ def test_causes_that_a_log_confuses_come_with_the_traverses_that_tell_them_apart
     content = json.loads(saved.read_text("utf-8"))
     assert status == 0
     assert content["verdict"] == "cannot tell apart"
-    assert "to tell apart, in a new session" in out
+    assert "To tell apart, in a new session" in out
     assert "drift" in content["next_experiment"][0]["tells_apart"]
     assert content["next_experiment"][0]["repeats"] >= 1
     assert content["out_of_reach"] == []

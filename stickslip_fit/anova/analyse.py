@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.anova.answer import Answer, answer
 from stickslip_fit.anova.components import Components, components
 from stickslip_fit.anova.day import day
@@ -38,18 +39,16 @@ class Anova:
     components: tuple[Components, ...] = ()
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import anova_html
+        return self.summary().as_html()
 
-        return anova_html(self)
+    def summary(self) -> Summary:
+        """What matters and what to do, then what was asked and answered."""
+        from stickslip_fit.anova.summary import summarize
 
-    def summary(self) -> str:
-        """What was asked and answered, as text."""
-        from stickslip_fit.anova.text import anova_text
-
-        return anova_text(self)
+        return summarize(self)
 
     def plot_factor(self, joint: int, factor: str) -> AxesOf:
         """One joint's readings by ``day``, ``direction`` or ``normal-force``.

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.anova.comparison import shift
 from stickslip_fit.anova.holm import holm
 from stickslip_fit.anova.projection import indicator, orthonormal
@@ -82,18 +83,16 @@ class FormulaTable:
     count: int
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import formula_html
+        return self.summary().as_html()
 
-        return formula_html(self)
+    def summary(self) -> Summary:
+        """What shows an effect, then the table."""
+        from stickslip_fit.anova.summary import summarize_formula
 
-    def summary(self) -> str:
-        """What was asked and answered, as text."""
-        from stickslip_fit.anova.formula_text import formula_text
-
-        return formula_text(self)
+        return summarize_formula(self)
 
     @property
     def table(self) -> pd.DataFrame:

@@ -8,7 +8,7 @@ import pandas as pd
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import column, expected_steps, travel
 from stickslip_fit.logs import Log
-from stickslip_fit.machine import PRISMATIC, published_load
+from stickslip_fit.machine import published_load
 from stickslip_fit.units import from_si
 
 UNITS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
@@ -65,11 +65,6 @@ def selected(rows: pd.DataFrame, joint: int | None, session: str | None) -> pd.D
     if rows.empty:
         raise InputError("the log has no usable traverse")
     return rows
-
-
-def step_unit(joint: int) -> str:
-    """The unit in which people read a joint's step size."""
-    return "nm" if joint == PRISMATIC else "µrad"
 
 
 def describe(row: pd.Series, span: float, names: list[str]) -> str:

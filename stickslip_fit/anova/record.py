@@ -6,9 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from stickslip_fit._format import step_unit
 from stickslip_fit.anova.answer import Answer
 from stickslip_fit.anova.question import Refusal
-from stickslip_fit.anova.readings import step_unit
 from stickslip_fit.files import write_atomically
 from stickslip_fit.units import from_si
 

@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import sqrt
 
+from stickslip_fit._format import (
+    capitalize_first,
+    format_direction,
+    format_p_value,
+    format_percent,
+    format_step,
+    format_step_range,
+    join_words,
+)
 from stickslip_fit.anova.answer import Answer
 from stickslip_fit.anova.components import Components
 from stickslip_fit.anova.question import Question, Refusal
-from stickslip_fit.anova.wording import between, listed, probability, share, size, way
 
 LEVEL = 0.05
 ALL = "over all sessions"
@@ -26,7 +34,7 @@ def verdicts(joint: int, answers: Sequence[Answer]) -> list[str]:
     mine = [each for each in answers if each.question.joint == joint]
     tellers = {"day": _day, "direction": _direction, "normal-force": _normal_force}
     by_name = {name: [each for each in mine if each.question.analysis == name] for name in tellers}
-    return [_capital(tell(by_name[name])) for name, tell in tellers.items() if by_name[name]]
+    return [capitalize_first(tell(by_name[name])) for name, tell in tellers.items() if by_name[name]]
 
 
 def advice(found: Components, answers: Sequence[Answer]) -> list[str]:
@@ -41,8 +49,8 @@ def _recalibrate(found: Components, answers: Sequence[Answer]) -> str:
         sqrt(2.0) * value for value in (found.total.deviation, found.total.low, found.total.high)
     )
     price = (
-        f"the calibration of another session is off by {size(cost, found.joint)} a step "
-        f"rms ({share(cost / found.mean)}; 95 %: {between(low, high, found.joint)}), "
+        f"the calibration of another session is off by {format_step(cost, found.joint)} a step "
+        f"rms ({format_percent(cost / found.mean)}; 95 %: {format_step_range(low, high, found.joint)}), "
         f"{_times(cost / found.replicate.deviation)} what one reading differs from the next"
     )
     if changes:
@@ -57,7 +65,8 @@ def _separate(found: Components, answers: Sequence[Answer]) -> list[str]:
         return []
     differs = any(matters(each) for each in answers if each.question.analysis == "direction")
     cost, worth = abs(found.direction) / 2, WORTH * found.replicate.deviation
-    price = f"one set for both is off by {size(cost, found.joint)} a step ({share(cost / found.mean)})"
+    share = format_percent(cost / found.mean)
+    price = f"one set for both is off by {format_step(cost, found.joint)} a step ({share})"
     if differs:
         return [f"Keep separate parameters for each direction: {price}."]
     if max(map(abs, (found.direction_low or 0.0, found.direction_high or 0.0))) / 2 > worth:
@@ -78,14 +87,16 @@ def _day(asked: Sequence[Answer]) -> str:
     if changed:
         sizes = [f"{_size(each)} in direction {_way(each)}" for each in changed]
         told.append(
-            f"the step size changes from session to session, by up to {listed(sizes)} ({_p(changed)})"
+            f"the step size changes from session to session, by up to {join_words(sizes)} ({_p(changed)})"
         )
     if same:
-        ways = listed([_way(each) for each in same])
-        seen = [f"{size(each.detectable, each.question.joint)} in direction {_way(each)}" for each in same]
+        ways = join_words([_way(each) for each in same])
+        seen = [
+            f"{format_step(each.detectable, each.question.joint)} in direction {_way(each)}" for each in same
+        ]
         told.append(
             f"no change from session to session shows in direction {ways} ({_p(same)}); one of "
-            f"{listed(seen)} would most likely have shown"
+            f"{join_words(seen)} would most likely have shown"
         )
     return "; ".join(told) + "."
 
@@ -100,13 +111,15 @@ def _direction(asked: Sequence[Answer]) -> str:
         each_of = f"{len(differing)} of {len(within)} sessions" if len(within) > 1 else "the session"
         sizes = sorted(each.effect.difference for each in differing)
         joint = asked[0].question.joint
-        spread = size(sizes[0], joint) if len(sizes) == 1 else between(sizes[0], sizes[-1], joint)
+        spread = (
+            format_step(sizes[0], joint) if len(sizes) == 1 else format_step_range(sizes[0], sizes[-1], joint)
+        )
         unsure = "; from so few, or so different, sessions it cannot be said of others" if over else ""
         return f"the two directions differ in {each_of}, by {spread} ({_p(differing)}){unsure}."
     least = min(asked, key=lambda each: each.detectable)
     return (
         f"no difference between the directions shows ({_p(asked)}); one of "
-        f"{size(least.detectable, least.question.joint)} would most likely have shown."
+        f"{format_step(least.detectable, least.question.joint)} would most likely have shown."
     )
 
 
@@ -117,13 +130,13 @@ def _normal_force(asked: Sequence[Answer]) -> str:
         least = max(over, key=lambda each: each.detectable)
         return (
             f"turning the base about the joint's axis changes nothing that shows ({_p(over)}); a change of "
-            f"{size(least.detectable, least.question.joint)} would most likely have shown."
+            f"{format_step(least.detectable, least.question.joint)} would most likely have shown."
         )
     sizes = [
         f"{_size(each)} in direction {_way(each)} (between {' and '.join(each.furthest)})"
         for each in differing
     ]
-    told = f"{listed(sizes)} ({_p(differing)})"
+    told = f"{join_words(sizes)} ({_p(differing)})"
     if _may_drift(differing):
         return (
             f"between orientations of the base about the joint's axis the step size differs, by {told}; but "
@@ -140,23 +153,21 @@ def _may_drift(answers: Sequence[Answer]) -> bool:
     )
 
 
-def _capital(sentence: str) -> str:
-    return sentence[0].upper() + sentence[1:]
-
-
 def _way(answer: Answer) -> str:
-    return way(str(answer.question.direction))
+    return format_direction(str(answer.question.direction))
 
 
 def _size(answer: Answer) -> str:
-    return f"{size(answer.effect.difference, answer.question.joint)} ({share(answer.relative)})"
+    return (
+        f"{format_step(answer.effect.difference, answer.question.joint)} ({format_percent(answer.relative)})"
+    )
 
 
 def _p(answers: Sequence[Answer]) -> str:
     """The least convincing adjusted p-value of effects, the most convincing one where none shows."""
     values = [each.p_holm for each in answers]
     shown = max(values) if all(value < LEVEL for value in values) else min(values)
-    return f"adjusted p {probability(shown)}"
+    return f"adjusted p {format_p_value(shown, relation=True)}"
 
 
 def doubts(answers: Sequence[Answer]) -> list[str]:
@@ -170,11 +181,11 @@ def doubts(answers: Sequence[Answer]) -> list[str]:
             else:
                 told[premise.verdict].setdefault(premise.message, []).append(each.question)
     lines = [
-        f"{_capital(message)} ({named(asked)})."
+        f"{capitalize_first(message)} ({named(asked)})."
         for by_message in told.values()
         for message, asked in by_message.items()
     ]
-    return [*lines, f"All other checks of {listed(list(fine))} pass."] if fine else lines
+    return [*lines, f"All other checks of {join_words(list(fine))} pass."] if fine else lines
 
 
 def reasons(refused: Sequence[Refusal]) -> list[str]:
@@ -182,16 +193,20 @@ def reasons(refused: Sequence[Refusal]) -> list[str]:
     told: dict[str, list[Refusal]] = {}
     for each in refused:
         told.setdefault(each.reason, []).append(each)
-    return [f"{_capital(named(asked))}: {reason}." for reason, asked in told.items()]
+    return [f"{capitalize_first(named(asked))}: {reason}." for reason, asked in told.items()]
 
 
 def named(asked: Sequence[Question | Refusal]) -> str:
     """Questions in few words, the sessions of one kind together."""
     sessions: dict[str, list[str]] = {}
     for each in asked:
-        parts = [f"joint {each.joint}", each.analysis, *([way(each.direction)] if each.direction else [])]
+        parts = [
+            f"joint {each.joint}",
+            each.analysis,
+            *([format_direction(each.direction)] if each.direction else []),
+        ]
         sessions.setdefault(" ".join(parts), []).append(each.session or ALL)
-    return listed([f"{name}{_sessions(which)}" for name, which in sessions.items()])
+    return join_words([f"{name}{_sessions(which)}" for name, which in sessions.items()])
 
 
 def _sessions(which: Sequence[str]) -> str:

@@ -9,10 +9,10 @@ from typing import Protocol
 
 import pandas as pd
 
+from stickslip_fit._format import format_value
 from stickslip_fit.capture.ear import Heard
 from stickslip_fit.capture.expected import Expected
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.units import format_value
 
 
 class Choice(Enum):

@@ -6,13 +6,13 @@ import sys
 
 import typer
 
+from stickslip_fit._format import format_value
 from stickslip_fit.capture.conditions import EXAMPLE, conditions_of, conditions_text
 from stickslip_fit.capture.ear import Heard
 from stickslip_fit.capture.keys import Keys
 from stickslip_fit.capture.person import Answer, Choice, Reading, Setting, Work, position_text
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.units import format_value
 
 DOUBT = 30.0  # s for which a doubtful reading is waited with, so that an unattended afternoon goes on
 SHOWN_EVERY = 20  # checks

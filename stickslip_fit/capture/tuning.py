@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.capture import spectra
 from stickslip_fit.capture.limits import CHECKS, Limits, limits_for, pair_chance
 from stickslip_fit.errors import InputError, Problem
@@ -125,12 +126,10 @@ class Tuning:
         return float(self.limits.pair[-1]), float(self.limits.least[-1])
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import tuning_html
-
-        return tuning_html(self)
+        return self.summary().as_html()
 
     def plot_spectrum(self) -> npt.NDArray[np.object_]:
         """Both spectra with the tuned band; see `report.figures.spectrum`."""
@@ -139,8 +138,13 @@ class Tuning:
 
         return panels(plot_spectrum(self))
 
-    def summary(self) -> str:
-        """What was found, for people."""
+    def summary(self) -> Summary:
+        """What to listen for, and how well it is told from other noise."""
+        return Summary("Tuning of the ear", (self.conclusion,))
+
+    @property
+    def conclusion(self) -> str:
+        """What was found, in two sentences."""
         rise, limit = (10 * np.log10(value) for value in (self.rise, self._at_last[0]))
         found = (
             f"Listen at {self.frequency:,.0f} Hz, {self.width:,.0f} Hz wide: at the stop it is {rise:.1f} dB "

@@ -16,11 +16,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import capitalize_first, format_estimate, format_number
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.laws import Parameter, Rows, State, StepLaw, column, state_at
 from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
 from stickslip_fit.machine import Machine
-from stickslip_fit.units.wording import Interval, amount, begun_large, number
+from stickslip_fit.units import Interval
 
 if TYPE_CHECKING:
     from stickslip_fit.causes.extended_law import ExtendedLaw
@@ -82,8 +83,8 @@ class SizedParameter:
         if either:
             return positive if self.size.estimate > 0 else other
         if form.endswith("f"):
-            return number(self.size.estimate, self.unit, int(form[1:-1]))
-        return amount(self.size, self.unit, signed=form == "+")
+            return format_number(self.size.estimate, self.unit, int(form[1:-1]))
+        return format_estimate(self.size, self.unit, signed=form == "+")
 
 
 Sizes = Mapping[str, SizedParameter]
@@ -311,7 +312,7 @@ def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:
     'The moon shines (k = 2 %)'
     """
     sizes = ", ".join(f"{each.name} = {each:+}" for each in parameters)
-    return begun_large(phrase) + (f" ({sizes})" if sizes else "")
+    return capitalize_first(phrase) + (f" ({sizes})" if sizes else "")
 
 
 def missing_column(rows: pd.DataFrame, name: str) -> str | None:

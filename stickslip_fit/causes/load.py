@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_direction, join_words
 from stickslip_fit.causes.base import (
     Array,
     Cause,
@@ -28,7 +29,6 @@ from stickslip_fit.causes.base import (
 )
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.machine import Machine
-from stickslip_fit.units.wording import listed, way
 
 __all__ = [  # noqa: RUF022
     "SideLoad",
@@ -138,8 +138,8 @@ class LoadNonlinearity(TermCause):
         """See `Cause.describe`."""
         if not parameters:
             return super().describe(parameters)
-        bends = [f"{each:+} for {each.joint} {way(each.direction)}" for each in parameters]
-        return f"The response to load bends, by {listed(bends)} (joint and direction)"
+        bends = [f"{each:+} for {each.joint} {format_direction(each.direction)}" for each in parameters]
+        return f"The response to load bends, by {join_words(bends)} (joint and direction)"
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""

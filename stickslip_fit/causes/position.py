@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_percent
 from stickslip_fit.causes.base import Array, Cause, CauseParameter, CountCause, FactorCause, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.units.wording import percent
 
 __all__ = [  # noqa: RUF022
     "BearingRunout",
@@ -273,7 +273,7 @@ class EndStopMisfire(Cause):
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`."""
         one_in = round(1 / sizes["share"].size.estimate)
-        return {"one_in": f"{one_in:,}", "size": percent(sizes["size"].size.estimate)}
+        return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
 
     def departures(self, values: Array, luck: Array) -> Array:
         """Log steps that misfires add to counts, shape (n,).

@@ -36,7 +36,7 @@ def anova(
     campaign = log_of(log, machine, since, until)
     if formula is None:
         found = analyse(campaign, joint=joint, session=session)
-        text, records = str(found), found.to_json()
+        text, records = found.summary().as_text(full=True), found.to_json()
     else:
         tables = by_formula(campaign, formula, joint=joint, session=session, kind=kind)
         text = "\n\n".join(map(str, tables))

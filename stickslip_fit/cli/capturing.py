@@ -148,7 +148,7 @@ def emulated_rig(job: Job, emulation: Emulation, ledger: Ledger, person: Person)
     if not emulation.perfect_ear:
         microphone = emulator.microphone(Acoustics(emulation.snr_db, period=period))
         tuning = tune_emulated(controller, microphone, clock, plan.check_every)
-        person.tell(tuning.summary())
+        person.tell(tuning.conclusion)
         ear = Detector(microphone, tuning)
     return Rig(controller, ear, clock), EmulatedPerson(person, emulator.hands, clock, plan)
 

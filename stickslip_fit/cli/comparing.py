@@ -47,9 +47,7 @@ def compare(
     from stickslip_fit import strategies
     from stickslip_fit.fit import load_result
     from stickslip_fit.report.chart import check_suffix, write_figure
-    from stickslip_fit.report.claimed import claimed_text
     from stickslip_fit.report.figures.pareto import plot_pareto
-    from stickslip_fit.report.worst import worst_text
 
     for path in (numbers, chart):
         if path is not None:
@@ -68,11 +66,11 @@ def compare(
         known = strategies.from_result(campaign, load_result(causes_from))
         compared += strategies.causes_strategies(known, more)
     found = strategies.compare(campaign, compared, at_hand=at_hand, command=command())
-    told = [str(found), worst_text(found), claimed_text(found)]
+    told = [found.summary().as_text(full=True)]
     if numbers is not None:
         written = strategies.save_numbers(found, numbers)
         told.append(f"{len(written)} tables saved in {numbers}")
     if chart is not None:
         write_figure(plot_pareto(found), chart, "pareto")
         told.append(f"chart written to {chart}")
-    print("\n\n".join(filter(None, told)))
+    print("\n\n".join(told))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -111,8 +111,7 @@ def refuse(how: Estimator, outputs: Outputs) -> None:
 
 def estimate(log: Log, how: Estimator) -> Estimate:
     """Fit a log and put the result into words."""
-    from stickslip_fit.fit import closed_form, least_squares, load_result, summary
-    from stickslip_fit.fit.expectation import expectation, expectation_text
+    from stickslip_fit.fit import closed_form, least_squares, load_result
     from stickslip_fit.fit.likelihood import Gaussian, StudentT
 
     if how.method is Method.bayes:
@@ -131,13 +130,14 @@ def estimate(log: Log, how: Estimator) -> Estimate:
             repeatability=repeatabilities_of(how.repeatability, "--repeatability"),
             command=command(),
         )
-    parts = [summary(result), expectation_text(expectation(result))]
+    summary = result.summary()
     if how.profile:
         from stickslip_fit.fit.profile import profile_intervals
-        from stickslip_fit.fit.summary import profile_summary
+        from stickslip_fit.fit.summary import profile_section
 
-        parts.append(profile_summary(profile_intervals(log, result)))
-    return Estimate(result, "\n\n".join(parts))
+        profile = profile_section(profile_intervals(log, result))
+        summary = replace(summary, sections=(*summary.sections, profile))
+    return Estimate(result, str(summary))
 
 
 def causes_of(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
@@ -191,13 +191,13 @@ def _bayes(log: Log, how: Estimator) -> Estimate:
     import sys
 
     from stickslip_fit.fit.bayes import bayes
-    from stickslip_fit.fit.bayes.checks_text import checks_text
-    from stickslip_fit.fit.expectation import expectation, expectation_text
+    from stickslip_fit.fit.bayes.checks_text import checks_section
 
     watched = sys.stderr.isatty()
     causes = causes_of(how.causes, log)
     posterior = bayes(
         log, causes=causes, seed=how.seed, backend=how.walks, progress=watched, command=command()
     )
-    told = expectation_text(expectation(posterior.result))
-    return Estimate(posterior.result, f"{posterior}\n\n{checks_text(posterior)}\n\n{told}", posterior)
+    summary = posterior.summary()
+    summary = replace(summary, sections=(*summary.sections, checks_section(posterior)))
+    return Estimate(posterior.result, str(summary), posterior)

@@ -57,7 +57,7 @@ def tune(
             capturing.Connection(at, dialect.value, device), joint, check_every, period
         )
     save_tuning(found, output)
-    print(f"{found.summary()}\n\nsaved to {output}")
+    print(f"{found.conclusion}\n\nsaved to {output}")
     if chart is not None:
         from stickslip_fit.report.chart import write_figure
         from stickslip_fit.report.figures.spectrum import plot_spectrum

@@ -77,9 +77,9 @@ def after_log(log: Log, alpha: float, seed: int) -> Outlook:
     from stickslip_fit.diagnose.diagnose import decide
     from stickslip_fit.diagnose.experiments.ahead import ahead
     from stickslip_fit.diagnose.experiments.next_experiment import next_experiment, out_of_reach
+    from stickslip_fit.diagnose.experiments.summary import summarize_next
     from stickslip_fit.diagnose.experiments.unseen import unseen, written_down
     from stickslip_fit.diagnose.telling.diagnosis_json import traverse_json
-    from stickslip_fit.report.next_traverses import next_traverses_text
 
     diagnosis = decide(log, alpha=alpha, seed=seed)
     bench = diagnosis.search.bench
@@ -107,7 +107,7 @@ def after_log(log: Log, alpha: float, seed: int) -> Outlook:
             for each in missed
         ],
     }
-    return Outlook(next_traverses_text(diagnosis, traverses, beyond, missed, log.machine), content)
+    return Outlook(str(summarize_next(diagnosis, traverses, beyond, missed)), content)
 
 
 def before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, seed: int) -> Outlook:
@@ -118,7 +118,7 @@ def before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, se
     from stickslip_fit.diagnose.experiments.matrix import matrix
     from stickslip_fit.diagnose.experiments.matrix_json import matrix_json
     from stickslip_fit.diagnose.experiments.of_plan import bench_of_plan
-    from stickslip_fit.report.separability import SHOWN_AT, separability_text
+    from stickslip_fit.diagnose.experiments.summary import SHOWN_AT, summarize_plan
 
     bench, untestable = bench_of_plan(plan, truth, machine)
     found = matrix(bench, untestable, alpha, flips(alpha), np.random.default_rng(seed))
@@ -128,8 +128,8 @@ def before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, se
 
         return plot_separability(found, SHOWN_AT)
 
-    text = separability_text(found, plan.name, len(bench), len(plan.sessions))
-    return Outlook(text, {"plan": plan.name} | matrix_json(found, SHOWN_AT), draw)
+    summary = summarize_plan(found, plan.name, len(bench), len(plan.sessions))
+    return Outlook(str(summary), {"plan": plan.name} | matrix_json(found, SHOWN_AT), draw)
 
 
 def save(found: Outlook, json_path: Path | None, chart: Path | None) -> list[str]:

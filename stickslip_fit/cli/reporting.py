@@ -63,12 +63,12 @@ def demo(
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
 ) -> None:
     """Go the whole way on the reference campaign, or on a log."""
-    from stickslip_fit.fit import closed_form, summary
+    from stickslip_fit.fit import closed_form
 
     chosen = log or [reference_campaign()]
     campaign = log_of(chosen, machine)
     print(campaign.summary())
-    print("\n" + summary(closed_form(campaign, command=command())))
+    print(f"\n{closed_form(campaign, command=command())}")
     with _telling() as tell:
         tell("fitting and drawing")
         written = _write_report(campaign, default_output(chosen)).resolve()

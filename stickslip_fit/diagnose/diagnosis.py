@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.causes.base import SizedParameter
 from stickslip_fit.diagnose.searching.search import Search
 from stickslip_fit.fit.result import AxesOf
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -161,18 +162,16 @@ class Diagnosis:
     alike: tuple[tuple[str, str], ...] = ()
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.diagnosis import diagnosis_html
+        return self.summary().as_html()
 
-        return diagnosis_html(self)
+    def summary(self, command: str = "") -> Summary:
+        """The answer in two sentences, then sizes, gain, rivals and what could not be seen."""
+        from stickslip_fit.diagnose.telling.summary import summarize
 
-    def summary(self) -> str:
-        """The answer in two sentences, then sizes, rivals, gain and what could not be seen, as text."""
-        from stickslip_fit.diagnose.telling.text import text
-
-        return text(self)
+        return summarize(self, command)
 
     @property
     def parameters(self) -> pd.DataFrame:

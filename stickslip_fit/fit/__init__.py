@@ -8,7 +8,6 @@ from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.save import load_result, save_result
 from stickslip_fit.fit.solve_d import d_from_quadratic, iterate_d, solve_d
-from stickslip_fit.fit.summary import summary
 
 __all__ = [
     "JointFit",
@@ -26,5 +25,4 @@ __all__ = [
     "save_result",
     "solve_d",
     "summarise",
-    "summary",
 ]

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.stats import t as student_t
 
+from stickslip_fit._format import format_direction
 from stickslip_fit.fit.result import Result
 from stickslip_fit.units import from_si
 
@@ -71,17 +72,17 @@ def expectation_text(found: pd.DataFrame) -> str:
         As `expectation` returns it.
     """
     if found.empty:
-        return f"fewer than {FEWEST} earlier sessions: too few to say what to expect of the latest"
+        return f"Fewer than {FEWEST} earlier sessions: too few to say what to expect of the latest."
     session, odd = found["session"].iloc[-1], found[found["surprising"].astype(bool)]
     if odd.empty:
-        return f"session {session} lies where the sessions before it lead one to expect"
+        return f"Session {session} lies where the sessions before it lead one to expect."
     lines = [
-        f"  joint {row.joint} {row.direction} {row.name}: {from_si(row.estimate, row.unit):.4g}, expected "
-        f"{from_si(row.expected_low, row.unit):.4g} to {from_si(row.expected_high, row.unit):.4g}"
-        f"{'' if row.unit == '1' else ' ' + row.unit}"
+        f"  joint {row.joint} {format_direction(row.direction)} {row.name}: "
+        f"{from_si(row.estimate, row.unit):.4g}, expected {from_si(row.expected_low, row.unit):.4g} to "
+        f"{from_si(row.expected_high, row.unit):.4g}{'' if row.unit == '1' else ' ' + row.unit}"
         for row in odd.itertuples(index=False)
     ]
-    return "\n".join([f"session {session} is not where the sessions before it lead one to expect:", *lines])
+    return "\n".join([f"Session {session} is not where the sessions before it lead one to expect:", *lines])
 
 
 def _expected(estimates: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import join_words
 from stickslip_fit.fit.levenberg_marquardt import SMALLEST
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import Configuration, StepLaw
@@ -90,7 +91,7 @@ def explain_unknown(
             counted = f"{count} usable traverse{'s' if count != 1 else ''}"
             remark = Remark(
                 "not_identified", law.joint, direction, when, unknown,
-                f"joint {law.joint}, direction {direction}{where}: {_listed(unknown)} cannot be known"
+                f"joint {law.joint}, direction {direction}{where}: {join_words(unknown)} cannot be known"
                 f"{together} from {counted if when else 'the whole campaign'}; missing: {told}",
             )  # fmt: skip
             if unknown and remark not in remarks:
@@ -161,7 +162,3 @@ def _fewest_traverses(
             if len(singular) == len(scales) and singular[-1] > 100 * SMALLEST * singular[0]:
                 return tuple(candidates[index] for index in choice)
     return candidates
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return " and ".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} and {names[-1]}"

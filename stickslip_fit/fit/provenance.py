@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 
 from stickslip_fit import __version__
+from stickslip_fit._format import join_words
 from stickslip_fit.logs import Log
 
 
@@ -34,6 +35,17 @@ class Provenance:
     versions: dict[str, str]
     command: str = ""
     seed: int | None = None
+
+    def lines(self) -> tuple[tuple[str, str], ...]:
+        """Name and value of each, for people."""
+        seed = (("seed", str(self.seed)),) if self.seed is not None else ()
+        return (
+            ("log", f"{join_words(self.log_files or ['no file'])}; sha256 {self.log_sha256}"),
+            (f"machine {self.machine_name}", f"sha256 {self.machine_sha256}"),
+            ("versions", ", ".join(f"{name} {version}" for name, version in self.versions.items())),
+            ("command", self.command or "none: made from Python"),
+            *seed,
+        )
 
 
 def versions() -> dict[str, str]:

@@ -9,10 +9,10 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.stats import chi2
 
+from stickslip_fit._format import format_value
 from stickslip_fit.fit.likelihood import Gaussian, Likelihood
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import StepLaw
-from stickslip_fit.units import format_value
 
 Array = npt.NDArray[np.float64]
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.intervals import quantile
@@ -92,18 +93,16 @@ class Result:
     provenance: Provenance
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import result_html
+        return self.summary().as_html()
 
-        return result_html(self)
+    def summary(self) -> Summary:
+        """What is wrong with it, and the parameters of every joint by session and direction."""
+        from stickslip_fit.fit.summary import summarize
 
-    def summary(self) -> str:
-        """The parameters of every joint by session and direction, then what is wrong with them, as text."""
-        from stickslip_fit.fit.summary import summary
-
-        return summary(self)
+        return summarize(self)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesOf:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.

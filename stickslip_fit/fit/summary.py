@@ -1,103 +1,184 @@
-"""A result as text for the terminal."""
+"""What a result says: whether the latest session is as expected, what is wrong, and all parameters."""
 
 from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import (
+    capitalize_first,
+    format_direction,
+    format_percent,
+    format_range,
+    format_uncertain,
+    format_value,
+    join_words,
+    joint_name,
+    pluralize,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit.fit.expectation import expectation, expectation_text
+from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
 from stickslip_fit.fit.result import EVERYWHERE, JointFit, Result
-from stickslip_fit.units import format_uncertain, format_value, from_si, text_table
+from stickslip_fit.laws import Parameter
+from stickslip_fit.logs.summary import MAX_ROWS, file_names, latest
 
-# A season of sessions does not fit a screen; the JSON and the report hold them all.
-MOST_SESSIONS = 12
-
-
-def summary(result: Result) -> str:
-    """The parameters of every joint by session and direction, then what is wrong with them."""
-    table = result.parameters
-    parts = [f"{result.method} fit of {', '.join(result.provenance.log_files)}"]
-    for joint, fit in result.joints.items():
-        parts.append(_joint(fit, table[table["joint"] == joint]))
-    if (table["joint"] == EVERYWHERE).any():
-        parts.append(_causes(table[table["joint"] == EVERYWHERE]))
-    if result.remarks:
-        parts.append("\n".join(f"! {message}" for message in unique_messages(result)))
-    return "\n\n".join(parts)
+MAX_NAMED = 6
+ALL_SESSIONS = "all sessions"
+FLAGS = {
+    "at_bound": "at the edge of what is possible",
+    "not_identified": "cannot be known from this log",
+    "not_converged": "not converged",
+    "few_replicates": "too few replicates for error bars",
+    "repeatability_doubted": "counts scatter unlike the repeatability given",
+    "wild_count": "a count is wildly off",
+    "chosen": "chosen among the gaps between traverses",
+}
 
 
-def unique_messages(result: Result) -> list[str]:
-    """Each remark's message once, in order."""
-    return list(dict.fromkeys(remark.message for remark in result.remarks))
-
-
-def _joint(fit: JointFit, table: pd.DataFrame) -> str:
-    sessions = list(dict.fromkeys(fit.groups["session"]))
-    shown = table[table["session"].isin(sessions[-MOST_SESSIONS:])]
-    apart = (*fit.shared, *fit.common)
-    names = [parameter.name for parameter in fit.law.parameters if parameter.name not in apart]
-    rows = []
-    for (session, direction), group in shown.groupby(["session", "direction"], sort=False):
-        cells = [format_uncertain(row.estimate, row.standard_error, row.unit) for row in group.itertuples()]
-        rows.append([str(session), str(direction), *cells])
-    noise = ", ".join(
-        f"{way} {format_value(found.value, '%', 2)} ({_source(found)})"
-        for way, found in fit.repeatability.items()
-        if found.freedom > 0
+def summarize(result: Result) -> Summary:
+    """Expectation, flags, the parameters of every joint by session and direction, those of causes."""
+    files = file_names(list(result.provenance.log_files))
+    method = capitalize_first(result.method.replace("-", " "))
+    tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
+    return Summary(
+        title=f"{method} fit of {files}" if files else f"{method} fit",
+        headline=(expectation_text(expectation(result)),),
+        sections=(Section(tables=tuple(tables)),),
+        flags=tuple(remarks(result)),
+        provenance=result.provenance.lines(),
     )
-    title = f"joint {fit.law.joint}, {fit.law.name} law; repeatability {noise or 'not known'}"
-    omitted = len(sessions) - MOST_SESSIONS
-    if omitted > 0:
-        title += f"\n(the last {MOST_SESSIONS} sessions; {omitted} earlier ones are left out here)"
-    parts = [title]
-    if names:
-        parts.append(text_table(["session", "", *names], rows, left=2))
-    if fit.shared:
-        common = table[table["session"].isna()]
-        cells = [
-            f"{row.name} {row.direction} {format_uncertain(row.estimate, row.standard_error, row.unit)}"
-            for row in common.itertuples()
-        ]
-        parts.append(f"the same in all sessions: {', '.join(cells)}")
-    return "\n".join(parts)
 
 
-def _causes(table: pd.DataFrame) -> str:
-    """What departs from the published laws, the same in the whole campaign."""
-    rows = [
-        [row.name, format_uncertain(row.estimate, row.standard_error, row.unit)] for row in table.itertuples()
+def remarks(*results: Result) -> list[str]:
+    """What any of the results cannot know; remarks that differ only in their session are one."""
+    alike: dict[tuple[str, str], list[Remark]] = {}
+    for result in results:
+        for remark in result.remarks:
+            message = remark.message
+            if remark.session:
+                message = message.replace(f"session {remark.session}", "session")
+            alike.setdefault((result.method, message), []).append(remark)
+    methods: dict[str, list[str]] = {}
+    for (method, _), same in alike.items():
+        methods.setdefault(capitalize_first(_once(same)), []).append(method.replace("-", " "))
+    if len(results) == 1:
+        return list(methods)
+    return [f"{sentence} ({join_words(by)})" for sentence, by in methods.items()]
+
+
+def _once(alike: list[Remark]) -> str:
+    first, *others = alike
+    if not others:
+        return f"{first.message}."
+    names = [remark.session for remark in others]
+    if len(names) > MAX_NAMED:
+        names = [*names[:MAX_NAMED], pluralize(len(names) - MAX_NAMED, "other")]
+    plural = "session" if len(others) == 1 else "sessions"
+    return f"{first.message}. The same in {plural} {join_words(names)}."
+
+
+def _parameters(result: Result, joint: int) -> Table:
+    """One joint's parameters: sessions and directions down, parameters and flags across."""
+    fit, table = result.joints[joint], result.parameters
+    table = table[table["joint"] == joint]
+    sessions = list(fit.groups["session"].unique())
+    shared = table["session"].isna()
+    shown = pd.concat([table[table["session"].isin(sessions[-MAX_ROWS:])], table[shared]])
+    columns = (
+        *words("session", "direction"),
+        *(Column(each.name, each.unit.replace("1", "")) for each in own_parameters(fit)),
+        Column("remarks", text=True),
+    )
+    rows = tuple(
+        _row(fit, session, direction, group)
+        for (session, direction), group in shown.groupby(["session", "direction"], sort=False, dropna=False)
+    )
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
+    note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
+    return Table(f"Parameters of {joint_name(joint)}", columns, rows, stubs=2, note=note)
+
+
+def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
+    rows = {row.name: row for row in table.itertuples(index=False)}
+    cells = [
+        format_uncertain(row.estimate, row.standard_error, row.unit, with_unit=False) if row else ""
+        for row in (rows.get(each.name) for each in own_parameters(fit))
     ]
-    return (
-        f"departures from the published laws, one number for the whole campaign\n{text_table(['', ''], rows)}"
+    label = ALL_SESSIONS if pd.isna(session) else str(session)
+    return (label, format_direction(direction), *cells, _flags(table))
+
+
+def _flags(table: pd.DataFrame) -> str:
+    """What is wrong with the parameters of a row: "b, c: cannot be known from this log"."""
+    names_of: dict[str, list[str]] = {}
+    for name, flags in zip(table["name"], table["flags"], strict=True):
+        for flag in dict.fromkeys(flags):
+            names_of.setdefault(flag, []).append(name)
+    return "; ".join(
+        f"{join_words(names) if len(names) < len(table) else 'all'}: "
+        f"{FLAGS.get(flag, flag.replace('_', ' '))}"
+        for flag, names in names_of.items()
     )
 
 
-def _source(found: Repeatability) -> str:
-    return "given" if found.source == "given" else f"{found.source}, {found.freedom} degrees of freedom"
+def _repeatability(fit: JointFit) -> str:
+    known = [
+        f"{format_percent(each.value)} ({format_direction(sign)}, {_source(each)})"
+        for sign, each in fit.repeatability.items()
+        if each.freedom > 0
+    ]
+    return f"Repeatability {join_words(known)}." if known else "Repeatability not known."
 
 
-def profile_summary(table: pd.DataFrame) -> str:
+def _source(repeatability: Repeatability) -> str:
+    if repeatability.source == "given":
+        return "given"
+    return f"{repeatability.source}, {pluralize(repeatability.freedom, 'degree')} of freedom"
+
+
+def own_parameters(fit: JointFit) -> list[Parameter]:
+    """Those of the published law, without those of causes."""
+    return [each for each in fit.law.parameters if each.name not in fit.common]
+
+
+def departures_tables(result: Result) -> list[Table]:
+    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
+    table = result.parameters
+    table = table[table["joint"] == EVERYWHERE]
+    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
+    rows = [
+        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
+        for row in table.itertuples(index=False)
+    ]
+    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
+    note = "One number each for all joints, directions and sessions. ± one standard error."
+    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
+
+
+def profile_section(table: pd.DataFrame) -> Section:
     """Both intervals of each parameter, as `profile_intervals` gives them; `*` where they differ."""
     known = table[table["estimate"].notna() & table["profile_low"].notna()]
-    rows = [
-        [
-            f"{row.joint} {row.direction}",
-            str(row.session),
-            row.name,
-            format_value(row.estimate, row.unit, _decimals(row.unit)),
-            _interval(row.low, row.high, row.unit),
-            _interval(row.profile_low, row.profile_high, row.unit) + (" *" if row.differs else "  "),
-        ]
-        for row in known.itertuples(index=False)
-    ]
-    header = ["joint", "session", "", "estimate", "95 % quadratic", "95 % profile  "]
-    note = "* the likelihood is lopsided here: trust the profile" if known["differs"].any() else "they agree"
-    return text_table(header, rows, left=3) + "\n" + note
-
-
-def _interval(low: float, high: float, unit: str) -> str:
-    decimals = _decimals(unit)
-    return f"{from_si(low, unit):.{decimals}f} to {from_si(high, unit):.{decimals}f}"
-
-
-def _decimals(unit: str) -> int:
-    return {"1": 5, "nm": 2, "µrad": 3}.get(unit, 4)
+    columns = (
+        *(Column(head, text=True) for head in ("joint", "session", "parameter")),
+        Column("estimate"),
+        *numbers("quadratic", "profile", group="95 %"),
+    )
+    rows = []
+    for row in known.itertuples(index=False):
+        decimals = {"1": 5, "nm": 2, "µrad": 3}.get(row.unit, 4)
+        rows.append(
+            (
+                f"{row.joint} {format_direction(row.direction)}",
+                str(row.session),
+                row.name,
+                format_value(row.estimate, row.unit, decimals),
+                format_range(row.low, row.high, row.unit, decimals),
+                format_range(row.profile_low, row.profile_high, row.unit, decimals)
+                + (" *" if row.differs else "  "),
+            )
+        )
+    differ = "* The likelihood is lopsided here: trust the profile."
+    note = differ if known["differs"].any() else "They agree."
+    return Section(tables=(Table("Profile likelihood", columns, tuple(rows), stubs=3, note=note),))

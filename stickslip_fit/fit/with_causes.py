@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_value
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.beginning import begin, bound_to, remainder_of
@@ -18,7 +19,6 @@ from stickslip_fit.fit.result import EVERYWHERE, JointFit
 from stickslip_fit.fit.terms import NO_TERMS, Terms
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import format_value
 
 
 def lay_out_with(

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.logs.configurations import configurations
-from stickslip_fit.logs.summary import summarise
+from stickslip_fit.logs.summary import summarize
 from stickslip_fit.logs.write import write_log
 from stickslip_fit.machine import Machine
 
@@ -48,12 +49,10 @@ class Log:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import log_html
-
-        return log_html(self)
+        return self.summary().as_html()
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -78,9 +77,9 @@ class Log:
         """Which configurations the usable rows cover; see `configurations.configurations`."""
         return configurations(self.usable)
 
-    def summary(self) -> str:
-        """What the log holds, for people."""
-        return summarise(self.rows, self.sources, self.notes)
+    def summary(self) -> Summary:
+        """What the log holds: sessions, coverage, conditions, and what is not fitted."""
+        return summarize(self)
 
     def plot_readings(self) -> npt.NDArray[np.object_]:
         """The mean step size of every usable traverse, in the order in which they were made.

@@ -1,117 +1,181 @@
-"""What a log holds, in a screenful."""
+"""What a log holds: sessions, coverage, columns, and what is not fitted."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import (
+    MISSING,
+    format_configuration,
+    format_direction,
+    format_plain,
+    join_words,
+    joint_name,
+    pluralize,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.logs.columns import CONDITIONS, COVARIATE, FIELDS
-from stickslip_fit.logs.configurations import configurations
-from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.units import SUFFIXES, from_si
 
-_MOST_SESSIONS = 20
+if TYPE_CHECKING:
+    from stickslip_fit.logs.log import Log
+
+MAX_ROWS = 10  # of a table; the log itself holds the others
+MAX_FILES = 3
+FEW_VALUES = 4
+POSITIONS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
+NOT_FITTED = ("interrupted", "excluded")
 
 
-def summarise(rows: pd.DataFrame, sources: Sequence[tuple[str, str]], notes: Sequence[str]) -> str:
-    """Describe a log for people: files, sessions, joints, coverage, columns, notes.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Rows of a Log.
-    sources : sequence of (str, str)
-        Name and sha256 of each file.
-    notes : sequence of str
-    """
-    traverses, sessions = _plural(len(rows), "traverse"), _plural(rows["session"].nunique(), "session")
-    tables = [_sessions(rows), _joints(rows), _coverage(rows[rows["status"] == "ok"]), _columns(rows)]
-    parts = [
-        "\n".join([f"{traverses} in {sessions}", *(f"  {file}  sha256 {sha[:12]}" for file, sha in sources)]),
-        *(align(table) for table in tables if len(table) > 1),
-    ]
-    if notes:
-        parts.append("\n".join(["notes", *(f"  {note}" for note in notes)]))
-    return "\n\n".join(parts)
+def summarize(log: Log) -> Summary:
+    """The log in two sentences, then its sessions, coverage, conditions, and traverses with a note."""
+    tables = [_sessions(log), _coverage(log), _columns(log), _noted(log)]
+    files = join_words([f"{name} (sha256 {sha[:12]})" for name, sha in log.sources[:MAX_FILES]] or ["memory"])
+    more = len(log.sources) - MAX_FILES
+    return Summary(
+        title=f"Log {file_names([name for name, _ in log.sources])}".strip(),
+        headline=(f"{_facts(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
+        sections=(Section(tables=tuple(table for table in tables if table and table.rows)),),
+        flags=log.notes,
+        provenance=(
+            *((name, f"sha256 {sha}") for name, sha in log.sources),
+            (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
+        ),
+    )
 
 
-def align(table: Sequence[Sequence[str]]) -> str:
-    """Rows of text in columns: the first to the left, the others to the right.
-
-    Examples
-    --------
-    >>> print(align([["joint", "traverses"], ["3 +", "219"]]))
-    joint  traverses
-    3 +          219
-    """
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = []
-    for first, *others in table:
-        cells = [first.ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
+def file_names(names: list[str]) -> str:
+    """Files in a title, without their folders; empty for a log that was never in a file."""
+    short = [Path(name).name for name in names[:MAX_FILES]]
+    if len(names) > MAX_FILES:
+        short.append(pluralize(len(names) - MAX_FILES, "more file"))
+    return join_words(short) if short else ""
 
 
-def _sessions(rows: pd.DataFrame) -> list[list[str]]:
-    groups = rows.groupby("session", sort=False)["time"].agg(["min", "max", "size"])
-    table = [
-        [str(session), f"{first:%Y-%m-%d %H:%M}", f"{last:%Y-%m-%d %H:%M}", f"{count:,}"]
-        for session, first, last, count in groups.itertuples()
-    ]
-    left_out = len(table) - _MOST_SESSIONS
-    if left_out > 0:
-        half = _MOST_SESSIONS // 2
-        table[half:-half] = [[f"({left_out:,} more)", "", "", ""]]
-    return [["session", "first", "last", "traverses"], *table]
+def latest(sessions: int) -> str:
+    """The note of a table that leaves earlier sessions out."""
+    return f"The latest {MAX_ROWS} of {pluralize(sessions, 'session')}." if sessions > MAX_ROWS else ""
 
 
-def _joints(rows: pd.DataFrame) -> list[list[str]]:
-    header = ["joint", "traverses", "ok", "interrupted", "excluded", "configurations", "replicates"]
-    table = [header]
-    for (joint, direction), group in rows.groupby(["joint", "direction"], sort=True):
-        statuses = [f"{(group['status'] == status).sum():,}" for status in header[2:5]]
-        covered = configurations(group[group["status"] == "ok"])
-        places = covered.drop_duplicates(["q1", "q2", "q3", "theta", "psi", "low", "high"])
-        counts = [f"{len(places):,}", f"{covered['replicates'].sum():,}"]
-        table.append([f"{joint} {direction}", f"{len(group):,}", *statuses, *counts])
-    return table
+def _facts(log: Log) -> str:
+    rows = log.rows
+    counts = f"{pluralize(len(rows), 'traverse')} in {pluralize(len(log.sessions), 'session')}"
+    if rows.empty:
+        return f"{counts}."
+    dates = dict.fromkeys(f"{moment:%Y-%m-%d}" for moment in (rows["time"].min(), rows["time"].max()))
+    joints = join_words([joint_name(joint) for joint in log.joints])
+    states = rows["status"].value_counts()
+    unused = [pluralize(int(states[name]), f"{name} traverse") for name in NOT_FITTED if name in states]
+    use = f"Not fitted, but part of the history: {join_words(unused)}." if unused else "All are usable."
+    return f"{counts} ({' to '.join(dates)}), {joints}. {use}"
 
 
-def _coverage(usable: pd.DataFrame) -> list[list[str]]:
-    table = [["covered (deg, mm)", "q1", "q2", "q3", "theta", "psi", "traversed"]]
-    for joint, group in usable.groupby("joint", sort=True):
-        cells = [
-            _values(group[name], "mm" if name == "q3" else "deg")
-            for name in ("q1", "q2", "q3", "theta", "psi")
-        ]
-        length = (group["stop"] - group["start"]).abs()
-        table.append([f"joint {joint}", *cells, _values(length, "mm" if joint == PRISMATIC else "deg")])
-    return table
+def _sessions(log: Log) -> Table:
+    """When each session was and what was driven in it."""
+    kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
+    columns = (
+        *words("session", "first traverse", "last traverse"),
+        *(Column(format_direction(sign), group=f"joint {joint}") for joint, sign in kinds),
+        *(Column(name, group="not fitted") for name in NOT_FITTED),
+    )
+    shown = log.rows[log.rows["session"].isin(log.sessions[-MAX_ROWS:])]
+    body = []
+    for session, rows in shown.groupby("session", sort=False, observed=True):
+        driven = rows.groupby(["joint", "direction"], observed=True).size()
+        body.append(
+            (
+                str(session),
+                f"{rows['time'].iloc[0]:%Y-%m-%d %H:%M}",
+                f"{rows['time'].iloc[-1]:%Y-%m-%d %H:%M}",
+                *(f"{driven.get(kind, 0):,}" for kind in kinds),
+                *(f"{(rows['status'] == name).sum():,}" for name in NOT_FITTED),
+            )
+        )
+    return Table("Sessions and traverses", columns, tuple(body), note=latest(len(log.sessions)))
 
 
-def _columns(rows: pd.DataFrame) -> list[list[str]]:
+def _coverage(log: Log) -> Table | None:
+    """What was covered: one column for each joint."""
+    covered = [_coverage_of(log, joint) for joint in log.joints]
+    if not covered:
+        return None
+    columns = (Column("covered", text=True), *(Column(joint_name(joint), text=True) for joint in log.joints))
+    body = tuple((name, *(each[name] for each in covered)) for name in covered[0])
+    note = "Configurations: in either direction. Replicates: traverses that repeat another of their session."
+    return Table("Coverage, usable traverses", columns, body, note=note)
+
+
+def _coverage_of(log: Log, joint: int) -> dict[str, str]:
+    rows, places = log.usable, log.configurations()
+    rows, places = rows[rows["joint"] == joint], places[places["joint"] == joint]
+    distinct = places[["q1", "q2", "q3", "theta", "psi", "low", "high"]].drop_duplicates()
+    length = (rows["stop"] - rows["start"]).abs()
+    covered = {
+        "traverses": f"{len(rows):,}",
+        "over the full range": f"{np.isclose(length, log.machine.span(joint), rtol=1e-6).sum():,}",
+        "configurations": f"{len(distinct):,}",
+        "replicates": f"{places['replicates'].sum():,}",
+    }
+    for name, unit in POSITIONS.items():
+        moves = name == f"q{joint}"
+        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = (
+            "moves" if moves else _values(rows[name], unit)
+        )
+    return covered
+
+
+def _columns(log: Log) -> Table:
+    """Conditions, and the lab's own columns of numbers."""
+    rows = log.rows
+    units = {field.name: SUFFIXES[field.suffixes[0]] for field in FIELDS if field.name in CONDITIONS}
     given = [name for name in CONDITIONS if rows[name].notna().any()]
     own = [name for name in rows.columns if name.startswith(COVARIATE)]
-    units = {field.name: SUFFIXES[field.suffixes[0]] for field in FIELDS if field.name in given}
-    table = [["column", "given", "values"]]
-    for name in given + own:
-        unit = units.get(name, "1")
-        label = name if unit == "1" else f"{name} ({unit})"
-        table.append([label, f"{rows[name].notna().sum():,} of {len(rows):,}", _values(rows[name], unit)])
-    return table
+    body = tuple(
+        (
+            f"{name} ({units[name]})" if name in units else name,
+            f"{rows[name].notna().sum():,} of {len(rows):,}",
+            _values(rows[name], units.get(name, "1")),
+        )
+        for name in given + own
+    )
+    return Table("Conditions", (Column("column", text=True), *numbers("given", "values")), body)
 
 
-def _values(values: pd.Series, unit: str) -> str:
-    """A few values as they are, many as lowest and highest."""
+def _noted(log: Log) -> Table | None:
+    """Traverses that the lab wrote a note about or does not have fitted."""
+    rows = log.rows[(log.rows["note"] != "") | (log.rows["status"] != "ok")]
+    names = ("time", "session", "joint", "configuration", "status", "note")
+    body = tuple(
+        (
+            f"{row['time']:%Y-%m-%d %H:%M:%S}",
+            str(row["session"]),
+            f"{row['joint']} {format_direction(row['direction'])}",
+            format_configuration(row, log.machine.span(row["joint"])),
+            str(row["status"]),
+            str(row["note"]),
+        )
+        for _, row in rows.head(MAX_ROWS).iterrows()
+    )
+    left = len(rows) - len(body)
+    note = f"{pluralize(left, 'more traverse')} with a note or not fitted: see the log." if left else ""
+    columns = tuple(Column(name, text=True) for name in names)
+    return Table("Traverses with a note or not fitted", columns, body, note=note, folded=True)
+
+
+def _values(values: pd.Series[float], unit: str) -> str:
+    """A few values as they are, many as lowest and highest, with their spacing where it is even."""
     with np.errstate(over="ignore"):
-        distinct = np.unique(np.round(from_si(values.dropna().to_numpy(), unit), 6)) + 0.0
-    if len(distinct) <= 4:
-        return " ".join(f"{value:g}" for value in distinct)
-    return f"{distinct[0]:g} to {distinct[-1]:g} ({len(distinct):,} values)"
-
-
-def _plural(count: int, word: str) -> str:
-    return f"{count:,} {word}" if count == 1 else f"{count:,} {word}s"
+        distinct = np.unique(np.round(from_si(values.dropna().to_numpy(float), unit), 3)) + 0.0
+    if not len(distinct):
+        return MISSING
+    if len(distinct) <= FEW_VALUES:
+        return ", ".join(format_plain(value) for value in distinct)
+    ends = f"{format_plain(distinct[0])} to {format_plain(distinct[-1])}"
+    spacing = np.diff(distinct)
+    if np.allclose(spacing, spacing[0], atol=2e-3):
+        return f"{ends} by {format_plain(spacing[0])}"
+    return f"{ends}, {len(distinct):,} values"

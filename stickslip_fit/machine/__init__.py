@@ -10,7 +10,8 @@ from stickslip_fit.machine.dynamics import (
 )
 from stickslip_fit.machine.kinematics import forward, inverse, jacobian, nearest_solution, reach
 from stickslip_fit.machine.load import full_load, mean_load, published_load, up_in_base
-from stickslip_fit.machine.machine import JOINTS, PRISMATIC, Link, Machine, load_machine
+from stickslip_fit.machine.machine import Link, Machine, load_machine
+from stickslip_fit.units import JOINTS, PRISMATIC
 
 __all__ = [
     "JOINTS",

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine.kinematics import jacobian
 from stickslip_fit.machine.load import Array, full_load
-from stickslip_fit.machine.machine import JOINTS, Machine
+from stickslip_fit.machine.machine import Machine
+from stickslip_fit.units import JOINTS
 
 STANDARD_GRAVITY = 9.80665
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine.load import Array
-from stickslip_fit.machine.machine import JOINTS, PRISMATIC, Machine
-from stickslip_fit.units import from_si
+from stickslip_fit.machine.machine import Machine
+from stickslip_fit.units import JOINTS, PRISMATIC, from_si
 
 # A picometre, or a picoradian: far below any step, far above what rounding leaves of a position.
 ROUNDING = 1e-12

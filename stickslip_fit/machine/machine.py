@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
-JOINTS = (1, 2, 3)
-PRISMATIC = 3
-
 
 @dataclass(frozen=True)
 class Link:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._format import format_value
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import format_value
 
 Array = npt.NDArray[np.float64]
 

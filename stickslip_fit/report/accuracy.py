@@ -6,18 +6,18 @@ from collections.abc import Iterable
 
 import pandas as pd
 
+from stickslip_fit._format import (
+    format_configuration,
+    format_direction,
+    format_number,
+    format_percent,
+    joint_name,
+    pluralize,
+    step_unit,
+)
+from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.fit import summarise
 from stickslip_fit.machine import Machine
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    configuration,
-    count,
-    joint_name,
-    number,
-    percent_number,
-    step_unit,
-    way,
-)
 
 CONFIGURATION = ["q1", "q2", "q3", "theta", "psi", "start", "stop"]
 MOST_SESSIONS, MOST_CONFIGURATIONS = 12, 15
@@ -29,7 +29,7 @@ def by_direction(errors: pd.DataFrame, joint: int) -> Table:
     """One row for each direction, and one for both together."""
     mine = errors[errors["joint"] == joint]
     each, both = summarise(mine, ["joint", "direction"]), summarise(mine, ["joint"])
-    body = [(way(row["direction"]), *_cells(row, joint)) for _, row in each.iterrows()]
+    body = [(format_direction(row["direction"]), *_cells(row, joint)) for _, row in each.iterrows()]
     body += [("both", *_cells(row, joint)) for _, row in both.iterrows()] if len(each) > 1 else []
     return Table(f"Accuracy of {joint_name(joint)} by direction", _columns(joint, "direction"), tuple(body))
 
@@ -42,7 +42,8 @@ def by_session(errors: pd.DataFrame, joint: int) -> Table:
     summary = summarise(mine[mine["session"].isin(shown)], ["session", "direction"])
     summary = summary.sort_values("session", key=lambda names: names.map(order.index), kind="stable")
     body = (
-        (str(row["session"]), way(row["direction"]), *_cells(row, joint)) for _, row in summary.iterrows()
+        (str(row["session"]), format_direction(row["direction"]), *_cells(row, joint))
+        for _, row in summary.iterrows()
     )
     note = f"The latest {len(shown)} of {len(order)} sessions." if len(shown) < len(order) else ""
     return _table(f"Accuracy of {joint_name(joint)} by session", joint, ("session", "direction"), body, note)
@@ -61,7 +62,11 @@ def by_configuration(summary: pd.DataFrame, machine: Machine) -> Table:
     joint = int(summary["joint"].iloc[0])
     shown = summary.head(MOST_CONFIGURATIONS)
     body = (
-        (configuration(row, machine.span(joint)), way(row["direction"]), *_cells(row, joint))
+        (
+            format_configuration(row, machine.span(joint)),
+            format_direction(row["direction"]),
+            *_cells(row, joint),
+        )
         for _, row in shown.iterrows()
     )
     note = (
@@ -78,10 +83,10 @@ def explain(errors: pd.DataFrame) -> str:
     if errors.empty:
         return "The log has no traverse that a calibration of its session predicts and did not use."
     return (
-        f"{count(len(errors), 'traverse')} that took no part in the calibration, each predicted by its own "
-        "session's closed-form calibration and by that session's constant step. An error is predicted less "
-        "measured mean step size; rms with its 95 % interval (for Gaussian errors); worst is the largest of "
-        "all, with its sign; bias is the mean."
+        f"{pluralize(len(errors), 'traverse')} that took no part in the calibration, each predicted by its "
+        "own session's closed-form calibration and by that session's constant step. An error is predicted "
+        "less measured mean step size; rms with its 95 % interval (for Gaussian errors); worst is the "
+        "largest of all, with its sign; bias is the mean."
     )
 
 
@@ -96,15 +101,10 @@ def _columns(joint: int, *heads: str) -> tuple[Column, ...]:
     return (
         *(Column(head, text=True) for head in heads),
         Column("traverses"),
-        Column("rms", unit, "law"),
-        Column("95 % interval", unit, "law"),
-        Column("worst", unit, "law"),
-        Column("bias", unit, "law"),
-        Column("rms", "%", "law"),
-        Column("worst", "%", "law"),
+        *numbers("rms", "95 % interval", "worst", "bias", unit=unit, group="law"),
+        *numbers("rms", "worst", unit="%", group="law"),
         Column("rms", unit, "constant step"),
-        Column("rms", "%", "constant step"),
-        Column("worst", "%", "constant step"),
+        *numbers("rms", "worst", unit="%", group="constant step"),
     )
 
 
@@ -112,7 +112,7 @@ def _cells(row: pd.Series, joint: int) -> tuple[str, ...]:
     unit = step_unit(joint)
 
     def shown(name: str) -> str:
-        return number(row[name], unit)
+        return format_number(row[name], unit)
 
     return (
         f"{int(row['traverses']):,}",
@@ -120,9 +120,9 @@ def _cells(row: pd.Series, joint: int) -> tuple[str, ...]:
         f"{shown('law_rms_low')} to {shown('law_rms_high')}" if row["traverses"] >= FEWEST else MISSING,
         shown("law_worst"),
         shown("law_bias"),
-        percent_number(row["law_rms_relative"]),
-        percent_number(row["law_worst_relative"]),
+        format_percent(row["law_rms_relative"], with_unit=False),
+        format_percent(row["law_worst_relative"], with_unit=False),
         shown("constant_rms"),
-        percent_number(row["constant_rms_relative"]),
-        percent_number(row["constant_worst_relative"]),
+        format_percent(row["constant_rms_relative"], with_unit=False),
+        format_percent(row["constant_worst_relative"], with_unit=False),
     )

@@ -7,22 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import (
+    format_direction,
+    format_percent,
+    format_value,
+    join_words,
+    joint_name,
+    pluralize,
+    step_unit,
+)
+from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.fit import Result, summarise
 from stickslip_fit.fit.held_out import held_out_misfit
 from stickslip_fit.laws import expected_steps
 from stickslip_fit.logs import Log
 from stickslip_fit.report.figures.traverses import enough_replicates, repeatability_of
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    count,
-    joint_name,
-    listed,
-    percent,
-    percent_number,
-    quantity,
-    step_unit,
-    way,
-)
 
 CHANCE = 1e-3  # below that errors are more than chance explains; heavy tails reach 1e-2
 ONE_SIDED = 0.7  # average over rms
@@ -62,15 +61,10 @@ def promises_kept(log: Log, calibration: Result, errors: pd.DataFrame) -> pd.Ser
 def answer_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFrame) -> Table:
     """The answer in numbers, for each joint and direction."""
     columns = (
-        Column("joint", text=True),
-        Column("direction", text=True),
+        *words("joint", "direction"),
         Column("traverses predicted"),
-        Column("rms", "%", "law"),
-        Column("average", "%", "law"),
-        Column("worst", "%", "law"),
-        Column("inside its 95 %", "%", "law"),
-        Column("rms", "%", "constant step"),
-        Column("worst", "%", "constant step"),
+        *numbers("rms", "average", "worst", "inside its 95 %", unit="%", group="law"),
+        *numbers("rms", "worst", unit="%", group="constant step"),
         Column("repeatability", "%"),
     )
     by = ["joint", "direction"]
@@ -84,10 +78,10 @@ def answer_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFram
         borrowed = "" if noise.source == "replicates" else BORROWED
         cells = (
             f"{row['traverses']:,}",
-            *map(percent_number, shares),
-            percent_number(noise.value) + borrowed,
+            *(format_percent(share, with_unit=False) for share in shares),
+            format_percent(noise.value, with_unit=False) + borrowed,
         )
-        body.append((joint_name(joint), way(sign), *cells))
+        body.append((joint_name(joint), format_direction(sign), *cells))
     note = (
         "An error is predicted less measured step size. Inside its 95 %: traverses within the interval that "
         "the calibration gives. Repeatability: how much a repeated traverse scatters."
@@ -103,15 +97,15 @@ def _predicted(errors: pd.DataFrame) -> list[str]:
         return []
     totals = summarise(errors, ["joint"])
     law = [
-        f"{percent(row.law_rms_relative)} rms for joint {row.joint} "
-        f"({quantity(row.law_rms, step_unit(row.joint))})"
+        f"{format_percent(row.law_rms_relative)} rms for joint {row.joint} "
+        f"({format_value(row.law_rms, step_unit(row.joint))})"
         for row in totals.itertuples()
     ]
-    constant = [percent(share) for share in totals["constant_rms_relative"]]
+    constant = [format_percent(share) for share in totals["constant_rms_relative"]]
     return [
         "Calibrated in each session, the law predicts the step size of "
-        f"{count(len(errors), 'traverse')} that the calibration did not use to {listed(law)}. "
-        f"A constant step is off by {listed(constant)} rms."
+        f"{pluralize(len(errors), 'traverse')} that the calibration did not use to {join_words(law)}. "
+        f"A constant step is off by {join_words(constant)} rms."
     ]
 
 
@@ -129,7 +123,7 @@ def _judged(kept: pd.Series[float], misfit: pd.DataFrame, errors: pd.DataFrame) 
             "explain."
         )
     if short:
-        shares = listed([percent(kept[joint]) for joint in short])
+        shares = join_words([format_percent(kept[joint]) for joint in short])
         told.append(
             f"For {_named(short)} that is more than repeatability and the calibration's own uncertainty "
             f"explain ({shares} of the traverses lie within the interval that should hold 95 %), so the law "
@@ -179,7 +173,7 @@ def _missing(calibration: Result) -> str:
     for joint, fit in calibration.joints.items():
         driven = set(fit.groups["direction"])
         told += [
-            f"Joint {joint} was not driven in direction {way(sign)}: nothing is known of that."
+            f"Joint {joint} was not driven in direction {format_direction(sign)}: nothing is known of that."
             for sign in ("+", "-")
             if sign not in driven
         ]
@@ -191,4 +185,4 @@ def _uncalibrated(calibration: Result) -> list[int]:
 
 
 def _named(joints: Sequence[int]) -> str:
-    return listed([f"joint {joint}" for joint in joints])
+    return join_words([f"joint {joint}" for joint in joints])

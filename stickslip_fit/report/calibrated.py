@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from stickslip_fit.fit import JointFit, Repeatability, Result
-from stickslip_fit.fit.result import EVERYWHERE
-from stickslip_fit.laws import Parameter
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import count, joint_name, percent_number, uncertain, way
-from stickslip_fit.units import format_uncertain
+from stickslip_fit._format import format_direction, format_percent, format_uncertain, joint_name, pluralize
+from stickslip_fit._summary import Column, Table, words
+from stickslip_fit.fit import Repeatability, Result
+from stickslip_fit.fit.summary import own_parameters
 
 MOST_SESSIONS = 8
 DISAGREES = "*"
@@ -45,8 +43,8 @@ def agreement(table: pd.DataFrame) -> str:
             "traverses the closed form has no error bars."
         )
     told = (
-        f"{agrees} of {count(comparable, 'parameter')} from least squares lie within the closed form's 95 % "
-        "interval"
+        f"{agrees} of {pluralize(comparable, 'parameter')} from least squares lie within the closed form's "
+        "95 % interval"
     )
     if agrees >= 0.9 * comparable:
         return f"{told}, as they should if the law holds and nothing changed during a session."
@@ -74,7 +72,7 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
         found = [indexed.loc[(group.session, group.direction, each.name)] for each in parameters]
         for which, estimator in (("closed", "closed form"), ("fit", "least squares")):
             cells = (_cell(row, which) for row in found)
-            body.append((str(group.session), way(group.direction), estimator, *cells))
+            body.append((str(group.session), format_direction(group.direction), estimator, *cells))
     meanings = "; ".join(f"{each.name}: {each.meaning}" for each in parameters)
     note = f"± one standard error. {DISAGREES} outside the closed form's 95 % interval. {meanings}."
     if len(shown) < len(sessions):
@@ -84,34 +82,16 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
 
 def _cell(row: pd.Series, which: str) -> str:
     off = which == "fit" and row["comparable"] and not row["agrees"]
-    value = uncertain(row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"])
+    value = format_uncertain(
+        row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"], with_unit=False
+    )
     return value + (DISAGREES if off else "")
-
-
-def own_parameters(fit: JointFit) -> list[Parameter]:
-    """Those of the published law, without those of causes."""
-    return [each for each in fit.law.parameters if each.name not in fit.common]
-
-
-def departures_tables(result: Result) -> list[Table]:
-    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
-    table = result.parameters
-    table = table[table["joint"] == EVERYWHERE]
-    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
-    rows = [
-        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
-        for row in table.itertuples(index=False)
-    ]
-    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
-    note = "One number each for all joints, directions and sessions. ± one standard error."
-    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
 
 
 def repeatability_table(calibration: Result, fit: Result) -> Table:
     """How well a traverse repeats, by replicates and by what the fit leaves over."""
     columns = (
-        Column("joint", text=True),
-        Column("direction", text=True),
+        *words("joint", "direction"),
         Column("repeatability", "%", "from replicates"),
         Column("degrees of freedom", group="from replicates"),
         Column("repeatability", "%", "from the fit's residuals"),
@@ -126,7 +106,7 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
                     _repeatability_cells(replicates) if replicates.source == "replicates" else ("–", "–")
                 )
                 cells = (*of_replicates, *_repeatability_cells(joint_fit.repeatability[sign]))
-                body.append((joint_name(joint), way(sign), *cells))
+                body.append((joint_name(joint), format_direction(sign), *cells))
     note = (
         "Standard deviation of a traverse's count, relative, rounding left out. Replicates made hours apart "
         "also hold what drifted between them; residuals also hold what the law lacks."
@@ -135,4 +115,4 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
 
 
 def _repeatability_cells(found: Repeatability) -> tuple[str, str]:
-    return percent_number(found.value), f"{found.freedom:,}"
+    return format_percent(found.value, with_unit=False), f"{found.freedom:,}"

@@ -1,165 +1,31 @@
-"""Calibration strategies compared, as a notebook and a page have them."""
+"""The report's section on calibration strategies: a comparison with its figures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
-import pandas as pd
-
-from stickslip_fit.report.claimed import claimed_table
+from stickslip_fit._format import joint_name
+from stickslip_fit._summary import Summary
 from stickslip_fit.report.figures.pareto import pareto_picture
-from stickslip_fit.report.figures.picture import Picture
-from stickslip_fit.report.implied import implied_table
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import (
-    MINUS,
-    UNKNOWN,
-    joint_name,
-    number,
-    percent_number,
-    step_unit,
-    typeset,
-)
-from stickslip_fit.report.worst import worst_table
 from stickslip_fit.strategies import Comparison
-from stickslip_fit.strategies.text import heading, left_out
-from stickslip_fit.strategies.verdict import against_best, answer
-from stickslip_fit.units.format import MISSING
-
-NOTE = "Verdicts allow for all pairs of strategies being compared at once (Holm); the intervals do not."
 
 
-@dataclass(frozen=True)
-class Joint:
-    """One joint's part of a comparison.
-
-    Attributes
-    ----------
-    name, answer : str
-    strategies : Table
-        What each costs and reaches.
-    picture : Picture
-        The same drawn.
-    further : list of Table
-        Where each fails; the thesis's claims.
-    """
-
-    name: str
-    answer: str
-    strategies: Table
-    picture: Picture
-    further: list[Table]
-
-
-@dataclass(frozen=True)
-class Compared:
-    """The parts of a comparison that a page is made of.
-
-    Attributes
-    ----------
-    said : str
-        What was compared, and how.
-    joints : list of Joint
-    left_out : Table or None
-        Sessions that a strategy could not calibrate, and why.
-    """
-
-    said: str
-    joints: list[Joint]
-    left_out: Table | None
-
-
-def compared(found: Comparison, sessions: int = 0) -> Compared:
-    """All parts of a comparison, pictures drawn.
+def compared(found: Comparison, sessions_in_log: int = 0) -> Summary:
+    """A comparison with its figures drawn.
 
     Parameters
     ----------
     found : Comparison
-    sessions : int, optional
-        Of the log; said where the comparison is over fewer.
+    sessions_in_log : int, optional
+        Said where the comparison is over fewer.
     """
-    joints = [
-        Joint(
-            joint_name(joint).capitalize(),
-            _said(answer(found, joint)),
-            comparison_table(found, joint),
-            pareto_picture(found, joint),
-            [worst_table(found, joint), implied_table(found, joint), claimed_table(found, joint)],
-        )
-        for joint in found.joints
-    ]
-    return Compared(typeset(heading(found)) + _of_all(found, sessions), joints, left_out_table(found))
-
-
-def comparison_table(found: Comparison, joint: int) -> Table:
-    """One joint's strategies: cost, errors, and what is seen of a difference from the best."""
-    accuracy, cost, unit = found.accuracy(), found.cost(), step_unit(joint)
-    table = accuracy[accuracy["joint"] == joint].merge(
-        cost[cost["joint"] == joint], on="strategy", suffixes=("", "_made")
-    )
-    best, others = against_best(found, joint)
-    against = others.set_index("strategy") if len(others) else pd.DataFrame()
-    columns = (
-        Column("strategy", text=True),
-        Column("traverses each way", group="a session's calibration"),
-        Column("time", "min", "a session's calibration"),
-        Column("rms", unit, "error"),
-        Column("95 % interval", unit, "error"),
-        Column("bias", unit, "error"),
-        Column("worst", unit, "error"),
-        Column("rms", "%", "relative error"),
-        Column("95 % interval", "%", "relative error"),
-        Column("95 % interval", "%", "less the best's"),
-        Column("verdict", text=True),
-    )
-    body = tuple(
-        (*_cells(row, unit), *(("", "least rms") if row["strategy"] == best else _against(row, against)))
-        for _, row in table.iterrows()
-    )
-    return Table(f"Strategies for {joint_name(joint)}", columns, body, note=NOTE)
-
-
-def left_out_table(found: Comparison) -> Table | None:
-    """Sessions that a strategy could not calibrate, and why; None where there is none."""
-    heads = ("strategy", "joint", "direction", "session", "why")
-    body = tuple(
-        (strategy, joints, ways.replace("-", MINUS) or MISSING, sessions, typeset(why))
-        for strategy, joints, ways, sessions, why in left_out(found)
-    )
-    columns = tuple(Column(head, text=True) for head in heads)
-    return Table("Left out", columns, body) if body else None
-
-
-def _of_all(found: Comparison, sessions: int) -> str:
+    summary, sections = found.summary(), []
+    for section in summary.sections:
+        joint = next((each for each in found.joints if section.title.lower() == joint_name(each)), None)
+        sections.append(replace(section, figures=(pareto_picture(found, joint),)) if joint else section)
     seen = {*found.spent["session"], *found.left_out["session"]} - {""}
-    if len(seen) >= sessions:
-        return ""
-    return f" Compared on the latest {len(seen)} of {sessions:,} sessions; stickslip-fit compare takes all."
-
-
-def _said(text: str) -> str:
-    return typeset(text).replace("(-)", f"({MINUS})")
-
-
-def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
-    return (
-        str(row["strategy"]),
-        f"{row['traverses_made']:.3g}",
-        f"{row['seconds'] / 60:.0f}",
-        number(row["rms"], unit),
-        _interval(number(row["rms_low"], unit), number(row["rms_high"], unit)),
-        number(row["bias"], unit),
-        number(row["worst"], unit),
-        percent_number(row["rms_relative"]),
-        _interval(percent_number(row["rms_relative_low"]), percent_number(row["rms_relative_high"])),
-    )
-
-
-def _against(row: pd.Series, against: pd.DataFrame) -> tuple[str, str]:
-    pair = against.loc[row["strategy"]]
-    low, high = (percent_number(pair[f"difference_relative_{end}"]) for end in ("low", "high"))
-    return _interval(low, high), str(pair["verdict"]).removesuffix(" on this log")
-
-
-def _interval(low: str, high: str) -> str:
-    return MISSING if UNKNOWN in (low, high) else f"{low} to {high}"
+    headline = summary.headline
+    if len(seen) < sessions_in_log:
+        told = f"Compared on the latest {len(seen)} of {sessions_in_log:,} sessions"
+        headline = (*headline, f"{told}; stickslip-fit compare takes all.")
+    return replace(summary, headline=headline, sections=tuple(sections))

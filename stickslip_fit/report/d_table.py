@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import format_direction, format_length, format_number, format_uncertain
+from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.report.figures.traverses import recent
 from stickslip_fit.report.load_coefficient import ITERATIONS
-from stickslip_fit.report.table import Column, Table
-from stickslip_fit.report.wording import length, number, uncertain, way
 
 
 def d_table(table: pd.DataFrame) -> Table:
     """The table of `load_coefficients`, the latest sessions."""
     columns = (
-        Column("session", text=True),
-        Column("direction", text=True),
-        Column("q3", text=True),
-        Column("gamma0", "µrad"),
-        Column("delta", "µrad"),
-        Column("exact", "µrad", "d"),
-        Column("±", "µrad", "d"),
-        Column("Eq. 6.6", "µrad", "d"),
+        *words("session", "direction", "q3"),
+        *numbers("gamma0", "delta", unit="µrad"),
+        *numbers("exact", "±", "Eq. 6.6", unit="µrad", group="d"),
         *(
             Column("first guess" if k == 0 else f"pass {k}", "µrad", "d by the thesis's iteration")
             for k in range(ITERATIONS + 1)
@@ -30,14 +25,14 @@ def d_table(table: pd.DataFrame) -> Table:
     body = tuple(
         (
             str(row["session"]),
-            way(row["direction"]),
-            length(row["q3"]),
-            uncertain(row["gamma0"], row["gamma0_error"], "µrad"),
-            number(row["delta"], "µrad"),
-            number(row["d"], "µrad"),
-            number(row["d_error"], "µrad"),
-            number(row["quadratic"], "µrad"),
-            *(number(row[f"iteration_{k}"], "µrad") for k in range(ITERATIONS + 1)),
+            format_direction(row["direction"]),
+            format_length(row["q3"]),
+            format_uncertain(row["gamma0"], row["gamma0_error"], "µrad", with_unit=False),
+            format_number(row["delta"], "µrad"),
+            format_number(row["d"], "µrad"),
+            format_number(row["d_error"], "µrad"),
+            format_number(row["quadratic"], "µrad"),
+            *(format_number(row[f"iteration_{k}"], "µrad") for k in range(ITERATIONS + 1)),
         )
         for _, row in shown.iterrows()
     )

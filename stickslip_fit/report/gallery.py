@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import joint_name
 from stickslip_fit.fit import Result
 from stickslip_fit.logs import Log
 from stickslip_fit.report import accuracy
@@ -16,7 +17,6 @@ from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.prismatic import prismatic_pictures
 from stickslip_fit.report.figures.rotary import rotary_pictures
 from stickslip_fit.report.figures.traverses import traverses_of
-from stickslip_fit.report.wording import joint_name
 
 
 def accuracy_pictures(log: Log, calibration: Result, fit: Result, errors: pd.DataFrame) -> list[Picture]:

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit.anova import analyse
+from stickslip_fit._format import joint_name, typeset
+from stickslip_fit._summary import Summary, Table, embedded, template, trusted
+from stickslip_fit.anova import Anova, analyse
+from stickslip_fit.anova.summary import CAUTIONS, sentences_by_joint
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit import Result
 from stickslip_fit.fit import errors as errors_of
+from stickslip_fit.fit.summary import departures_tables, remarks
 from stickslip_fit.logs import Log
-from stickslip_fit.report import accuracy, calibrated, measured
+from stickslip_fit.report import accuracy, calibrated
 from stickslip_fit.report.answer import answer, answer_table
-from stickslip_fit.report.claims import claims_table
 from stickslip_fit.report.compared import compared
 from stickslip_fit.report.d_table import d_table
 from stickslip_fit.report.diagnosis import diagnosed
-from stickslip_fit.report.factors import cautions, factors
+from stickslip_fit.report.figures.factors import factor_pictures
 from stickslip_fit.report.gallery import gallery
 from stickslip_fit.report.interactive.traverses import shown_traverses
-from stickslip_fit.report.interactive.trusted import embedded, trusted
-from stickslip_fit.report.jinja import template
 from stickslip_fit.report.load_coefficient import load_coefficients
-from stickslip_fit.report.remarks import remarks
-from stickslip_fit.report.table import Table
-from stickslip_fit.report.wording import joint_name, typeset
 from stickslip_fit.strategies import Comparison
+from stickslip_fit.strategies.claims import claims_table
 
 
 def report_html(
@@ -73,11 +73,9 @@ def report_html(
         title=_title(log),
         answer=answer(log, calibration, errors),
         answer_table=answer_table(log, calibration, fit, errors) if len(errors) else None,
-        facts=measured.facts(log),
-        reading_notes=log.notes,
-        measured=[table for table in _measured(log) if table],
+        measured=log.summary(),
         agreement=calibrated.agreement(both),
-        parameters=[*calibrated.parameter_tables(both, fit), *calibrated.departures_tables(fit)],
+        parameters=[*calibrated.parameter_tables(both, fit), *departures_tables(fit)],
         repeatability=calibrated.repeatability_table(calibration, fit),
         d_table=d_table(coefficients) if len(coefficients) else None,
         figures=gallery(log, calibration, fit, errors, coefficients),
@@ -89,13 +87,27 @@ def report_html(
         not_diagnosed=_why_not(diagnosis),
         compared=compared(comparison, len(log.sessions)) if isinstance(comparison, Comparison) else None,
         not_compared=_why_not(comparison),
-        cautions=cautions(variance),
         remarks=remarks(calibration, fit),
         provenance=_provenance(log, fit, command),
         joints=traverses["joints"],
         traverses=embedded(traverses),
         trusted=trusted(script=True),
     )
+
+
+def factors(variance: Anova) -> Summary:
+    """The section on factors, each joint's sentences and figures beside its tables."""
+    summary, sentences = variance.summary(), sentences_by_joint(variance)
+    sections = [
+        replace(
+            section,
+            paragraphs=tuple(map(typeset, sentences[joint])),
+            figures=tuple(factor_pictures(joint, variance.answers)),
+        )
+        for joint, section in zip(sentences, summary.sections, strict=False)
+    ]
+    rest = [section for section in summary.sections if section.title == CAUTIONS]
+    return replace(summary, headline=(), sections=(*sections, *rest))
 
 
 def _why_not(section: object) -> str:
@@ -105,10 +117,6 @@ def _why_not(section: object) -> str:
 def _title(log: Log) -> str:
     names = [Path(name).name for name, _ in log.sources]
     return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1:,} more"
-
-
-def _measured(log: Log) -> list[Table | None]:
-    return [measured.sessions_table(log), measured.coverage_table(log), measured.remarked_table(log)]
 
 
 def _accuracy(errors: pd.DataFrame, log: Log) -> list[tuple[str, list[Table]]]:

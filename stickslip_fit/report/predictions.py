@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
+from stickslip_fit._format import format_configuration, format_value, step_unit
+from stickslip_fit._summary import text_table
 from stickslip_fit.errors import shorten
 from stickslip_fit.fit import Result
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.logs.sheet import sheet_table
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.wording import configuration, step_unit
-from stickslip_fit.units import format_value, from_si, text_table
+from stickslip_fit.units import from_si
 
 MOST_ROWS = 40
 TO_COME = "a session to come"
@@ -34,7 +35,7 @@ def predictions_text(result: Result, plan: Plan, predicted: pd.DataFrame) -> str
         [
             shorten(str(row["session"]), 20),
             f"{row['joint']} {row['direction']}",
-            configuration(row, result.machine.span(int(row["joint"]))),
+            format_configuration(row, result.machine.span(int(row["joint"]))),
             f"{row['steps']:,.0f}",
             f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else "–",
             format_value(row["step_size"], step_unit(int(row["joint"])), 2),

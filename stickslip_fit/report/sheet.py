@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from stickslip_fit._format import format_direction, format_plain, pluralize
 from stickslip_fit.files import write_atomically
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.machine import PRISMATIC
-from stickslip_fit.report.wording import count, plain, way
 from stickslip_fit.units import from_si
 
 UNIT_OF = {"theta": "deg", "psi": "deg", "q1": "deg", "q2": "deg", "q3": "mm"}
@@ -58,7 +58,7 @@ class SessionSheet:
 
 def sheet_html(plan: Plan) -> str:
     """The page as HTML, self-contained; each session begins on a sheet of its own."""
-    from stickslip_fit.report.jinja import template
+    from stickslip_fit._summary import template
 
     rows = plan.rows()
     by_label = dict(list(rows.groupby("session")))
@@ -94,7 +94,7 @@ def _session(label: str, begins: datetime, rows: pd.DataFrame) -> SessionSheet:
         ]
         visits.append(Visit(first["sweep"] if first["sweep"] != sweep else "", settings, drives))
         number, before, stretch, sweep = number + len(visited), texts, here, first["sweep"]
-    return SessionSheet(label, begins, count(len(rows), "traverse"), visits)
+    return SessionSheet(label, begins, pluralize(len(rows), "traverse"), visits)
 
 
 def _emphasis(changed: bool) -> str:
@@ -104,10 +104,12 @@ def _emphasis(changed: bool) -> str:
 def _position(row: pd.Series, name: str) -> str:
     if name == f"q{row['joint']}":
         return MOVES
-    return plain(from_si(float(row[name]), UNIT_OF[name]))
+    return format_plain(from_si(float(row[name]), UNIT_OF[name]))
 
 
 def _drive(number: int, row: pd.Series, emphasis: str) -> Drive:
     unit = "mm" if row["joint"] == PRISMATIC else "deg"
-    start, stop = (plain(from_si(float(row[end]), unit)) for end in ("start", "stop"))
-    return Drive(number, int(row["joint"]), way(row["direction"]), f"{start} to {stop} {unit}", emphasis)
+    start, stop = (format_plain(from_si(float(row[end]), unit)) for end in ("start", "stop"))
+    return Drive(
+        number, int(row["joint"]), format_direction(row["direction"]), f"{start} to {stop} {unit}", emphasis
+    )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from stickslip_fit._format import format_value
+from stickslip_fit._summary import text_table
 from stickslip_fit.machine import PRISMATIC
 from stickslip_fit.moves import Calibrated, Move, Whereabouts, steps_until
 from stickslip_fit.moves.calibrated import CERTAIN
-from stickslip_fit.units import format_value, from_si, text_table
+from stickslip_fit.units import from_si
 
 
 def move_text(arm: Calibrated, move: Move) -> str:

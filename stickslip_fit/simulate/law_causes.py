@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, PlainValidator, PrivateAttr, WrapValidator, create_model
 
+from stickslip_fit._format import format_value
 from stickslip_fit._toml import Give, Table, Text, fault
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, library
 from stickslip_fit.logs.columns import COVARIATE
-from stickslip_fit.units import UNITS, format_value, to_si
+from stickslip_fit.units import UNITS, to_si
 
 Array = npt.NDArray[np.float64]
 

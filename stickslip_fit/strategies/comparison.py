@@ -7,6 +7,7 @@ from functools import cached_property
 
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.machine import Machine
@@ -56,18 +57,16 @@ class Comparison:
     provenance: Provenance
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import comparison_html
+        return self.summary().as_html()
 
-        return comparison_html(self)
+    def summary(self) -> Summary:
+        """The answer for each joint, then every strategy's cost and error."""
+        from stickslip_fit.strategies.summary import summarize
 
-    def summary(self) -> str:
-        """The answer for each joint, then every strategy's cost and error, as text."""
-        from stickslip_fit.strategies.text import text
-
-        return text(self)
+        return summarize(self)
 
     def plot_pareto(self) -> AxesOf:
         """Calibration time against held-out error, with the Cramer-Rao bound and the repeatability floor.

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import format_number
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import JOINTS, forward, jacobian
@@ -17,7 +19,6 @@ from stickslip_fit.moves.path import split
 from stickslip_fit.moves.truth import Group
 from stickslip_fit.simulate import draw_noise
 from stickslip_fit.strategies.task import Predictor
-from stickslip_fit.units import format_value, text_table
 
 Array = npt.NDArray[np.float64]
 Seed = int | np.random.SeedSequence
@@ -42,23 +43,31 @@ class TipErrors:
     table: pd.DataFrame
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
-    def summary(self) -> str:
-        """The distribution of each strategy's errors as text, in µm and %."""
-        shown = self.distribution()
-        lengths = ("rms", "median", "often", "worst", "bias")
-        lines = [
-            [
-                str(row["strategy"]), f"{row['moves']:,}", f"{row['unknown']:,}",
-                *(format_value(row[name], "µm", 1).removesuffix(" µm") for name in lengths),
-                *(format_value(row[f"share_{joint}"], "%", 0).removesuffix(" %") for joint in JOINTS),
-            ]
-            for _, row in shown.iterrows()
-        ]  # fmt: skip
-        of_joints = [f"joint {joint} (%)" for joint in JOINTS]
-        header = ["strategy", "moves", "unknown", "rms (µm)", "median", "95 % within", "worst", "along"]
-        return text_table([*header, *of_joints], lines)
+    def _repr_html_(self) -> str:
+        return self.summary().as_html()
+
+    def summary(self) -> Summary:
+        """The distribution of each strategy's errors."""
+        columns = (
+            Column("strategy", text=True),
+            *numbers("moves", "unknown"),
+            *(Column(head, "µm") for head in ("rms", "median", "95 % within", "worst", "along")),
+            *(Column(f"joint {joint}", "%", "share of the mean square") for joint in JOINTS),
+        )
+        rows = tuple(
+            (
+                str(row["strategy"]),
+                f"{row['moves']:,}",
+                f"{row['unknown']:,}",
+                *(format_number(row[name], "µm") for name in ("rms", "median", "often", "worst", "bias")),
+                *(format_number(row[f"share_{joint}"], "%", 0) for joint in JOINTS),
+            )
+            for _, row in self.distribution().iterrows()
+        )
+        table = Table("Distance from where each move was to end", columns, rows)
+        return Summary("Tip errors", sections=(Section(tables=(table,)),))
 
     def plot_tip_errors(self) -> AxesOf:
         """The distribution of each strategy's errors, and what each joint has in it.

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from stickslip_fit.machine import PRISMATIC
+from stickslip_fit._format import format_value
 from stickslip_fit.strategies.accuracy import SESSIONS
 from stickslip_fit.strategies.comparison import Comparison
 from stickslip_fit.strategies.paired import BETTER, INDISTINGUISHABLE, WORSE
-from stickslip_fit.units import format_value
 
 TURNED = {BETTER: WORSE, WORSE: BETTER, INDISTINGUISHABLE: INDISTINGUISHABLE}
 FEW = 3
@@ -64,11 +63,6 @@ def answer(found: Comparison, joint: int) -> str:
         told.append(f"{whole} the {len(others)} others cannot be told from it on this log.")
         told.append(_cheapest(found, joint, best, others))
     return " ".join(told)
-
-
-def unit_of(joint: int) -> str:
-    """Unit in which people see a joint's step size."""
-    return "nm" if joint == PRISMATIC else "µrad"
 
 
 def _at_once(pairs: int) -> str:

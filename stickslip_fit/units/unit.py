@@ -1,4 +1,4 @@
-"""The units people write, and what each is in SI."""
+"""The units people write, what each is in SI, and an estimate with its interval."""
 
 from __future__ import annotations
 
@@ -20,6 +20,22 @@ class Unit:
     denominator: float = 1.0
     offset: float = 0.0
 
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its interval of 95 %, SI; NaN where it is not known."""
+
+    estimate: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Interval:
+        """All three times a factor."""
+        return Interval(self.estimate * factor, self.low * factor, self.high * factor)
+
+
+PRISMATIC = 3
+JOINTS = (1, 2, PRISMATIC)
 
 _ALL = (
     Unit("1"),

@@ -12,7 +12,7 @@ from stickslip_fit.diagnose.diagnose import judge
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
 from stickslip_fit.diagnose.worth.gain import gain
 from stickslip_fit.diagnose.worth.with_gain import seek
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 from tests.balls.bench import bench_of, later_half_of_the_last_drop
 from tests.balls.camera import bend, straightened
 from tests.balls.causes import AIR

@@ -54,7 +54,7 @@ def test_a_sound_that_scatters_more_than_noise_is_believed():
 )
 def test_how_well_they_separate_is_said_in_words(snr_db, said):
     found = tuned(Acoustics(snr_db))
-    assert said in found.summary()
+    assert said in found.conclusion
     assert found.separates == (snr_db > -2)
 
 
@@ -84,7 +84,7 @@ def test_a_listen_that_is_no_good_is_refused(change, said):
 def test_a_tuning_comes_back_from_its_file(tuning, tmp_path):
     save_tuning(tuning, tmp_path / "ear.json")
     back = load_tuning(tmp_path / "ear.json")
-    assert back.summary() == tuning.summary()
+    assert back.conclusion == tuning.conclusion
     sound = steps(Acoustics(3.0), 10, True, 3).reshape(10, -1)
     np.testing.assert_allclose(back.powers(sound), tuning.powers(sound), rtol=1e-4)
     np.testing.assert_array_equal(back.limits.pair, tuning.limits.pair)
@@ -129,4 +129,4 @@ def test_the_figure_shows_both_spectra_the_band_and_the_finding(tuning):
     assert shaded[0].x0 == pytest.approx((tuning.frequency - tuning.width / 2) / 1000)
     assert shaded[0].x1 == pytest.approx((tuning.frequency + tuning.width / 2) / 1000)
     written = " ".join(text.get_text().replace("\n", " ") for text in figure.texts)
-    assert tuning.summary() in written
+    assert tuning.conclusion in written

@@ -14,7 +14,7 @@ import pytest
 from stickslip_fit.diagnose import save_diagnosis
 from stickslip_fit.diagnose.diagnosis import Gain, NextTraverse
 from stickslip_fit.diagnose.telling.diagnosis_json import to_json
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 
 ROOT = Path(__file__).parents[2]
 CAUSES = ROOT.parent / "shared" / "causes.md"

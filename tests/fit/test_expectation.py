@@ -45,7 +45,7 @@ def test_a_usual_day_is_as_expected(drifting, tmp_path):
     assert len(found) == 6
     assert not found["surprising"].any()
     assert (
-        expectation_text(found) == "session 2012-03-10 lies where the sessions before it lead one to expect"
+        expectation_text(found) == "Session 2012-03-10 lies where the sessions before it lead one to expect."
     )
 
 

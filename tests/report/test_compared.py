@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.report import report_html
-from stickslip_fit.report.compared import compared, comparison_table
+from stickslip_fit.report.compared import compared
 from stickslip_fit.strategies import ClosedForm, ConstantStep, IOptimal, LeastSquares, compare
+from stickslip_fit.strategies.summary import strategies_table
 from tests.conftest import CALIBRATION, SWEEPS
 
 JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
@@ -41,9 +42,10 @@ def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_p
     assert ("a", {"href": "#strategies"}) in page.elements
     assert "Least rms:" in page.text
     caption = "Strategies for joint 3 (prismatic)"
-    assert page.tables[caption] == [list(row) for row in comparison_table(found, 3).rows]
+    assert page.tables[caption] == [list(row) for row in strategies_table(found, 3).rows]
     accuracy = found.accuracy().set_index("strategy")
-    for strategy, rms in zip(page.column(caption, "strategy"), page.column(caption, "rmsnm"), strict=True):
+    errors = "Joint 3 (prismatic): errors of the step size"
+    for strategy, rms in zip(page.column(errors, "strategy"), page.column(errors, "rmsnm"), strict=True):
         assert float(rms.replace(",", "")) == pytest.approx(1e9 * accuracy.loc[strategy, "rms"], abs=0.051)
     assert ("figure", {"id": "pareto-3"}) in page.elements
     for part in (
@@ -76,8 +78,8 @@ def test_names_are_unique_and_nothing_is_fetched(source, read_page):
 def test_one_session_says_what_its_intervals_are_over(made):
     log = made.log.select(made.log.rows["session"] == DATES[0])
     section = compared(compare(log, [ConstantStep(), ClosedForm()]))
-    assert "are over its configurations, since there is one session" in section.joints[0].answer
-    assert section.left_out is None
+    assert "are over its configurations, since there is one session" in section.headline[0]
+    assert "Left out" not in [table.caption for table in section.tables]
 
 
 def test_the_verb_writes_the_section(run, campaign, tmp_path, read_page):

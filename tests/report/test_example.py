@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from stickslip_fit.report.interactive.trusted import trusted
+from stickslip_fit._summary import trusted
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "reports" / "example.html"
 COMMAND = "stickslip-fit report data/reference/campaign.csv -o reports/example.html"
-TEMPLATE = ROOT / "stickslip_fit" / "report" / "templates" / "report.html.j2"
+TEMPLATE = ROOT / "stickslip_fit" / "templates" / "report.html.j2"
 HEADING = re.compile(r'<h2 id="([^"]+)">([^<]+)</h2>')
 
 

@@ -142,7 +142,7 @@ def test_departures_show_all_traverses_and_say_where_the_middle_is(swept, rows):
     shown = draw_departures(rows, 1.0)
     assert {points_in(axes) for axes in shown.axes} == {len(rows)}
     inside = np.median(np.abs(rows["departure"]))
-    assert f"within {100 * inside:.2f}\N{NO-BREAK SPACE}% of the law" in departures_picture(rows).caption
+    assert f"within {100 * inside:.2f} % of the law" in departures_picture(rows).caption
 
 
 def test_shares_of_traverses_predicted_better(whole):

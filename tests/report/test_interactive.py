@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 from scipy.stats import spearmanr
 
+from stickslip_fit._summary import embedded
 from stickslip_fit.report.figures.departures import POINTS
 from stickslip_fit.report.figures.traverses import recent, thinned
 from stickslip_fit.report.interactive.traverses import FURTHEST, MOST, kept, shown_traverses
-from stickslip_fit.report.interactive.trusted import embedded
 
 
 @pytest.fixture(scope="module")

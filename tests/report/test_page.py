@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stickslip_fit.report.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS
+from stickslip_fit.strategies.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS
 
 ROOT = Path(__file__).parents[2]
 

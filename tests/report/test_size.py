@@ -30,9 +30,9 @@ def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path):
     html = report_html(log, calibration, constant_step(log, calibration), least_squares(log))
     page = read_page(html)
     sessions = page.tables["Sessions and traverses"]
-    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(76, 100)]
+    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(90, 100)]
     assert len(html.encode()) < MOST
-    assert "The latest 24 of 100 sessions." in html
+    assert "The latest 10 of 100 sessions." in html
     assert "chosen at random" in html
     assert "day 099" in html
     assert "day 050" not in page.text

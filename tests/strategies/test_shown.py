@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.report.claimed import claimed_table, claimed_text
 from stickslip_fit.report.figures.pareto import _apart, pareto_picture
-from stickslip_fit.report.implied import (
+from stickslip_fit.strategies import ClosedForm, ConstantStep, LeastSquares, Thesis, compare
+from stickslip_fit.strategies.claims import (
     CONSTANT_STEP_ERROR,
     DAY_TO_DAY,
     QUADRATIC_ERROR,
     REPEATABILITY,
     STEP,
+    claimed_table,
     implied_table,
 )
-from stickslip_fit.report.worst import worst_configurations, worst_table, worst_text
-from stickslip_fit.strategies import ClosedForm, ConstantStep, LeastSquares, Thesis, compare
 from stickslip_fit.strategies.designs import AtRandom
+from stickslip_fit.strategies.summary import worst_configurations, worst_table
 
 PUBLISHED = Path(__file__).parents[2] / "data" / "published" / "published.toml"
 
@@ -49,7 +49,7 @@ def test_the_picture_has_every_strategy_the_bound_and_the_floor(found):
 
 def test_html_has_the_answer_and_a_table_for_each_joint(found):
     html = found._repr_html_()
-    assert html.count("<table") == 9
+    assert html.count("<table") == 18
     assert "Least rms:" in html
     assert "indistinguishable</td>" in html
 
@@ -67,7 +67,7 @@ def test_claims_are_held_against_every_strategy(found):
         ours = dict(zip((row[0] for row in table.rows), (row[place] for row in table.rows), strict=True))
         assert ours["closed form"] == "100"
         assert float(ours["constant step"]) < 60
-    assert "at up to 159 %" in " ".join(claimed_text(found).split())
+    assert "at up to 159 %" in " ".join(found.summary().as_text(full=True).split())
 
 
 def test_what_the_claims_imply_is_published():
@@ -88,7 +88,7 @@ def test_claims_stand_beside_what_they_imply_and_what_is_reached(found):
     assert "1.9" in next(row[1] for row in implied_table(found, 2).rows if row[0] == "law ±2 %")
     shared = found.shared[(found.shared["joint"] == 3) & (found.shared["strategy"] == "closed form")]
     worst = 1e9 * max(shared["predicted"] - shared["measured"], key=abs)
-    shown = rows["law ±100 nm"][4].removesuffix("\N{NO-BREAK SPACE}nm").replace("−", "-")
+    shown = rows["law ±100 nm"][4].removesuffix(" nm").replace("−", "-")
     assert float(shown) == pytest.approx(worst, abs=0.051)
     assert rows["constant step ±10 %"][2] == "constant step"
 
@@ -108,12 +108,9 @@ def test_the_worst_configurations_are_those_with_the_largest_errors(found):
     assert worst_table(found, 3).rows[0][:3] == ("constant step", "q2 0°, theta 0°, psi 0°", "+")
     partial = [row[1] for row in worst_table(found, 2, 99).rows]
     assert any(text.endswith("0° to −60°") for text in partial)
-    line = next(
-        line
-        for line in worst_text(found).splitlines()
-        if line.endswith(f"{by_hand / found.repeatability[3, '+']:.1f}")
-    )
-    assert line.split()[-2] == f"{100 * by_hand:.0f}"
+    row = next(row for row in worst_table(found, 3).rows if row[0] == "constant step")
+    assert row[-1] == f"{by_hand / found.repeatability[3, '+']:.1f}"
+    assert row[-3] == f"{100 * by_hand:.0f}"
 
 
 def test_strategies_that_cost_the_same_stand_apart_and_keep_their_order():
@@ -137,6 +134,6 @@ def test_nothing_shared_is_said_and_not_drawn(log):
     few = log.select(log.rows["joint"] == 3)
     found = compare(few, [LeastSquares(AtRandom(), 90)])
     assert "No session is left" in " ".join(str(found).split())
-    assert found._repr_html_().count("<table") == 0
+    assert [table.caption for table in found.summary().tables] == ["Left out"]
     with pytest.raises(InputError, match="nothing to draw"):
         found.plot_pareto()

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stickslip_fit.units import UNITS, format_uncertain, format_value, from_si, to_si
+from stickslip_fit._format import format_uncertain, format_value
+from stickslip_fit.units import UNITS, from_si, to_si
 
 
 @pytest.mark.parametrize(
@@ -39,8 +40,8 @@ def test_there_and_back(value, symbol):
         (0.2987, 0.0021, "1", "0.2987 ± 0.0021"),
         (0.0027, 0.00029, "%", "0.270 ± 0.029 %"),
         (957e-9, float("nan"), "nm", "957.0 ± ? nm"),
-        (float("nan"), 1e-9, "nm", "–"),
-        (None, None, "nm", "–"),
+        (float("nan"), 1e-9, "nm", "not known"),
+        (None, None, "nm", "not known"),
     ],
 )
 def test_an_estimate_shows_the_digits_that_its_error_leaves(value, error, symbol, shown):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 
 Array = npt.NDArray[np.float64]
 

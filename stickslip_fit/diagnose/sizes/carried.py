@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from stickslip_fit.diagnose.laid_out.study import Study
 from stickslip_fit.diagnose.shapes.memory import Memory
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 
 Array = npt.NDArray[np.float64]
 

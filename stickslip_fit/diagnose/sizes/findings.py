@@ -23,7 +23,7 @@ from stickslip_fit.diagnose.sizes.amplitude import strength_interval, threshold_
 from stickslip_fit.diagnose.sizes.carried import carried
 from stickslip_fit.diagnose.sizes.effect import effect_of
 from stickslip_fit.logs.columns import COVARIATE
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval
 
 Array = npt.NDArray[np.float64]
 TWO_SIDED = 1.959964

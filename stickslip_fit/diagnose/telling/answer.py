@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stickslip_fit._format import capitalize_first, format_p_value, format_percent, join_words
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Gain
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN
 from stickslip_fit.diagnose.searching.search import MISFIRE
 from stickslip_fit.diagnose.telling.told import what_happens, what_to_do
-from stickslip_fit.units.wording import begun_large, listed, percent, probability
 
 MOST_UNSEEN = 4
 FOLLOWS = {
@@ -64,8 +64,9 @@ def _nothing(diagnosis: Diagnosis) -> str:
         return f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
     return (
         "Nothing is wrong that this log can show: the published law leaves "
-        f"{percent(diagnosis.misfit)} rms, and a traverse repeats to {percent(diagnosis.repeatability)} "
-        f"(p = {probability(diagnosis.p_value)})."
+        f"{format_percent(diagnosis.misfit)} rms, and a traverse repeats to "
+        f"{format_percent(diagnosis.repeatability)} "
+        f"(p {format_p_value(diagnosis.p_value, relation=True)})."
     )
 
 
@@ -78,7 +79,7 @@ def _unseen(diagnosis: Diagnosis) -> str:
     shown = unseen[:MOST_UNSEEN]
     if len(unseen) > len(shown):
         shown = [*unseen[: MOST_UNSEEN - 1], f"{len(unseen) - MOST_UNSEEN + 1} others"]
-    return f"It could not have shown {listed(shown)}; the reasons are below."
+    return f"It could not have shown {join_words(shown)}; the reasons are below."
 
 
 def _told(finding: Finding, diagnosis: Diagnosis) -> str:
@@ -87,14 +88,14 @@ def _told(finding: Finding, diagnosis: Diagnosis) -> str:
     told = what_happens(finding)
     if not finding.equivalent:
         return told
-    either = listed([phrase(each, diagnosis) for each in (finding.cause, *finding.equivalent)], "or")
+    either = join_words([phrase(each, diagnosis) for each in (finding.cause, *finding.equivalent)], "or")
     return f"This log cannot tell what is wrong: {either}. If it is the first: {_begun_small(told)}"
 
 
 def _shape(finding: Finding) -> str:
     told = (
-        f"What is left of the counts, {percent(finding.effect.estimate)} rms, {follows(finding.carrier)}, "
-        "and has the shape of no known cause"
+        f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
+        f"{follows(finding.carrier)}, and has the shape of no known cause"
     )
     if not finding.closest:
         return told
@@ -107,22 +108,23 @@ def _worth(finding: Finding, diagnosis: Diagnosis) -> str:
         return (
             "The figures show it: compare them with whatever changed meanwhile, and log that as a column of "
             "its own; until it has a name, count on errors of "
-            f"{percent(diagnosis.misfit)}, where a traverse repeats to {percent(diagnosis.repeatability)}."
+            f"{format_percent(diagnosis.misfit)}, where a traverse repeats to "
+            f"{format_percent(diagnosis.repeatability)}."
         )
     cure = what_to_do(finding) if not finding.equivalent else ""
     law = "" if finding.cause == MISFIRE else "the extended law"
-    what = begun_large(f"{cure}, or {law}," if cure and law else cure or law)
+    what = capitalize_first(f"{cure}, or {law}," if cure and law else cure or law)
     rest = _cut(diagnosis.gain, finding, diagnosis.repeatability)
     return f"{what} {rest}{_tell(diagnosis)}"
 
 
 def _cut(gain: Gain | None, finding: Finding, repeatability: float) -> str:
-    repeats = f"the repeatability is {percent(repeatability)}."
+    repeats = f"the repeatability is {format_percent(repeatability)}."
     if gain is None:
-        return f"takes away errors of {percent(finding.effect.estimate)} rms; {repeats}"
+        return f"takes away errors of {format_percent(finding.effect.estimate)} rms; {repeats}"
     return (
-        f"cuts the prediction error on held-out traverses from {percent(gain.baseline)} to "
-        f"{percent(gain.extended)}; {repeats}"
+        f"cuts the prediction error on held-out traverses from {format_percent(gain.baseline)} to "
+        f"{format_percent(gain.extended)}; {repeats}"
     )
 
 
@@ -139,7 +141,7 @@ def _besides(finding: Finding) -> str:
         return f"Besides that: {_begun_small(_shape(finding))}."
     rivals: Sequence[str] = finding.equivalent
     told = f"Besides that: {_begun_small(what_happens(finding))} ({finding.cause}"
-    return f"{told}{', or ' + listed(rivals, 'or') if rivals else ''})."
+    return f"{told}{', or ' + join_words(rivals, 'or') if rivals else ''})."
 
 
 def _begun_small(text: str) -> str:

@@ -10,8 +10,7 @@ import numpy as np
 
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Finding, Gain, NextTraverse, SizedParameter
 from stickslip_fit.files import write_atomically
-from stickslip_fit.units import from_si
-from stickslip_fit.units.wording import Interval
+from stickslip_fit.units import Interval, from_si
 
 SCHEMA = "stickslip-fit/diagnosis/1"
 METRIC = "held-out rms error of the step size, %"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from stickslip_fit._format import format_percent
 from stickslip_fit.causes import EndStopMisfire
 from stickslip_fit.causes.base import plain_description
 from stickslip_fit.diagnose.diagnosis import Finding
-from stickslip_fit.units.wording import percent
 
 
 def what_happens(finding: Finding) -> str:
@@ -24,7 +24,7 @@ def what_happens(finding: Finding) -> str:
         text = cause.describe(finding.parameters)
     else:
         text = plain_description(getattr(cause, "phrase", finding.cause), finding.parameters)
-    return text if finding.parameters else f"{text}, by {percent(finding.effect.estimate)} rms"
+    return text if finding.parameters else f"{text}, by {format_percent(finding.effect.estimate)} rms"
 
 
 def what_to_do(finding: Finding) -> str:

@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.special import ndtr, ndtri
 
+from stickslip_fit._format import format_value
 from stickslip_fit.causes import Cause, ExtendedLaw
-from stickslip_fit.units import format_value
 
 Array = npt.NDArray[np.float64]
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._summary import Section, Summary
 from stickslip_fit.fit.bayes.means import BOUNDS
 from stickslip_fit.fit.bayes.priors import Priors
 from stickslip_fit.fit.bayes.tree import branch_name
 from stickslip_fit.fit.result import AxesOf, Result
-from stickslip_fit.fit.summary import summary
 
 if TYPE_CHECKING:
     from xarray import Dataset, DataTree
@@ -42,16 +42,19 @@ class Posterior:
     diagnostics: pd.DataFrame
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.display import posterior_html
+        return self.summary().as_html()
 
-        return posterior_html(self)
-
-    def summary(self) -> str:
+    def summary(self) -> Summary:
         """As a result's, with how good the draws are, and the priors."""
-        return f"{summary(self.result)}\n\n{self.quality}\n\nPriors\n{self.priors}"
+        of_result = self.result.summary()
+        return replace(
+            of_result,
+            headline=(f"{self.quality}.", *of_result.headline),
+            sections=(*of_result.sections, Section(tables=self.priors.tables())),
+        )
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._format import format_value
+from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.bayes.cause_priors import CausePriors
 from stickslip_fit.fit.bayes.traverses import each_group
 from stickslip_fit.laws import Rows, StepLaw, travel
 from stickslip_fit.logs import Log
-from stickslip_fit.units import format_value, text_table
 
 Array = npt.NDArray[np.float64]
 Group = tuple[int, str]
@@ -83,12 +84,22 @@ class Priors:
     causes: CausePriors | None = None
 
     def __str__(self) -> str:
-        rows = [line for group, prior in self.of.items() for line in _lines(group, prior)]
-        header = ["joint", "", "parameter", "campaign mean", "between sessions (95 %)"]
-        told = text_table(header, rows, left=3)
+        return "\n\n".join(table.as_text() for table in self.tables())
+
+    def tables(self) -> tuple[Table, ...]:
+        """Those of sessions, and those of causes where there are some."""
+        heads = ("joint", "direction", "parameter")
+        columns = (
+            *(Column(head, text=True) for head in heads),
+            *numbers("campaign mean", "between sessions (95 %)"),
+        )
+        rows = tuple(tuple(line) for group, prior in self.of.items() for line in _lines(group, prior))
+        of_sessions = Table("Priors", columns, rows, stubs=len(heads))
         if self.causes is None:
-            return told
-        return f"{told}\n\n{text_table(['cause', 'for the whole campaign (95 %)'], self.causes.lines())}"
+            return (of_sessions,)
+        columns = (Column("cause", text=True), Column("for the whole campaign (95 %)"))
+        rows = tuple(tuple(line) for line in self.causes.lines())
+        return of_sessions, Table("Priors of causes", columns, rows)
 
     def prior(self, joint: int, direction: str) -> Prior:
         """The prior of a joint and direction.

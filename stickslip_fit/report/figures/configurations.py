@@ -6,6 +6,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_configuration as configuration
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import joint_name
 from stickslip_fit.report.figures.picture import Picture, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,
@@ -18,7 +22,6 @@ from stickslip_fit.report.figures.style import (
     look,
     plain_log,
 )
-from stickslip_fit.report.wording import configuration, joint_name, percent, way
 
 WORST_SHOWN = 12
 SMALLEST = 0.02  # %

@@ -8,6 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import join_words as listed
+from stickslip_fit._format import joint_name
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.fit import Result
 from stickslip_fit.fit.expectation import control_chart
@@ -26,7 +30,6 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.wording import count, joint_name, listed, way
 from stickslip_fit.units import from_si
 
 MOST_SESSIONS = 30

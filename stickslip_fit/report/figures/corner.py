@@ -16,11 +16,12 @@ from scipy.stats import f as fisher
 from scipy.stats import gaussian_kde
 from scipy.stats import t as student_t
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import joint_name
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.fit import JointFit, Result
 from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.style import DIRECTION_COLOURS, GREY, INK, WIDTH, canvas, key_line, look
-from stickslip_fit.report.wording import joint_name, way
 from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:

@@ -6,6 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import joint_name
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     DIRECTION_COLOURS,
@@ -20,7 +23,6 @@ from stickslip_fit.report.figures.style import (
 from stickslip_fit.report.figures.svg import name_traverses
 from stickslip_fit.report.figures.sweep_picture import direction_kinds
 from stickslip_fit.report.figures.traverses import thinned
-from stickslip_fit.report.wording import count, joint_name, percent
 from stickslip_fit.units import from_si
 
 POINTS = 900

@@ -6,6 +6,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import joint_name
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.fit import Result
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
@@ -20,7 +24,6 @@ from stickslip_fit.report.figures.style import (
     plain_log,
 )
 from stickslip_fit.report.figures.traverses import repeatability_of
-from stickslip_fit.report.wording import count, joint_name, percent, way
 
 STEPS_A_CURVE = 300
 SMALLEST = 0.02  # %

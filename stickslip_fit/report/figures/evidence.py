@@ -8,6 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import joint_name
 from stickslip_fit.diagnose.diagnosis import Finding
 from stickslip_fit.diagnose.searching.search import Found
 from stickslip_fit.diagnose.shapes.memory import Memory
@@ -28,7 +31,6 @@ from stickslip_fit.report.figures.style import (
 )
 from stickslip_fit.report.figures.svg import name_traverses
 from stickslip_fit.report.quantities import label_of, quantities
-from stickslip_fit.report.wording import joint_name, percent, way
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

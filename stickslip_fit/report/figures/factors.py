@@ -10,6 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import join_words as listed
+from stickslip_fit._format import joint_name, step_unit, typeset
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.anova import Answer
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.picture import Picture, picture
@@ -23,7 +27,6 @@ from stickslip_fit.report.figures.style import (
     look,
 )
 from stickslip_fit.report.figures.traverses import thinned
-from stickslip_fit.report.wording import count, joint_name, listed, step_unit, typeset, way
 from stickslip_fit.units import from_si
 
 MOST_SESSIONS = 30

@@ -7,6 +7,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import joint_name
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.fit import Result
 from stickslip_fit.report.figures.drawing import on_white
@@ -21,7 +23,6 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.wording import joint_name, way
 from stickslip_fit.units import from_si
 
 MOST_SESSIONS = 24

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_percent as percent
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.drawing import on_white
@@ -20,7 +22,6 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.wording import count, percent
 
 MOST_SESSIONS = 30
 CROWDED, LABELS = 6, 12  # session names: side by side; and that there is room for

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.errors import shorten
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import Elbow
@@ -28,7 +29,6 @@ from stickslip_fit.report.figures.style import (
 )
 from stickslip_fit.report.figures.sweep_picture import direction_kinds
 from stickslip_fit.report.figures.traverses import recent
-from stickslip_fit.report.wording import count
 from stickslip_fit.units import from_si
 
 KEY, TITLE = "elbow-d", "Joint 2: gamma0 and d against q3, d in three ways"

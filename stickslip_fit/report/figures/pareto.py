@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
+from stickslip_fit._format import format_plain as plain
+from stickslip_fit._format import joint_name
 from stickslip_fit.errors import InputError
 from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.picture import Picture, picture
@@ -30,7 +32,6 @@ from stickslip_fit.report.figures.style import (
     look,
     plain_log,
 )
-from stickslip_fit.report.wording import joint_name, plain
 from stickslip_fit.strategies import Comparison
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE)

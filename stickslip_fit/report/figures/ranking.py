@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.diagnose.diagnosis import Diagnosis
 from stickslip_fit.diagnose.searching.misfit import Misfit
 from stickslip_fit.errors import shorten
@@ -28,7 +29,6 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.wording import count
 
 MOST_CAUSES = 8
 LEAST = -12.0  # powers of ten; less likely is drawn there

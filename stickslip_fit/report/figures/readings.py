@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import step_unit
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.laws import expected_steps, travel
 from stickslip_fit.logs import Log
@@ -19,7 +21,6 @@ from stickslip_fit.report.figures.style import (
     legend,
     look,
 )
-from stickslip_fit.report.wording import step_unit, way
 from stickslip_fit.units import from_si
 
 MARKS = {"+": "o", "-": "s"}

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pandas as pd
 
+from stickslip_fit._format import format_angle as angle
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import travel
 from stickslip_fit.report.figures.picture import Picture
 from stickslip_fit.report.figures.sweep_picture import SweepFigure, sweep_picture
 from stickslip_fit.report.figures.sweeps import PSI, Q1_ALONG, Q3, THETA, ZETA_ALONG
 from stickslip_fit.report.figures.traverses import is_full
-from stickslip_fit.report.wording import angle
 
 FULL = {
     2: (

@@ -33,7 +33,7 @@ def plot_spectrum(tuning: Tuning) -> Figure:
     kilohertz = tuning.frequencies[shown] / 1000
     moving, at_stop = (_decibels(spectrum, tuning)[shown] for spectrum in (tuning.moving, tuning.at_stop))
     limit = 10 * np.log10(tuning.limits.pair[-1])
-    caption = textwrap.wrap(tuning.summary(), LETTERS)
+    caption = textwrap.wrap(tuning.conclusion, LETTERS)
     with look():
         entries = [
             key_line("moving", BLUE, line="-"),

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from stickslip_fit._format import format_plain as plain
+from stickslip_fit._format import joint_name
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.drawing import on_white
 from stickslip_fit.report.figures.pareto import COLOURS, MINUTES
@@ -29,7 +31,6 @@ from stickslip_fit.report.figures.style import (
     look,
     plain_log,
 )
-from stickslip_fit.report.wording import joint_name, plain
 from stickslip_fit.strategies.study import Study
 from stickslip_fit.units import from_si
 

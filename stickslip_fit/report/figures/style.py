@@ -15,8 +15,8 @@ from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
+from stickslip_fit._format import format_plain as plain
 from stickslip_fit.report.figures.drawing import Drawing
-from stickslip_fit.report.wording import plain
 
 Shared = bool | Literal["none", "all", "row", "col"]
 Line = Literal["", "-", "--", ":"]

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from stickslip_fit._format import format_configuration as configuration
+from stickslip_fit._format import format_direction as way
+from stickslip_fit._format import format_percent, joint_name, step_unit
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.fit import Result
 from stickslip_fit.report.figures.panels import Kind, Panel, beyond_scale, draw_panels
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import DIRECTION_COLOURS
 from stickslip_fit.report.figures.sweeps import Sweep, held, panels_of
 from stickslip_fit.report.figures.traverses import SESSIONS_SHOWN
-from stickslip_fit.report.wording import configuration, count, joint_name, signed_percent, step_unit, way
 from stickslip_fit.units import from_si
 
 
@@ -81,7 +84,7 @@ def caption(panels: Sequence[Panel], rows: pd.DataFrame, fit: Result) -> str:
     if points["departure"].notna().any():
         worst = rows.loc[points["departure"].abs().idxmax()]
         told.append(
-            f"Furthest from the law: {signed_percent(worst['departure'])} in direction "
+            f"Furthest from the law: {format_percent(worst['departure'], signed=True)} in direction "
             f"{way(worst['direction'])}, {configuration(worst, fit.machine.span(joint))}."
         )
     if hidden := beyond_scale(panels):

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import format_coordinate as place
 from stickslip_fit.fit import Result
 from stickslip_fit.report.figures.panels import POINTS_A_PANEL, Panel
 from stickslip_fit.report.figures.traverses import recent, thinned
-from stickslip_fit.report.wording import place
 from stickslip_fit.units import from_si
 
 Array = npt.NDArray[np.float64]

@@ -8,6 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from stickslip_fit._format import format_plain as plain
+from stickslip_fit._format import format_value
+from stickslip_fit._format import pluralize as count
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.machine import JOINTS
 from stickslip_fit.report.figures.drawing import on_white
@@ -26,9 +29,8 @@ from stickslip_fit.report.figures.style import (
     legend_rows,
     look,
 )
-from stickslip_fit.report.wording import count, plain
 from stickslip_fit.strategies.tip import TipErrors
-from stickslip_fit.units import format_value, from_si
+from stickslip_fit.units import from_si
 
 KEY, TITLE = "tip-errors", "Where the tip ends after open-loop moves"
 COLOURS = dict(zip(JOINTS, (VERMILLION, GREEN, PURPLE), strict=True))

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import DECIMALS, format_configuration, format_direction, joint_name, step_unit
 from stickslip_fit.errors import shorten
 from stickslip_fit.fit import Result
 from stickslip_fit.logs import Log
 from stickslip_fit.report.figures.departures import POINTS
 from stickslip_fit.report.figures.traverses import POSITION, recent, repeatability_of, thinned, traverses_of
 from stickslip_fit.report.quantities import HOURS, quantities
-from stickslip_fit.report.wording import DECIMALS, configuration, joint_name, step_unit, way
 from stickslip_fit.units import from_si
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ def _joint(
         "row": [int(row) for row in rows.index],
         "session": rows["session"].astype(object).map({name: k for k, name in enumerate(sessions)}).tolist(),
         "time": [int(passed) for passed in (rows["time"] - begun).dt.total_seconds()],
-        "sign": "".join(map(way, rows["direction"])),
+        "sign": "".join(map(format_direction, rows["direction"])),
         "configuration": places,
         "steps": rows["steps"].astype(int).tolist(),
         "seen": _scaled(from_si(rows["step_size"].to_numpy(float), unit), per),
@@ -91,7 +91,7 @@ def _configurations(rows: pd.DataFrame, span: float) -> tuple[list[int], list[st
     names = ["joint", *POSITION, "start", "stop"]
     places = rows.groupby(names, sort=False, dropna=False).ngroup()
     first = rows.loc[~places.duplicated(), names]
-    texts = [configuration(row, span) for _, row in first.iterrows()]
+    texts = [format_configuration(row, span) for _, row in first.iterrows()]
     different = list(dict.fromkeys(texts))  # both directions of a full traverse read alike
     return [different.index(texts[place]) for place in places], different
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.strategies.study.chunk import TIP
 from stickslip_fit.strategies.study.design import Design
@@ -33,18 +34,16 @@ class Study:
     command: str = ""
 
     def __repr__(self) -> str:
-        return self.summary()
+        return self.summary().as_text()
 
     def _repr_html_(self) -> str:
-        from stickslip_fit.report.study import study_html
+        return self.summary().as_html()
 
-        return study_html(self)
+    def summary(self) -> Summary:
+        """The answer for each joint and for the tip, then every number."""
+        from stickslip_fit.strategies.study.display import summarize
 
-    def summary(self) -> str:
-        """The answer for each joint and for the tip, then every number, as text."""
-        from stickslip_fit.strategies.study.text import text
-
-        return text(self)
+        return summarize(self)
 
     def plot_errors(self) -> AxesOf:
         """Calibration time against the error of the mean step size, scenario by scenario."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from stickslip_fit._format import format_value
 from stickslip_fit.strategies.study.study import Study
-from stickslip_fit.units import format_value
 
 HONEST = 0.9  # share of 95 % intervals that hold the truth, below which nobody should believe them
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stickslip_fit._summary import Summary
 from stickslip_fit.fit.bayes import bayes
-from stickslip_fit.fit.bayes.checks_text import checks_text
+from stickslip_fit.fit.bayes.checks_text import checks_section
 from stickslip_fit.logs import read_log
 
 JOINT_3 = tuple(
@@ -26,7 +27,8 @@ def log(campaign, tmp_path_factory):
 
 
 def said(log, **how):
-    return checks_text(bayes(log, progress=False, **how))
+    section = checks_section(bayes(log, progress=False, **how))
+    return Summary("", sections=(section,)).as_text()
 
 
 def changed(log, factor):
@@ -36,7 +38,7 @@ def changed(log, factor):
 
 def test_counts_of_the_model_look_like_it(log):
     text = said(log)
-    assert text.endswith("The counts look like the model's own.")
+    assert "The counts look like the model's own." in text
     (row,) = (line for line in text.splitlines() if line.startswith("3 +"))
     elpd = float(row.split()[5])
     # 90 normal counts that repeat to 0.27 %, twelve parameters: what their log density comes to.
@@ -58,4 +60,6 @@ def test_a_drift_within_the_session_is_told(log):
 
 def test_what_has_not_converged_is_not_judged(log):
     text = said(log, max_steps=20, target_ess=10**6)
-    assert text == "Nothing has converged, so there is nothing to check the counts against."
+    assert (
+        text == "Predictive checks\nNothing has converged, so there is nothing to check the counts against."
+    )

@@ -23,7 +23,7 @@ def found(study):
 
 
 def test_the_answer_names_what_lasts_and_what_is_lost(found):
-    told = " ".join(str(found).split("joint 3 (prismatic)")[1].split())
+    told = " ".join(str(found).split("Joint 3. ")[1].split())
     table = found.accuracy().set_index(["joint", "scenario", "strategy"])["rms_relative"][3]
     # What the answer rests on:
     assert table["nothing hidden"]["closed form"] < 0.01
@@ -90,7 +90,7 @@ def test_a_notebook_shows_it(found):
 
 def test_without_moves_there_is_nothing_of_the_tip(study):
     plain = run_study(study(campaigns=3), backend=Cores(1))
-    assert "the tip after" not in str(plain)
+    assert "The tip after" not in str(plain)
     assert plain._repr_html_().count("<table") == 1
     with pytest.raises(InputError, match="made no moves"):
         plain.plot_tips()

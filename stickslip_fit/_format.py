@@ -1,0 +1,350 @@
+"""Numbers, names and lists as sentences and tables have them; SI in, people's units out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+from typing import TYPE_CHECKING
+
+from stickslip_fit.units import PRISMATIC, UNITS, Interval, from_si
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MINUS = "\N{MINUS SIGN}"
+NO_BREAK = "\N{NO-BREAK SPACE}"
+MISSING = "–"  # in a table's cell
+UNKNOWN = "not known"
+DECIMALS = {"nm": 1, "µrad": 2, "%": 2}  # about a tenth of the repeatability of a traverse
+MAX_DECIMALS = 6
+WHOLE_FROM = 10.0  # without an interval, a number from here on has no decimals
+SAME_ANGLE, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
+
+_SPACED = re.compile(r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))")
+_NEGATIVE = re.compile(r"(?<= )-(?=\d)")
+_DEGREES = re.compile(r"(?<=\d) deg\b")
+_BESIDE = {"": "", "1": "", "%/%": " % per %"}
+
+
+def digits_for(uncertainty: float) -> int:
+    """Decimals that show two significant digits of `uncertainty` below 30, else one (JCGM 100, 7.2.6).
+
+    Examples
+    --------
+    >>> digits_for(0.123), digits_for(0.52), digits_for(47.0)
+    (2, 1, 0)
+    """
+    if not isfinite(uncertainty) or uncertainty <= 0:
+        return 1
+    exponent = floor(log10(uncertainty))
+    leading = uncertainty / 10.0**exponent
+    return max(0, (1 if leading < 3.0 else 0) - exponent)
+
+
+def format_number(value: float | None, unit: str, decimals: int | None = None) -> str:
+    """An SI value in people's unit, which stands elsewhere; `MISSING` where there is none.
+
+    Examples
+    --------
+    >>> format_number(9.5731e-7, "nm"), format_number(-1.98e-5, "µrad"), format_number(-0.024227, "deg", 2)
+    ('957.3', '−19.80', '−1.39')
+    """
+    if value is None or not isfinite(value):
+        return MISSING
+    shown = float(from_si(float(value), unit)) if unit in UNITS else float(value)
+    return _true_minus(f"{shown:.{DECIMALS.get(unit, 1) if decimals is None else decimals}f}")
+
+
+def format_value(value: float | None, unit: str, decimals: int | None = None) -> str:
+    """An SI value with its unit.
+
+    Examples
+    --------
+    >>> format_value(9.573e-7, "nm"), format_value(-0.0314, "%")
+    ('957.3 nm', '−3.14 %')
+    """
+    text = format_number(value, unit, decimals)
+    return text if text == MISSING else f"{text}{_beside(unit)}"
+
+
+def format_uncertain(
+    value: float | None, standard_error: float | None, unit: str, *, with_unit: bool = True
+) -> str:
+    """An SI value with its standard error, in people's unit.
+
+    Examples
+    --------
+    >>> format_uncertain(9.5731e-7, 1.234e-9, "nm"), format_uncertain(9.5731e-7, None, "nm", with_unit=False)
+    ('957.3 ± 1.2 nm', '957.3 ± ?')
+    """
+    if value is None or not isfinite(value):
+        return UNKNOWN
+    beside = _beside(unit) if with_unit else ""
+    if standard_error is None or not isfinite(standard_error):
+        return f"{format_number(value, unit, 3 if unit == '1' else 1)} ± ?{beside}"
+    error = from_si(float(standard_error), unit) if unit != "°C" else standard_error
+    decimals = digits_for(error)
+    return f"{format_number(value, unit, decimals)} ± {error:.{decimals}f}{beside}"
+
+
+def format_range(low: float, high: float, unit: str, decimals: int | None = None) -> str:
+    """Two SI values in people's unit, which stands elsewhere.
+
+    Examples
+    --------
+    >>> format_range(-1e-9, 2e-9, "nm"), format_range(float("nan"), 2e-9, "nm")
+    ('−1.0 to 2.0', '–')
+    """
+    if not (isfinite(low) and isfinite(high)):
+        return MISSING
+    return f"{format_number(low, unit, decimals)} to {format_number(high, unit, decimals)}"
+
+
+def format_estimate(interval: Interval, unit: str, *, signed: bool = False) -> str:
+    """An estimate with its unit, down to the first digit of its uncertainty; its size alone unless signed.
+
+    Examples
+    --------
+    >>> format_estimate(Interval(-0.0378, -0.0394, -0.0363), "%")
+    '3.8 %'
+    >>> format_estimate(Interval(4506.0, 4185.0, 4827.0), "min")
+    '75 min'
+    """
+    value = interval.estimate if signed else abs(interval.estimate)
+    if not isfinite(value):
+        return UNKNOWN
+    return f"{_thousands(format_number(value, unit, _decimals_of(interval, unit)))}{_beside(unit)}"
+
+
+def format_interval(interval: Interval, unit: str, further: int = 0) -> str:
+    """An interval without its unit, to `further` digits more than its estimate in a sentence."""
+    if not isfinite(interval.high - interval.low):
+        return UNKNOWN
+    decimals = _decimals_of(interval, unit, further)
+    ends = (_thousands(format_number(end, unit, decimals)) for end in (interval.low, interval.high))
+    return " to ".join(ends)
+
+
+def format_percent(share: float, *, with_unit: bool = True, signed: bool = False) -> str:
+    """A share in per cent, to two or three digits; a plus sign where `signed` and above zero.
+
+    Examples
+    --------
+    >>> [format_percent(share) for share in (0.00284, -0.0314, 0.1234, 1.58)]
+    ['0.28 %', '−3.1 %', '12.3 %', '158 %']
+    >>> format_percent(0.0786, signed=True), format_percent(0.0786, with_unit=False)
+    ('+7.9 %', '7.9')
+    """
+    if not isfinite(share):
+        return UNKNOWN
+    size = 100 * abs(share)
+    text = format_number(share, "%", 2 if size < 0.995 else 1 if size < 99.5 else 0)
+    return f"{'+' if signed and share > 0 else ''}{text}{' %' if with_unit else ''}"
+
+
+def format_percent_range(low: float, high: float) -> str:
+    """Two shares in per cent, without the unit.
+
+    Examples
+    --------
+    >>> format_percent_range(-0.0012, 0.0314)
+    '−0.12 to 3.1'
+    """
+    if not (isfinite(low) and isfinite(high)):
+        return MISSING
+    return f"{format_percent(low, with_unit=False)} to {format_percent(high, with_unit=False)}"
+
+
+def format_p_value(value: float, *, relation: bool = False) -> str:
+    """A p-value, in a sentence with its relation to p.
+
+    Examples
+    --------
+    >>> [format_p_value(value) for value in (0.9996, 0.312, 0.0312, 0.00021, 1e-9)]
+    ['1', '0.31', '0.031', '0.0002', '<0.0001']
+    >>> format_p_value(0.0312, relation=True), format_p_value(1e-9, relation=True)
+    ('= 0.031', '< 0.0001')
+    """
+    if value < 1e-4:
+        return "< 0.0001" if relation else "<0.0001"
+    decimals = 0 if value >= 0.995 else 2 if value >= 0.095 else 3 if value >= 0.00095 else 4
+    return f"{'= ' if relation else ''}{value:.{decimals}f}"
+
+
+def format_plain(value: float) -> str:
+    """A number with no needless digits.
+
+    Examples
+    --------
+    >>> format_plain(-90.00000000000001), format_plain(0.5)
+    ('−90', '0.5')
+    """
+    return f"{round(value, 3) + 0.0:g}".replace("-", MINUS)
+
+
+def format_angle(value: float) -> str:
+    """An angle in degrees.
+
+    Examples
+    --------
+    >>> format_angle(-1.5707963267948966)
+    '−90°'
+    """
+    return f"{format_plain(from_si(value, 'deg'))}°"
+
+
+def format_length(value: float) -> str:
+    """A length in mm."""
+    return f"{format_plain(from_si(value, 'mm'))} mm"
+
+
+def format_coordinate(name: str, value: float) -> str:
+    """One coordinate of a configuration.
+
+    Examples
+    --------
+    >>> format_coordinate("q3", 0.012), format_coordinate("theta", 0.0)
+    ('q3 = 12 mm', 'theta = 0°')
+    """
+    return f"{name} = {format_length(value) if name == 'q3' else format_angle(value)}"
+
+
+def format_configuration(row: pd.Series, span: float) -> str:
+    """Where everything stood while a joint moved; of a partial traverse its ends too.
+
+    Parameters
+    ----------
+    row : Series
+        joint, q1, q2, q3, theta, psi, start, stop (SI).
+    span : float
+        The joint's full travel.
+    """
+    joint = int(row["joint"])
+    names = ["q1"] if abs(row["q1"]) > SAME_ANGLE else []
+    names += [name for name in ("q2", "q3", "theta", "psi") if name != f"q{joint}"]
+    parts = [f"{name} {(format_length if name == 'q3' else format_angle)(row[name])}" for name in names]
+    if abs(abs(row["stop"] - row["start"]) - span) > SAME_SHARE * span:
+        ends = format_length if joint == PRISMATIC else format_angle
+        parts.append(f"{ends(row['start'])} to {ends(row['stop'])}")
+    return ", ".join(parts)
+
+
+def step_unit(joint: int) -> str:
+    """Unit in which people see a joint's step size."""
+    return "nm" if joint == PRISMATIC else "µrad"
+
+
+def format_step(value: float, joint: int) -> str:
+    """A step size, or a difference of two, with its unit.
+
+    Examples
+    --------
+    >>> format_step(2.19e-8, 3)
+    '21.9 nm'
+    """
+    return format_value(value, step_unit(joint))
+
+
+def format_step_range(low: float, high: float, joint: int) -> str:
+    """An interval of step sizes with its unit.
+
+    Examples
+    --------
+    >>> format_step_range(-1e-9, 2e-9, 3)
+    '−1.0 to 2.0 nm'
+    """
+    return f"{format_range(low, high, step_unit(joint))} {step_unit(joint)}"
+
+
+def joint_name(joint: int) -> str:
+    """A joint with what kind it is.
+
+    Examples
+    --------
+    >>> joint_name(3)
+    'joint 3 (prismatic)'
+    """
+    return f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})"
+
+
+def format_direction(direction: str | None) -> str:
+    """A direction's sign, typeset."""
+    return MINUS if direction == "-" else direction or ""
+
+
+def grow_or_shrink(value: float) -> str:
+    """Whether steps grow or shrink."""
+    return "grow" if value > 0 else "shrink"
+
+
+def pluralize(count: int, noun: str) -> str:
+    """A number of things.
+
+    Examples
+    --------
+    >>> pluralize(1, "traverse"), pluralize(12300, "traverse")
+    ('1 traverse', '12,300 traverses')
+    """
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def join_words(items: Sequence[str], last: str = "and") -> str:
+    """Items in a sentence.
+
+    Examples
+    --------
+    >>> join_words(["a", "b", "c"], "or")
+    'a, b or c'
+    """
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def capitalize_first(text: str) -> str:
+    """A text as a sentence begins; what follows stays as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def typeset(text: str) -> str:
+    """A sentence for any output: degree signs and true minus signs.
+
+    Examples
+    --------
+    >>> typeset("theta -90 deg, q3 12 mm")
+    'theta −90°, q3 12 mm'
+    """
+    return _DEGREES.sub("°", _NEGATIVE.sub(MINUS, text))
+
+
+def keep_units(text: str) -> str:
+    """A sentence whose lines never break between a number and its unit."""
+    return _SPACED.sub(NO_BREAK, text)
+
+
+def _decimals_of(interval: Interval, unit: str, further: int = 0) -> int:
+    shown = [
+        float(from_si(each, unit)) if unit in UNITS else each
+        for each in (interval.estimate, interval.low, interval.high)
+    ]
+    half = abs(shown[2] - shown[1]) / 2
+    if not isfinite(half) or half <= 0:
+        return 0 if abs(shown[0]) >= WHOLE_FROM else 2
+    return min(max(0, further - floor(log10(half))), MAX_DECIMALS)
+
+
+def _thousands(text: str) -> str:
+    """Commas between thousands."""
+    whole, point, rest = text.partition(".")
+    sign, digits = (whole[:1], whole[1:]) if whole.startswith(MINUS) else ("", whole)
+    return f"{sign}{int(digits):,}{point}{rest}"
+
+
+def _beside(unit: str) -> str:
+    return _BESIDE.get(unit, f" {unit}")
+
+
+def _true_minus(text: str) -> str:
+    """A true minus sign, and none before a zero."""
+    if text.startswith("-"):
+        return text[1:] if float(text) == 0 else MINUS + text[1:]
+    return text
