@@ -297,7 +297,7 @@ def join_words(items: Sequence[str], last: str = "and") -> str:
     >>> join_words(["a", "b", "c"], "or")
     'a, b or c'
     """
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
+    return f"{', '.join(items[:-1])} {last} {items[-1]}" if len(items) > 1 else "".join(items)
 
 
 def capitalize_first(text: str) -> str:

@@ -109,18 +109,15 @@ class Table:
         heads = [[column.head for column in self.columns]]
         if any(column.unit for column in self.columns):
             heads.append([column.unit for column in self.columns])
-        lines = _aligned([*heads, *self.rows], [column.text for column in self.columns])
-        above = [self._groups_line([*heads, *self.rows])] if self.groups else []
-        return "\n".join(filter(None, [self.caption, *above, *lines, paragraph(self.note, width)]))
-
-    def _groups_line(self, lines: Sequence[Sequence[str]]) -> str:
-        """Each group's head where its first column begins, cut where its last one ends."""
-        widths, text, place = _widths(lines), "", 0
+        lines = [*heads, *self.rows]
+        widths, above, place = _widths(lines), "", 0
         for group, span in self.groups:
-            room = sum(widths[place : place + span]) + len(GAP) * (span - 1)
-            text += group[:room].ljust(room) + GAP
+            last = place + span - 1
+            widths[last] += max(0, len(group) - sum(widths[place : last + 1]) - len(GAP) * (span - 1))
+            above += group.ljust(sum(widths[place : last + 1]) + len(GAP) * span)
             place += span
-        return text.rstrip()
+        body = _aligned(lines, widths, [column.text for column in self.columns])
+        return "\n".join(filter(None, [self.caption, above.rstrip(), *body, paragraph(self.note, width)]))
 
 
 @dataclass(frozen=True)
@@ -225,15 +222,15 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int =
     2      0.3 µrad
     3       12.0 nm
     """
-    return "\n".join(_aligned([header, *rows], [place < left for place in range(len(header))]))
+    lines = [header, *rows]
+    return "\n".join(_aligned(lines, _widths(lines), [place < left for place in range(len(header))]))
 
 
-def _aligned(lines: Sequence[Sequence[str]], left: Sequence[bool]) -> list[str]:
-    widths = _widths(lines)
+def _aligned(lines: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
     return [
         GAP.join(
-            _CONTROL.sub(" ", cell).ljust(width) if words else _CONTROL.sub(" ", cell).rjust(width)
-            for cell, width, words in zip(line, widths, left, strict=True)
+            _CONTROL.sub(" ", cell).ljust(width) if flush_left else _CONTROL.sub(" ", cell).rjust(width)
+            for cell, width, flush_left in zip(line, widths, left, strict=True)
         ).rstrip()
         for line in lines
     ]

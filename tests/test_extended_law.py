@@ -96,7 +96,7 @@ def test_the_causes_that_were_simulated_are_fitted_with_units_and_error_bars(run
 def test_a_parameter_of_a_cause_can_be_bounded(run):
     bounds = ("--bound", "thermal-warm-up.tau=30:60")
     out = run("fit", "log.csv", "--cause", "thermal-warm-up", *bounds)[1]
-    assert "thermal-warm-up.tau is held back by its bound at 30.0000 min" in out
+    assert "thermal-warm-up.tau is held back by its bound at 30.0000 min" in " ".join(out.split())
 
 
 def test_a_column_that_a_plan_does_not_have_is_told_of(run):

@@ -53,6 +53,13 @@ def test_columns_line_up_under_their_units_and_groups():
     assert note == TABLE.note
 
 
+def test_a_group_s_head_has_room_over_a_narrow_column():
+    columns = (Column("strategy", text=True), Column("±1 %", group="constant step"), Column("rms"))
+    groups, heads, _ = Table("", columns, (("closed form", "8", "1"),)).as_text().splitlines()
+    assert groups.split() == ["constant", "step"]
+    assert groups.index("constant") + len("constant step") == heads.index("±1 %") + len("±1 %")
+
+
 def test_what_is_folded_is_in_html_and_in_text_only_when_asked_for(summary):
     assert "everything" not in summary.as_text()
     assert "everything" in summary.as_text(full=True)

@@ -61,7 +61,7 @@ def remarks(*results: Result) -> list[str]:
             alike.setdefault((result.method, message), []).append(remark)
     methods: dict[str, list[str]] = {}
     for (method, _), same in alike.items():
-        methods.setdefault(capitalize_first(_once(same)), []).append(method.replace("-", " "))
+        methods.setdefault(_once(same), []).append(method.replace("-", " "))
     if len(results) == 1:
         return list(methods)
     return [f"{sentence} ({join_words(by)})" for sentence, by in methods.items()]
@@ -69,13 +69,15 @@ def remarks(*results: Result) -> list[str]:
 
 def _once(alike: list[Remark]) -> str:
     first, *others = alike
+    named = first.message.startswith(first.parameters)  # begins with a name, whose letters matter
+    message = first.message if named else capitalize_first(first.message)
     if not others:
-        return f"{first.message}."
+        return f"{message}."
     names = [remark.session for remark in others]
     if len(names) > MAX_NAMED:
         names = [*names[:MAX_NAMED], pluralize(len(names) - MAX_NAMED, "other")]
     plural = "session" if len(others) == 1 else "sessions"
-    return f"{first.message}. The same in {plural} {join_words(names)}."
+    return f"{message}. The same in {plural} {join_words(names)}."
 
 
 def _parameters(result: Result, joint: int) -> Table:

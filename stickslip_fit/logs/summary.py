@@ -53,7 +53,7 @@ def file_names(names: list[str]) -> str:
     short = [Path(name).name for name in names[:MAX_FILES]]
     if len(names) > MAX_FILES:
         short.append(pluralize(len(names) - MAX_FILES, "more file"))
-    return join_words(short) if short else ""
+    return join_words(short)
 
 
 def latest(sessions: int) -> str:

@@ -53,10 +53,7 @@ def summarize(diagnosis: Diagnosis, command: str = "") -> Summary:
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),
-                (
-                    *_ranking_tables(diagnosis),
-                    *traverses_table("Traverses that would tell", diagnosis.next_experiment),
-                ),
+                (*_ranking_tables(diagnosis), *further),
                 key="alternatives",
             ),
             Section("What this log could not have shown", tuple(_not_seen(diagnosis)), key="unseen"),
