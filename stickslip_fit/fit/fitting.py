@@ -160,9 +160,10 @@ def _groups(problems: Sequence[Problem]) -> Groups:
     return Groups(pd.concat(tables, ignore_index=True), np.concatenate(of_row))
 
 
-def settle(fitting: Fitting, terms: Terms) -> Settled:
+def settle(fitting: Fitting, terms: Terms, weight: Array | None = None) -> Settled:
     """Minimise, weigh the rows by what is left over, and so on until the weights settle."""
-    likelihood, start, weight = terms.likelihood, fitting.whole.start, np.ones(len(fitting.whole.y))
+    likelihood, start = terms.likelihood, fitting.whole.start
+    weight = np.ones(len(fitting.whole.y)) if weight is None else weight
     for _ in range(MOST_PASSES):
         found = fitting.whole.minimise(weight, start)
         repeatability = tuple(

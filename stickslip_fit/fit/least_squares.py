@@ -17,13 +17,13 @@ from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
 from stickslip_fit.fit.intervals import quadratic_interval, reaches
 from stickslip_fit.fit.levenberg_marquardt import Minimum
 from stickslip_fit.fit.likelihood import Likelihood
+from stickslip_fit.fit.outliers import flag_outliers
 from stickslip_fit.fit.problem import lay_out
 from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import GAUSSIAN, Repeatability, doubts, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.terms import NO_TERMS, Terms
-from stickslip_fit.fit.wild_counts import name_wild_counts
 from stickslip_fit.fit.with_causes import lay_out_with, own_part, remarks_on_causes
 from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
@@ -101,7 +101,7 @@ def least_squares(
         remarks=tuple(remarks),
         provenance=provenance(log, command),
     )
-    return name_wild_counts(result, log)
+    return flag_outliers(result, log)
 
 
 def fit_joint(
@@ -202,7 +202,7 @@ def _not_converged(law: StepLaw, groups: Groups, found: Minimum) -> list[Remark]
         Remark(
             "not_converged", law.joint, group.direction, group.session, names,
             f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
-            "settled; look at this session's counts for one that is wildly off",
+            "settled; look for an outlier among this session's counts",
         )
         for group in groups.table[~found.converged].itertuples()
     ]  # fmt: skip
