@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.fit.problem import Problem
+from stickslip_fit.fit.problem import JointProblem
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.units import format_value
 
@@ -67,7 +67,7 @@ def one_sided_intervals(
     return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)
 
 
-def at_bound_remarks(problem: Problem, values: Array, at_bound: Mask) -> list[Remark]:
+def at_bound_remarks(problem: JointProblem, values: Array, at_bound: Mask) -> list[Remark]:
     """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
     law, remarks = problem.law, {}
     for index, k in np.argwhere(at_bound):

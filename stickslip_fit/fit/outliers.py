@@ -8,24 +8,25 @@ traverse can pull much. A session with no more traverses than parameters can sho
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.fit.fitting import by_itself, settle
 from stickslip_fit.fit.likelihood import StudentT
-from stickslip_fit.fit.problem import lay_out
+from stickslip_fit.fit.problem import single_problem
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.result import Result
-from stickslip_fit.fit.terms import Terms
+from stickslip_fit.fit.reweighting import iterate_weights
+from stickslip_fit.fit.terms import FitOptions
 from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
 
 Array = npt.NDArray[np.float64]
 
-ROBUST_Z = 15.0  # flags a row in 1 of 100 logs of 400 rows whose noise is Student's t with df = 5
+ROBUST_Z = 16.0  # flags a row in 1 of 100 logs of 400 rows whose noise is Student's t with df = 5
 SUSPICIOUS_Z = 5.0  # in a fit that an outlier may have pulled towards it
 TYPICAL_SIGMA = 0.003  # of log steps; a few residuals that happen to be small are no measure of the scatter
 SIGMA_PER_MAD = 1.4826
@@ -52,10 +53,13 @@ def flag_outliers(result: Result, log: Log) -> Result:
 def outliers(law: StepLaw, rows: pd.DataFrame) -> list[Remark]:
     """A remark on each outlying count of one joint, with the count that the other rows predict."""
     names = tuple(parameter.name for parameter in law.parameters)
-    campaign = by_itself(lay_out(law, rows, Terms(StudentT(), shared=names)))
-    first = settle(campaign, Terms(StudentT())).weight
-    residual = settle(by_itself(lay_out(law, rows, Terms())), Terms(StudentT()), first).found.residual
-    z = robust_z(residual, (rows["direction"] == "-").to_numpy())
+    campaign = single_problem(law, rows, FitOptions(StudentT(), shared=names))
+    sessions, heavy_tails = single_problem(law, rows, FitOptions()), FitOptions(StudentT())
+    first = iterate_weights([campaign], campaign, heavy_tails).weight
+    fit = iterate_weights([sessions], sessions, heavy_tails, first)
+    residual, sigma = fit.minimum.residual, fit.repeatability[0]
+    df = {direction: sigma[direction].freedom for direction in sigma}
+    z = robust_z(residual, rows["direction"].to_numpy(dtype=object), df)
     outlying = np.abs(z) > ROBUST_Z
     y, _ = law.response(rows)
     found = rows[outlying].assign(expected=np.exp(y - residual)[outlying], z=z[outlying])
@@ -70,12 +74,14 @@ def outliers(law: StepLaw, rows: pd.DataFrame) -> list[Remark]:
     ]  # fmt: skip
 
 
-def robust_z(residual: Array, direction: npt.NDArray[np.bool_]) -> Array:
-    """Residuals over the scatter of their direction by its median absolute value, shape (n,)."""
-    sigma = [
-        SIGMA_PER_MAD * float(np.median(np.abs(residual[direction == each])))
-        if np.any(direction == each)
-        else 0.0
-        for each in (False, True)
-    ]
-    return residual / np.maximum(np.array(sigma), TYPICAL_SIGMA)[direction.astype(np.intp)]
+def robust_z(residual: Array, direction: npt.NDArray[np.object_], df: Mapping[str, int]) -> Array:
+    """Residuals over the scatter in their direction, shape (n,).
+
+    The scatter is the median absolute residual as a standard deviation, corrected for the fitted parameters.
+    """
+    sigma = np.full(len(residual), TYPICAL_SIGMA)
+    for each in np.unique(direction):
+        rows = direction == each
+        median = float(np.median(np.abs(residual[rows])))
+        sigma[rows] = max(SIGMA_PER_MAD * median * np.sqrt(rows.sum() / max(df[each], 1)), TYPICAL_SIGMA)
+    return residual / sigma
