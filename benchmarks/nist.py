@@ -25,7 +25,7 @@ def ours(problem: Problem, begin: np.ndarray) -> tuple[np.ndarray, bool]:
     )
     weight, start = np.ones(len(problem.y)), begin[None, :]
     found = minimise(
-        problem.model(), problem.y, weight, groups, start, np.abs(start), smallest=1e-14, tolerance=1e-10
+        problem.model(), problem.y, weight, groups, start, np.abs(start), rank_tol=1e-14, tolerance=1e-10
     )
     return found.values[0], bool(found.converged[0] and found.rank[0] == len(begin))
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._format import format_value
-from stickslip_fit.fit.problem import Problem
+from stickslip_fit.fit.problem import JointProblem
 from stickslip_fit.fit.remark import Remark
 
 Array = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def one_sided_intervals(
     return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)
 
 
-def at_bound_remarks(problem: Problem, values: Array, at_bound: Mask) -> list[Remark]:
+def at_bound_remarks(problem: JointProblem, values: Array, at_bound: Mask) -> list[Remark]:
     """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
     law, remarks = problem.law, {}
     for index, k in np.argwhere(at_bound):

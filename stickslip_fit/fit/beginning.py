@@ -11,7 +11,7 @@ import pandas as pd
 
 from stickslip_fit.causes import Cause
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit.problem import Problem
+from stickslip_fit.fit.problem import JointProblem
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import Machine
 
@@ -26,7 +26,7 @@ class Remainder:
 
     Attributes
     ----------
-    problems : tuple of Problem
+    problems : tuple of JointProblem
         One for each joint.
     rows : DataFrame
         Theirs, one problem's after the other's.
@@ -35,7 +35,7 @@ class Remainder:
     residual : array, shape (n,)
     """
 
-    problems: tuple[Problem, ...]
+    problems: tuple[JointProblem, ...]
     rows: pd.DataFrame
     values: tuple[Array, ...]
     slopes: tuple[Array, ...]
@@ -64,7 +64,7 @@ class Remainder:
         return self.recalibrated(np.concatenate(changes))
 
 
-def remainder_of(problems: Sequence[Problem]) -> Remainder:
+def remainder_of(problems: Sequence[JointProblem]) -> Remainder:
     """Fit every joint's published law by itself, all rows alike."""
     found = [problem.minimise(np.ones(len(problem.y)), problem.start) for problem in problems]
     values = tuple(each.values[problem.groups.of_row] for problem, each in zip(problems, found, strict=True))

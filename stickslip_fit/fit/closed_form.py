@@ -21,12 +21,12 @@ from stickslip_fit.fit.known_causes import (
     solve_held,
 )
 from stickslip_fit.fit.least_squares import fit_joint
+from stickslip_fit.fit.outliers import flag_outliers
 from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability, from_replicates, variance_of, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
 from stickslip_fit.fit.solve_d import solve_d
-from stickslip_fit.fit.wild_counts import name_wild_counts
 from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, travel
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -73,7 +73,7 @@ def closed_form(log: Log, *, causes_from: Result | None = None, command: str = "
             raise InputError("the causes were fitted for another machine; read the log with that one")
         known = known_causes(causes_from)
         laws = {joint: HeldLaw(law, known.causes, known.values) for joint, law in laws.items()}
-    return name_wild_counts(calibrate(log, laws, "closed-form", known=known, command=command), log)
+    return flag_outliers(calibrate(log, laws, "closed-form", known=known, command=command), log)
 
 
 def calibrate(

@@ -1,4 +1,4 @@
-"""What least squares needs to know around a point: residuals, slopes, and each group's quadratic form."""
+"""Normal equations of each group, and their solution by singular values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WELL_CONDITIONED = 1e-9
 
 
 @dataclass(frozen=True)
-class Moments:
+class NormalEquations:
     """Residuals and slopes at a point, and their products summed over each group.
 
     Attributes
@@ -48,25 +48,27 @@ class Moments:
         """J' W J in the parameters' own units, shape (g, p, p)."""
         return self.products[:, :-1, :-1] / (scales[:, :, None] * scales[:, None, :])
 
-    def without(self, held: npt.NDArray[np.bool_], groups: Groups) -> Moments:
-        """These moments with some parameters, shape (g, p), held where they are."""
+    def without(self, held: npt.NDArray[np.bool_], groups: Groups) -> NormalEquations:
+        """These equations with some parameters, shape (g, p), held where they are."""
         if not np.any(held):
             return self
         free = np.concatenate([~held, np.ones((len(held), 1), dtype=bool)], axis=1)
         products = self.products * free[:, :, None] * free[:, None, :]
-        return Moments(self.residual, self.columns * free[groups.of_row].T, products)
+        return NormalEquations(self.residual, self.columns * free[groups.of_row].T, products)
 
-    def of(self, some: npt.NDArray[np.bool_], groups: Groups) -> Moments:
-        """The moments of some groups."""
+    def of(self, some: npt.NDArray[np.bool_], groups: Groups) -> NormalEquations:
+        """The equations of some groups."""
         rows = some[groups.of_row]
-        return Moments(self.residual[rows], self.columns[:, rows], self.products[some])
+        return NormalEquations(self.residual[rows], self.columns[:, rows], self.products[some])
 
-    def replaced(self, other: Moments, where: npt.NDArray[np.bool_], groups: Groups) -> Moments:
-        """These moments, but `other`'s in the groups `where`."""
+    def replaced(
+        self, other: NormalEquations, where: npt.NDArray[np.bool_], groups: Groups
+    ) -> NormalEquations:
+        """These equations, but `other`'s in the groups `where`."""
         if np.all(where):
             return other
         rows = where[groups.of_row]
-        return Moments(
+        return NormalEquations(
             np.where(rows, other.residual, self.residual),
             np.where(rows, other.columns, self.columns),
             np.where(where[:, None, None], other.products, self.products),
@@ -74,7 +76,7 @@ class Moments:
 
 
 @dataclass(frozen=True)
-class Factors:
+class SingularFactors:
     """Singular values and vectors of each group's Jacobian, its columns divided by `lengths`.
 
     Attributes
@@ -98,23 +100,36 @@ class Factors:
         """Directions that are identified, shape (g,)."""
         return np.sum(self.singular > 0, axis=1)
 
+    @property
+    def gain(self) -> Array:
+        """By how much an undamped step lowers the quadratic form, shape (g,)."""
+        return np.sum(np.where(self.singular > 0, self.along**2, 0.0), axis=1)
+
     def step(self, damping: Array) -> Array:
         """Step to the minimum of the damped quadratic form, in units of the scales; (g,) -> (g, p)."""
         divisor = np.where(self.singular > 0, self.singular**2 + damping[:, None], np.inf)
         return np.einsum("gij,gj->gi", self.vectors, self.singular * self.along / divisor) / self.lengths
 
-    def offset(self, cost: Array, sizes: npt.NDArray[np.intp]) -> Array:
-        """Relative offset: how much of the residual an undamped step would still remove, shape (g,)."""
-        rank = np.maximum(self.rank, 1)
-        within = np.sum(np.where(self.singular > 0, self.along**2, 0.0), axis=1)
-        beyond = np.maximum(cost - within, np.finfo(float).tiny)
-        with np.errstate(over="ignore"):
-            return np.sqrt(within / rank * np.maximum(sizes - rank, 1) / beyond)
+    def inverse(self) -> Array:
+        """Pseudo-inverse of the quadratic form, in units of the scales, shape (g, p, p)."""
+        columns = self.vectors / self.lengths[:, :, None]
+        divisor = np.where(self.singular > 0, self.singular**2, np.inf)
+        return (columns / divisor[:, None, :]) @ columns.swapaxes(1, 2)
 
 
-def moments_of(
+def products_by_group(columns: Array, groups: Groups) -> Array:
+    """Products of every two of the columns summed over each group, shape (m, n) -> (g, m, m)."""
+    m = len(columns)
+    products = np.empty((len(groups), m, m))
+    for i in range(m):
+        for j in range(i + 1):
+            products[:, i, j] = products[:, j, i] = groups.sums(columns[i] * columns[j])
+    return products
+
+
+def normal_equations(
     model: Model, y: Array, weight: Array, groups: Groups, values: Array, scales: Array
-) -> Moments:
+) -> NormalEquations:
     """Evaluate the model at each group's values and sum up what follows."""
     predicted, jacobian = model(values[groups.of_row])
     residual = y - predicted
@@ -122,46 +137,63 @@ def moments_of(
     # One contiguous row a column of [J, r]: summing by group is then a single pass over memory each.
     columns = np.empty((p + 1, len(y)))
     columns[:p], columns[p] = jacobian.T * root, residual * root
-    products = np.empty((len(groups), p + 1, p + 1))
     with np.errstate(over="ignore", invalid="ignore"):
-        for i in range(p + 1):
-            for j in range(i + 1):
-                products[:, i, j] = products[:, j, i] = groups.sums(columns[i] * columns[j])
+        products = products_by_group(columns, groups)
         units = np.concatenate([scales, np.ones((len(groups), 1))], axis=1)
         products *= units[:, :, None] * units[:, None, :]
     # A trial that leaves the model's domain costs infinitely much and is not taken.
     outside = ~np.all(np.isfinite(products), axis=(1, 2))
     products[outside], products[outside, p, p] = 0.0, np.inf
-    return Moments(residual, columns, products)
+    return NormalEquations(residual, columns, products)
 
 
-def factorise(here: Moments, groups: Groups, scales: Array, lengths: Array, smallest: float) -> Factors:
+def factorise(
+    here: NormalEquations, groups: Groups, scales: Array, lengths: Array, rank_tol: float
+) -> SingularFactors:
     """Singular values and vectors of each group's Jacobian.
 
     Parameters
     ----------
-    here : Moments
+    here : NormalEquations
     groups : Groups
     scales : array, shape (g, p)
     lengths : array, shape (g, p)
         Greatest length of each column so far, by which the columns are divided.
-    smallest : float
+    rank_tol : float
         Columns and directions with a smaller share of the greatest are not identified.
     """
-    floor = smallest * np.max(lengths, axis=1, keepdims=True, initial=0.0)
-    lengths = np.maximum(np.maximum(lengths, floor), np.finfo(float).tiny ** 0.25)
-    form = here.products[:, :-1, :-1] / (lengths[:, :, None] * lengths[:, None, :])
-    eigenvalue, vectors = np.linalg.eigh(form)
-    singular = np.sqrt(np.maximum(eigenvalue, 0.0))
-    gradient = np.einsum("gji,gj->gi", vectors, here.products[:, :-1, -1] / lengths)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.where(singular > 0, gradient / singular, 0.0)
+    lengths = _at_least(lengths, rank_tol)
+    eigenvalue, singular, vectors, along = _eigen(
+        here.products[:, :-1, :-1], here.products[:, :-1, -1], lengths
+    )
     greatest = np.max(eigenvalue, axis=1, initial=np.finfo(float).tiny)
     share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
-    for group in np.flatnonzero((share < WELL_CONDITIONED) & (smallest**2 < WELL_CONDITIONED / 10)):
+    for group in np.flatnonzero((share < WELL_CONDITIONED) & (rank_tol**2 < WELL_CONDITIONED / 10)):
         rows = groups.of_row == group
         slopes = here.columns[:-1, rows].T * (scales[group] / lengths[group])
         left, singular[group], right = np.linalg.svd(slopes, full_matrices=False)
         vectors[group], along[group] = right.T, left.T @ here.columns[-1, rows]
-    known = singular > smallest * np.max(singular, axis=1, keepdims=True, initial=0.0)
-    return Factors(lengths, np.where(known, singular, 0.0), vectors, along)
+    known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
+    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
+
+
+def factorise_products(products: Array, gradient: Array, lengths: Array, rank_tol: float) -> SingularFactors:
+    """As `factorise`, from J' W J, shape (g, p, p), and J' W r, shape (g, p), alone."""
+    lengths = _at_least(lengths, rank_tol)
+    _, singular, vectors, along = _eigen(products, gradient, lengths)
+    known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
+    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
+
+
+def _at_least(lengths: Array, rank_tol: float) -> Array:
+    floor = rank_tol * np.max(lengths, axis=1, keepdims=True, initial=0.0)
+    return np.maximum(np.maximum(lengths, floor), np.finfo(float).tiny ** 0.25)
+
+
+def _eigen(products: Array, gradient: Array, lengths: Array) -> tuple[Array, Array, Array, Array]:
+    """Eigenvalues, singular values, right singular vectors, and the residual along the left ones."""
+    eigenvalue, vectors = np.linalg.eigh(products / (lengths[:, :, None] * lengths[:, None, :]))
+    singular = np.sqrt(np.maximum(eigenvalue, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.einsum("gji,gj->gi", vectors, gradient / lengths) / singular
+    return eigenvalue, singular, vectors, np.where(singular > 0, along, 0.0)

@@ -11,14 +11,14 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import join_words
-from stickslip_fit.fit.levenberg_marquardt import SMALLEST
+from stickslip_fit.fit.levenberg_marquardt import RANK_TOL
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.laws import Configuration, StepLaw
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:
-    from stickslip_fit.fit.problem import Problem
+    from stickslip_fit.fit.problem import JointProblem
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def known_parameters(
     scaled = curvature * scales[:, :, None] * scales[:, None, :]
     eigenvalue, vector = np.linalg.eigh(scaled)
     top = np.max(eigenvalue, axis=1, keepdims=True, initial=np.finfo(float).tiny)
-    seen = eigenvalue > SMALLEST**2 * top
+    seen = eigenvalue > RANK_TOL**2 * top
     unseen_share = np.sum(np.where(seen[:, None, :], 0.0, vector**2), axis=2)
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
     covariance = np.einsum("gik,gk,gjk->gij", vector, inverse, vector)
@@ -54,7 +54,7 @@ def known_parameters(
 
 
 def explain_unknown(
-    problem: Problem,
+    problem: JointProblem,
     machine: Machine,
     known: npt.NDArray[np.bool_],
     curvature: Array,
@@ -65,7 +65,7 @@ def explain_unknown(
 
     Parameters
     ----------
-    problem : Problem
+    problem : JointProblem
     machine : Machine
     known : array of bool, shape (g, p)
     curvature : array, shape (g, p, p)
@@ -159,6 +159,6 @@ def _fewest_traverses(
     for size in range(1, len(candidates)):
         for choice in combinations(range(len(candidates)), size):
             singular = np.linalg.svd(np.vstack([slopes, gained[list(choice)]]), compute_uv=False)
-            if len(singular) == len(scales) and singular[-1] > 100 * SMALLEST * singular[0]:
+            if len(singular) == len(scales) and singular[-1] > 100 * RANK_TOL * singular[0]:
                 return tuple(candidates[index] for index in choice)
     return candidates

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -11,20 +10,20 @@ import pandas as pd
 
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.fit.at_bound import at_bound_remarks, one_sided_intervals
-from stickslip_fit.fit.fitting import Fitting, Settled, by_itself, from_residuals, settle
 from stickslip_fit.fit.groups import Groups, usable_rows
 from stickslip_fit.fit.identifiability import explain_unknown, known_parameters
 from stickslip_fit.fit.intervals import quadratic_interval, reaches
 from stickslip_fit.fit.levenberg_marquardt import Minimum
 from stickslip_fit.fit.likelihood import Likelihood
-from stickslip_fit.fit.problem import lay_out
+from stickslip_fit.fit.outliers import flag_outliers
+from stickslip_fit.fit.problem import single_problem
 from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import GAUSSIAN, Repeatability, doubts, without_error_bars
 from stickslip_fit.fit.result import JointFit, Result
-from stickslip_fit.fit.terms import NO_TERMS, Terms
-from stickslip_fit.fit.wild_counts import name_wild_counts
-from stickslip_fit.fit.with_causes import lay_out_with, own_part, remarks_on_causes
+from stickslip_fit.fit.reweighting import ConvergedFit, from_residuals, iterate_weights
+from stickslip_fit.fit.terms import DEFAULT_OPTIONS, FitOptions
+from stickslip_fit.fit.with_causes import own_part, problems_with_causes, remarks_on_causes
 from stickslip_fit.laws import StepLaw, published_law
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -79,111 +78,100 @@ def least_squares(
     by_joint = {joint: rows[rows["joint"] == joint] for joint in log.joints}
     by_joint = {joint: mine for joint, mine in by_joint.items() if len(mine)}
     laws = {joint: published_law(joint, mine, log.machine) for joint, mine in by_joint.items()}
-    terms = Terms(likelihood, tuple(shared), bounds or {}, repeatability or {})
+    options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {})
     if causes:
-        fittings = [lay_out_with(causes, laws, by_joint, log.machine, terms)]
+        problems, combined = problems_with_causes(causes, laws, by_joint, log.machine, options)
+        fits = [iterate_weights(problems, combined, options)]
     else:
-        terms.check(laws.values())
-        fittings = [by_itself(lay_out(laws[joint], mine, terms)) for joint, mine in by_joint.items()]
-    found = [each for fitting in fittings for each in _fit(fitting, log.machine, terms)]
-    remarks = [remark for each in found for remark in each.remarks]
+        options.check(laws.values())
+        problems = [single_problem(laws[joint], mine, options) for joint, mine in by_joint.items()]
+        fits = [iterate_weights([problem], problem, options) for problem in problems]
+    joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
+    remarks = [remark for _, _, remarks in joints for remark in remarks]
     if causes:
-        remarks += remarks_on_causes([each.fit for each in found], [each.at_bound for each in found])
+        at_bound = [fits[0].minimum_of(number).at_bound for number in range(len(problems))]
+        remarks += remarks_on_causes([fit for fit, _, _ in joints], at_bound)
     residuals = [
-        pd.DataFrame({"joint": joint, "residual": each.residual, "used": True}, index=mine.index)
-        for (joint, mine), each in zip(by_joint.items(), found, strict=True)
+        pd.DataFrame({"joint": joint, "residual": residual, "used": True}, index=mine.index)
+        for (joint, mine), (_, residual, _) in zip(by_joint.items(), joints, strict=True)
     ]
     result = Result(
         method=likelihood.method,
         machine=log.machine,
-        joints={each.fit.law.joint: each.fit for each in found},
+        joints={fit.law.joint: fit for fit, _, _ in joints},
         residuals=pd.concat(residuals).sort_index(),
         remarks=tuple(remarks),
         provenance=provenance(log, command),
     )
-    return name_wild_counts(result, log)
+    return flag_outliers(result, log)
 
 
 def fit_joint(
-    law: StepLaw, rows: pd.DataFrame, machine: Machine, terms: Terms = NO_TERMS
+    law: StepLaw, rows: pd.DataFrame, machine: Machine, options: FitOptions = DEFAULT_OPTIONS
 ) -> tuple[JointFit, Array, list[Remark]]:
-    """Fit one joint's law to its rows; also the residuals, shape (n,), and what is to be said."""
-    (found,) = _fit(by_itself(lay_out(law, rows, terms)), machine, terms)
-    return found.fit, found.residual, found.remarks
+    """Fit one joint's law to its rows; also the residuals, shape (n,), and the remarks."""
+    problem = single_problem(law, rows, options)
+    (joint,) = _joint_results(iterate_weights([problem], problem, options), machine, options)
+    return joint
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What a fit says of one joint."""
-
-    fit: JointFit
-    residual: Array
-    at_bound: npt.NDArray[np.bool_]
-    remarks: list[Remark]
-
-
-@dataclass(frozen=True, eq=False)
-class _Said:
-    """What all rows of a fitting say of each group's parameters.
-
-    Attributes
-    ----------
-    curvature, unbound : array, shape (g, p, p)
-        With parameters held by a bound, and as if there were none.
-    uphill : array, shape (g, p)
-    """
-
-    curvature: Array
-    unbound: Array
-    uphill: Array
-
-
-def _fit(fitting: Fitting, machine: Machine, terms: Terms) -> list[_Found]:
-    settled = settle(fitting, terms)
-    whole, found, of_row = fitting.whole, settled.found, fitting.whole.groups.of_row
-    slopes = whole.model(found.values[of_row])[1]
-    said = _Said(
-        whole.curvature(slopes * ~found.at_bound[of_row], settled.information),
-        whole.curvature(slopes, settled.information),
-        whole.uphill(slopes, settled.weight * found.residual),
-    )
+def _joint_results(
+    fit: ConvergedFit, machine: Machine, options: FitOptions
+) -> list[tuple[JointFit, Array, list[Remark]]]:
+    """Each joint's fit, its residuals, shape (n,), and the remarks on it."""
+    whole, minimum, of_row = fit.whole, fit.minimum, fit.whole.groups.of_row
+    slopes = whole.model(minimum.values[of_row])[1]
+    curvature = whole.curvature(slopes * ~minimum.at_bound[of_row], fit.information)
+    unbounded = curvature
+    if minimum.at_bound.any():
+        unbounded = whole.curvature(slopes, fit.information)
+    gradient = whole.gradient(slopes, fit.weight * minimum.residual)
     return [
-        _of_joint(fitting, number, settled, said, machine, terms) for number in range(len(fitting.problems))
+        _joint_result(fit, number, curvature, unbounded, gradient, machine, options)
+        for number in range(len(fit.joints))
     ]
 
 
-def _of_joint(
-    fitting: Fitting, number: int, settled: Settled, said: _Said, machine: Machine, terms: Terms
-) -> _Found:
-    problem, found = fitting.problems[number], fitting.part(settled.found, number)
-    law, groups, values, at_bound = problem.law, problem.groups, found.values, found.at_bound
-    repeatability = settled.repeatability[number]
-    curvature = fitting.square(said.curvature, number)
+def _joint_result(
+    fit: ConvergedFit,
+    number: int,
+    all_curvature: Array,
+    all_unbounded: Array,
+    all_gradient: Array,
+    machine: Machine,
+    options: FitOptions,
+) -> tuple[JointFit, Array, list[Remark]]:
+    """See `_joint_results`; curvature with and without active bounds, and gradient, are of all joints."""
+    problem, minimum, repeatability = fit.joints[number], fit.minimum_of(number), fit.repeatability[number]
+    law, groups, values, at_bound = problem.law, problem.groups, minimum.values, minimum.at_bound
+    place, columns = fit.groups(number), fit.columns(number)
+    curvature = all_curvature[place][:, columns[:, None], columns]
     known, _, covariance = known_parameters(curvature, problem.scales)
-    known |= at_bound | _beside_the_point(law)
+    known |= at_bound | _not_applicable(law)
     covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
     covariance = _with_error_bars(covariance, groups, repeatability)
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
     if at_bound.any():
-        _, _, unbound = known_parameters(fitting.square(said.unbound, number), problem.scales)
-        uphill = said.uphill[fitting.groups(number), fitting.columns[number]]
-        reach = reaches(groups.table, repeatability)
-        interval[at_bound] = one_sided_intervals(values, at_bound, problem.lower, uphill, unbound, reach)
-    shared = tuple(parameter.name for parameter in law.parameters if parameter.name in terms.shared)
-    fit = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
+        _, _, unbounded = known_parameters(all_unbounded[place][:, columns[:, None], columns], problem.scales)
+        interval[at_bound] = one_sided_intervals(
+            values, at_bound, problem.lower, all_gradient[place, columns], unbounded,
+            reaches(groups.table, repeatability),
+        )  # fmt: skip
+    shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
+    joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
     published, own = own_part(problem), slice(0, len(own_part(problem).law.parameters))
-    information = settled.information[fitting.rows(number)]
     remarks = explain_unknown(
-        published, machine, known[:, own], curvature[:, own, own], information, values[:, own]
-    )
+        published, machine, known[:, own], curvature[:, own, own], fit.information[fit.rows(number)],
+        values[:, own],
+    )  # fmt: skip
     remarks += at_bound_remarks(published, values[:, own], at_bound[:, own])
-    remarks += _not_converged(law, groups, found) + without_error_bars(law, groups.table, repeatability)
-    estimated = from_residuals(problem, found, terms.likelihood)
-    remarks += doubts(law, terms.given(law.joint), estimated)
-    return _Found(fit, found.residual, at_bound, remarks)
+    remarks += _not_converged(law, groups, minimum) + without_error_bars(law, groups.table, repeatability)
+    estimated = from_residuals(problem, minimum, options.likelihood)
+    remarks += doubts(law, options.given(law.joint), estimated)
+    return joint, minimum.residual, remarks
 
 
-def _beside_the_point(law: StepLaw) -> npt.NDArray[np.bool_]:
+def _not_applicable(law: StepLaw) -> npt.NDArray[np.bool_]:
     """Parameters of which a joint need not know anything by slopes, shape (p,)."""
     if not isinstance(law, ExtendedLaw):
         return np.zeros(len(law.parameters), dtype=bool)
@@ -202,7 +190,7 @@ def _not_converged(law: StepLaw, groups: Groups, found: Minimum) -> list[Remark]
         Remark(
             "not_converged", law.joint, group.direction, group.session, names,
             f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
-            "settled; look at this session's counts for one that is wildly off",
+            "settled; look for an outlier among this session's counts",
         )
         for group in groups.table[~found.converged].itertuples()
     ]  # fmt: skip

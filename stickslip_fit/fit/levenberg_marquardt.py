@@ -4,33 +4,36 @@ Every group has its own parameters and its own damping, so that one difficult gr
 disturbs the others. Damped steps as of Marquardt (SIAM J. Appl. Math. 11:431, 1963) with the scaling of
 Moré (Lecture Notes in Mathematics 630:105, 1978) and damping that falls faster than it rises (Transtrum
 and Sethna, arXiv:1201.5885, 2012); undamped ones as soon as the relative offset of Bates and Watts
-(Technometrics 23:179, 1981) shows that a group is nearly there.
+(Technometrics 23:179, 1981) shows that a group is nearly there. `fit.shared` solves systems of groups that
+share parameters by the same search.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.fit.curvature import Factors, Moments, factorise, moments_of
+from stickslip_fit.fit.curvature import NormalEquations, factorise, normal_equations
 from stickslip_fit.fit.groups import Groups
 from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Part = Callable[[npt.NDArray[np.intp]], Model]
-"""Places of some rows to the model of these."""
+Indices = npt.NDArray[np.intp]
+RowSubsetModel = Callable[[Indices], Model]
+"""Positions of some rows to the model of these."""
 
 # A direction of parameter space that changes the response by less than this share of what a parameter of
 # ordinary effect does is not known from the data, whatever the arithmetic says.
-SMALLEST = 1e-5
-NEARLY_THERE = 1e-6
-RISE, FALL, FIRST, MOST = 2.0, 3.0, 1e-2, 1e20
+RANK_TOL = 1e-5
+REL_OFFSET_TOL = 1e-6
+DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
 # A search goes on without the groups that are done as soon as they have most rows of a log of some size.
-FEW, SMALL = 0.5, 1000
+MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 1000
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Minimum:
         J' W J at the minimum, SI.
     residual : array, shape (n,)
     converged : array of bool, shape (g,)
-        The values do not move any more; they are all determined only where rank is p.
+        The last step was below the tolerance; all parameters are determined only where rank is p.
     rank : array of int, shape (g,)
         Directions of parameter space that the data determine.
     at_bound : array of bool, shape (g, p)
@@ -56,12 +59,12 @@ class Minimum:
     curvature: Array
     residual: Array
     converged: Mask
-    rank: npt.NDArray[np.intp]
+    rank: Indices
     at_bound: Mask
     iterations: int
 
     def replaced(self, other: Minimum, some: Mask, groups: Groups) -> Minimum:
-        """With what a search that went on with some of the groups alone has found of these."""
+        """With the minimum of a search that went on with some of the groups alone."""
         whole = {name: getattr(self, name).copy() for name in ("values", "curvature", "converged", "rank")}
         whole |= {"at_bound": self.at_bound.copy(), "residual": self.residual.copy()}
         for name, array in whole.items():
@@ -77,12 +80,11 @@ def minimise(
     start: Array,
     scales: Array,
     *,
-    part: Part | None = None,
+    subset: RowSubsetModel | None = None,
     lower: Array | float = -np.inf,
     upper: Array | float = np.inf,
-    damping: float = FIRST,
-    smallest: float = SMALLEST,
-    rest: float = 0.0,
+    damping: float = FIRST_DAMPING,
+    rank_tol: float = RANK_TOL,
     tolerance: float = 1e-8,
     most: int = 2000,
 ) -> Minimum:
@@ -96,18 +98,16 @@ def minimise(
     groups : Groups
     start, scales : array, shape (g, p)
         Where to begin, and a change of each parameter that matters.
-    part : callable, optional
-        Places of some rows to their model. With it the time that a slow group takes does not grow with the
+    subset : callable, optional
+        Positions of some rows to their model. With it the time that a slow group takes does not grow with the
         others, since these are left alone once they have converged.
     lower, upper : array, broadcast to shape (g, p), optional
         Bounds of the parameters. A step is cut off at a bound; a parameter that lies on one, and would
         leave it, stays while the others move (active set).
     damping : float, optional
         To begin with; 0 where the model is nearly linear and undamped steps can be trusted from the start.
-    smallest : float, optional
+    rank_tol : float, optional
         Directions with a smaller share of the largest effect are left alone as not identified.
-    rest : float, optional
-        Relative offset, about the distance to the minimum in standard errors, at which a group may rest.
     tolerance : float, optional
         A group has converged when its undamped step is below this share of the scales.
     most : int, optional
@@ -118,19 +118,31 @@ def minimise(
     Minimum
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
-    sums = _Sums(model, y, weight, groups, scales, low, high, smallest, rest, tolerance, part)
-    values, count = np.clip(start, low, high), len(groups)
-    here = sums.moments(values)
-    place = _Place(
-        values, here, np.zeros(scales.shape), np.full(count, damping), np.full(count, np.inf),
-        np.zeros(count, dtype=bool), ~np.isfinite(here.cost),
-    )  # fmt: skip
-    return _search(sums, place, most)
+    objective = Objective(model, y, weight, groups, scales, low, high, rank_tol, tolerance, subset=subset)
+    return search(objective, start, damping, most)
+
+
+class Factors(Protocol):
+    """The solved normal equations of u units; see `SingularFactors`."""
+
+    @property
+    def rank(self) -> Indices:
+        """Directions that are identified, shape (u,)."""
+
+    @property
+    def gain(self) -> Array:
+        """By how much an undamped step lowers the quadratic form, shape (u,)."""
+
+    def step(self, damping: Array) -> Array:
+        """Damped step in units of the scales, shape (u,) -> (g, p)."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """The sums of squares of g groups of n rows, and what is asked of a minimum; see `minimise`."""
+class Objective:
+    """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimise`.
+
+    What can only move together is a unit: here each group by itself.
+    """
 
     model: Model
     y: Array
@@ -139,114 +151,181 @@ class _Sums:
     scales: Array
     lower: Array
     upper: Array
-    smallest: float
-    rest: float
+    rank_tol: float
     tolerance: float
-    part: Part | None
+    offset_tol: float = 0.0
+    subset: RowSubsetModel | None = None
 
-    def moments(self, values: Array) -> Moments:
+    @property
+    def sizes(self) -> Indices:
+        """Rows of each unit, shape (u,)."""
+        return self.groups.sizes
+
+    def of_group[T: np.generic](self, values: npt.NDArray[T]) -> npt.NDArray[T]:
+        """Each unit's values for its groups, shape (u, ...) -> (g, ...)."""
+        return values
+
+    def of_unit(self, values: Array) -> Array:
+        """Sum over each unit's groups, shape (g,) -> (u,)."""
+        return values
+
+    def largest(self, values: Array) -> Array:
+        """Largest value in each unit, shape (g, p) -> (u,)."""
+        return np.max(values, axis=1, initial=0.0)
+
+    def normal_equations(self, values: Array) -> NormalEquations:
         """Residuals, slopes and their products at a point, shape (g, p)."""
-        return moments_of(self.model, self.y, self.weight, self.groups, values, self.scales)
+        return normal_equations(self.model, self.y, self.weight, self.groups, values, self.scales)
 
-    def held(self, here: Moments, values: Array) -> Mask:
+    def gradient(self, here: NormalEquations) -> Array:
+        """By how much half the sum of squares falls with each parameter, shape (g, p)."""
+        return here.products[:, :-1, -1]
+
+    def lengths(self, here: NormalEquations) -> Array:
+        """Length of each parameter's slopes, shape (g, p)."""
+        return here.norms
+
+    def factors(self, here: NormalEquations, lengths: Array) -> Factors:
+        """The units' normal equations at a point, solved."""
+        return factorise(here, self.groups, self.scales, lengths, self.rank_tol)
+
+    def held(self, here: NormalEquations, values: Array) -> Mask:
         """Parameters on a bound that the data would push beyond it, shape (g, p)."""
-        uphill = here.products[:, :-1, -1]
+        uphill = self.gradient(here)
         return ((values <= self.lower) & (uphill < 0)) | ((values >= self.upper) & (uphill > 0))
 
-    def factors(self, here: Moments, seen: Array) -> Factors:
-        """The groups' Jacobians at a point."""
-        return factorise(here, self.groups, self.scales, seen, self.smallest)
+    def rank(self, here: NormalEquations, lengths: Array) -> Indices:
+        """Directions that the data determine, shape (g,)."""
+        return self.factors(here, lengths).rank
 
-    def of(self, some: Mask, part: Part) -> _Sums:
+    def curvature(self, here: NormalEquations) -> Array:
+        """J' W J of each group, SI, shape (g, p, p)."""
+        return here.curvature(self.scales)
+
+    def of(self, some: Mask, subset: RowSubsetModel) -> Objective:
         """The sums of some of the groups."""
         rows = np.flatnonzero(some[self.groups.of_row])
         return replace(
-            self, model=part(rows), y=self.y[rows], weight=self.weight[rows], groups=self.groups.of(some),
+            self, model=subset(rows), y=self.y[rows], weight=self.weight[rows], groups=self.groups.of(some),
             scales=self.scales[some], lower=self.lower[some], upper=self.upper[some],
-            part=lambda fewer: part(rows[fewer]),
+            subset=lambda fewer: subset(rows[fewer]),
         )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """Where the groups are in their searches.
+class _State:
+    """How far the search is.
 
     Attributes
     ----------
     values : array, shape (g, p)
-    here : Moments
-    seen : array, shape (g, p)
+    here : NormalEquations
+    lengths : array, shape (g, p)
         The greatest length of each slope so far.
-    damped : array, shape (g,)
-    before : array, shape (g,)
+    damping : array, shape (u,)
+    last_size : array, shape (u,)
         Size of the last undamped step; infinite far from the minimum.
-    converged, lost : array of bool, shape (g,)
+    converged, lost : array of bool, shape (u,)
     """
 
     values: Array
-    here: Moments
-    seen: Array
-    damped: Array
-    before: Array
+    here: NormalEquations
+    lengths: Array
+    damping: Array
+    last_size: Array
     converged: Mask
     lost: Mask
 
-    def of(self, some: Mask, groups: Groups) -> _Place:
-        """Where some of the groups are."""
-        return _Place(
-            self.values[some], self.here.of(some, groups), self.seen[some], self.damped[some],
-            self.before[some], self.converged[some], self.lost[some],
+    @property
+    def active(self) -> Mask:
+        """Units still on their way, shape (u,)."""
+        return ~(self.converged | self.lost)
+
+    def of(self, some: Mask, groups: Groups) -> _State:
+        """The state of some groups that are units."""
+        return _State(
+            self.values[some], self.here.of(some, groups), self.lengths[some], self.damping[some],
+            self.last_size[some], self.converged[some], self.lost[some],
         )  # fmt: skip
 
 
-def _search(sums: _Sums, place: _Place, most: int) -> Minimum:
+def search(objective: Objective, start: Array, damping: float, most: int) -> Minimum:
+    """Minimise an objective from start values, shape (g, p); see `minimise`."""
+    values = np.clip(start, objective.lower, objective.upper)
+    here, units = objective.normal_equations(values), len(objective.sizes)
+    state = _State(
+        values, here, np.zeros(values.shape), np.full(units, damping), np.full(units, np.inf),
+        np.zeros(units, dtype=bool), ~np.isfinite(objective.of_unit(here.cost)),
+    )  # fmt: skip
+    return _iterate(objective, state, most)
+
+
+def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
     for iteration in range(most):
-        some = ~(place.converged | place.lost)
-        if not some.any():
-            return _minimum(sums, place, iteration)
-        slow = sums.groups.sizes[some].sum() < FEW * len(sums.y) and len(sums.y) > SMALL
-        if slow and sums.part is not None:
-            others = _search(sums.of(some, sums.part), place.of(some, sums.groups), most - iteration)
-            return _minimum(sums, place, iteration).replaced(others, some, sums.groups)
-        place = _step(sums, place)
-    return _minimum(sums, place, most)
+        active = state.active
+        if not active.any():
+            return _minimum(objective, state, iteration)
+        few = objective.sizes[active].sum() < MIN_ROWS_FRACTION * len(objective.y)
+        if objective.subset is not None and few and len(objective.y) > MIN_ROWS:
+            others = objective.of(active, objective.subset)
+            minimum = _iterate(others, state.of(active, objective.groups), most - iteration)
+            return _minimum(objective, state, iteration).replaced(minimum, active, objective.groups)
+        state = _step(objective, state)
+    return _minimum(objective, state, most)
 
 
-def _step(sums: _Sums, place: _Place) -> _Place:
-    values, here, damped, on_the_way = place.values, place.here, place.damped, ~(place.converged | place.lost)
-    seen = np.maximum(place.seen, here.norms)
-    local = sums.factors(here.without(sums.held(here, values), sums.groups), seen)
-    full = local.step(np.zeros(len(values)))
-    offset = local.offset(here.cost, sums.groups.sizes)
-    near = offset < NEARLY_THERE
-    size = np.max(np.abs(full), axis=1, initial=0.0)
+def _step(objective: Objective, state: _State) -> _State:
+    values, here, damping, active = state.values, state.here, state.damping, state.active
+    lengths = np.maximum(state.lengths, objective.lengths(here))
+    factors = objective.factors(here.without(objective.held(here, values), objective.groups), lengths)
+    undamped, cost = factors.step(np.zeros(len(damping))), objective.of_unit(here.cost)
+    offset = relative_offset(factors, cost, objective.sizes)
+    near = offset < REL_OFFSET_TOL
+    size = objective.largest(np.abs(undamped))
     # Steps that no longer shrink, so near the minimum, are rounding noise.
-    close = (size < sums.tolerance) | (near & (size >= place.before)) | (offset < sums.rest)
-    step = np.where((near | close)[:, None], full, local.step(damped))
-    trial = np.clip(values + step * sums.scales, sums.lower, sums.upper)
-    trial = np.where(on_the_way[:, None], trial, values)
-    there = sums.moments(trial)
+    close = (size < objective.tolerance) | (near & (size >= state.last_size))
+    close |= offset < objective.offset_tol
+    step = undamped
+    if damping.any():
+        step = np.where(objective.of_group(near | close)[:, None], undamped, factors.step(damping))
+    trial = np.clip(values + step * objective.scales, objective.lower, objective.upper)
+    trial = np.where(objective.of_group(active)[:, None], trial, values)
+    there = objective.normal_equations(trial)
+    new_cost = objective.of_unit(there.cost)
     # Near the minimum the cost only trembles in its last digits, and a tiny step is right all the same.
-    better = (there.cost <= here.cost * np.where(near, 1.0 + 1e-10, 1.0)) | (close & np.isfinite(there.cost))
-    better &= on_the_way
-    converged = place.converged | ((close | (near & ~better)) & ~place.lost)
-    raised = np.minimum(np.maximum(damped * RISE, FIRST * (damped == 0)), MOST)
-    damped = np.where(better, damped / FALL, raised)
-    return _Place(
-        values=np.where(better[:, None], trial, values),
-        here=here.replaced(there, better, sums.groups),
-        seen=seen,
-        damped=damped,
-        before=np.where(near, size, np.inf),
+    better = (new_cost <= cost * np.where(near, 1.0 + 1e-10, 1.0)) | (close & np.isfinite(new_cost))
+    better &= active
+    converged = state.converged | ((close | (near & ~better)) & ~state.lost)
+    raised = np.minimum(np.maximum(damping * DAMPING_UP, FIRST_DAMPING * (damping == 0)), MAX_DAMPING)
+    damping = np.where(better, damping / DAMPING_DOWN, raised)
+    taken = objective.of_group(better)
+    return _State(
+        values=np.where(taken[:, None], trial, values),
+        here=here.replaced(there, taken, objective.groups),
+        lengths=lengths,
+        damping=damping,
+        last_size=np.where(near, size, np.inf),
         converged=converged,
-        lost=place.lost | ((damped >= MOST) & ~converged),
+        lost=state.lost | ((damping >= MAX_DAMPING) & ~converged),
     )
 
 
-def _minimum(sums: _Sums, place: _Place, iterations: int) -> Minimum:
-    values, here = place.values, place.here
-    rank = sums.factors(here, np.maximum(place.seen, here.norms)).rank
+def relative_offset(factors: Factors, cost: Array, sizes: Indices) -> Array:
+    """How much of the residual an undamped step would still remove, shape (u,)."""
+    rank = np.maximum(factors.rank, 1)
+    beyond = np.maximum(cost - factors.gain, np.finfo(float).tiny)
+    with np.errstate(over="ignore"):
+        return np.sqrt(factors.gain / rank * np.maximum(sizes - rank, 1) / beyond)
+
+
+def _minimum(objective: Objective, state: _State, iterations: int) -> Minimum:
+    values, here = state.values, state.here
     return Minimum(
-        values, here.curvature(sums.scales), here.residual, place.converged, rank, sums.held(here, values),
-        iterations,
-    )  # fmt: skip
+        values=values,
+        curvature=objective.curvature(here),
+        residual=here.residual,
+        converged=objective.of_group(state.converged),
+        rank=objective.rank(here, np.maximum(state.lengths, objective.lengths(here))),
+        at_bound=objective.held(here, values),
+        iterations=iterations,
+    )

@@ -26,7 +26,7 @@ class Likelihood(Protocol):
     def spread(self) -> float:
         """Standard deviation in units of the scale."""
 
-    def share(self, squares: Array) -> Array:
+    def irls_weight(self, squares: Array) -> Array:
         """Weight of residuals whose squares, over the squared scale, are given; 1 for a Gaussian."""
 
 
@@ -38,8 +38,8 @@ class Gaussian:
     information: float = 1.0
     spread: float = 1.0
 
-    def share(self, squares: Array) -> Array:
-        """See `Likelihood.share`."""
+    def irls_weight(self, squares: Array) -> Array:
+        """See `Likelihood.irls_weight`."""
         return np.ones_like(squares)
 
 
@@ -54,7 +54,7 @@ class StudentT:
 
     Examples
     --------
-    >>> StudentT(5.0).share(np.array([0.0, 1.0, 95.0])).round(2)
+    >>> StudentT(5.0).irls_weight(np.array([0.0, 1.0, 95.0])).round(2)
     array([1.2 , 1.  , 0.06])
     """
 
@@ -71,6 +71,6 @@ class StudentT:
         """See `Likelihood.spread`."""
         return float(np.sqrt(self.freedom / (self.freedom - 2.0)))
 
-    def share(self, squares: Array) -> Array:
-        """See `Likelihood.share`."""
+    def irls_weight(self, squares: Array) -> Array:
+        """See `Likelihood.irls_weight`."""
         return (self.freedom + 1.0) / (self.freedom + squares)

@@ -1,76 +1,80 @@
-"""Traverses laid out for least squares."""
+"""Traverses as least-squares problems: one joint by itself, or all joints where causes act on them alike."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.fit.groups import Groups, group_rows, mean_steps
-from stickslip_fit.fit.levenberg_marquardt import Minimum, Part, minimise
-from stickslip_fit.fit.shared import Sharing, minimise_shared, share_by_direction, shared_curvature
-from stickslip_fit.fit.terms import Terms
+from stickslip_fit.fit.levenberg_marquardt import Minimum, RowSubsetModel, minimise
+from stickslip_fit.fit.shared import (
+    ParameterSharing,
+    share_by_direction,
+    share_with_all,
+    shared_curvature,
+    solve_block_arrow,
+)
+from stickslip_fit.fit.terms import FitOptions
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class Problem:
     """What is minimised: n responses in g groups with p parameters each.
 
     Attributes
     ----------
     groups : Groups
-    sharing : Sharing
+    sharing : ParameterSharing
     y : array, shape (n,)
         log(steps).
     model : Model
     start, scales, lower, upper : array, shape (g, p)
-    part : callable
-        Places of some rows to their model.
     """
 
     groups: Groups
-    sharing: Sharing
+    sharing: ParameterSharing
     y: Array
     model: Model
     start: Array
     scales: Array
     lower: Array
     upper: Array
-    part: Part
+    subset: RowSubsetModel | None = field(default=None, kw_only=True)
+    """Positions of some rows to their model."""
 
     def minimise(self, weight: Array, start: Array) -> Minimum:
-        """Where the sum of weight (y - model)^2 is least."""
+        """The minimum of the sum of weight (y - model)^2."""
         if self.sharing.parameters.any():
-            return minimise_shared(
+            return solve_block_arrow(
                 self.model, self.y, weight, self.groups, self.sharing, start, self.scales,
-                part=self.part, lower=self.lower, upper=self.upper,
+                lower=self.lower, upper=self.upper,
             )  # fmt: skip
         return minimise(
             self.model, self.y, weight, self.groups, start, self.scales,
-            part=self.part, lower=self.lower, upper=self.upper, damping=0.0,
+            subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0,
         )  # fmt: skip
 
     def curvature(self, slopes: Array, information: Array) -> Array:
-        """What the rows, each with its `information`, say of every group's parameters; (g, p, p)."""
+        """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""
         return shared_curvature(slopes, information, self.groups, self.sharing, self.scales)
 
-    def uphill(self, slopes: Array, weighted_residual: Array) -> Array:
+    def gradient(self, slopes: Array, weighted_residual: Array) -> Array:
         """By how much half the sum of squares falls with each parameter, shape (g, p)."""
         fall = np.stack([self.groups.sums(weighted_residual * slope) for slope in slopes.T], axis=-1)
-        common, sets = self.sharing.parameters, self.sharing.sets
-        for k in np.flatnonzero(common):
-            fall[:, k] = sets.sums(fall[:, k])[sets.of_row]
-        return fall
+        return self.sharing.summed(fall)
 
 
 @dataclass(frozen=True, eq=False)
-class Problem(System):
+class JointProblem(Problem):
     """What is minimised for one joint.
 
     Attributes
@@ -86,20 +90,76 @@ class Problem(System):
     rounding: Array
 
     @property
-    def ways(self) -> npt.NDArray[np.object_]:
+    def directions(self) -> npt.NDArray[np.object_]:
         """Direction of each group, shape (g,)."""
         return self.groups.table["direction"].to_numpy(dtype=object)
 
 
-def lay_out(law: StepLaw, rows: pd.DataFrame, terms: Terms) -> Problem:
-    """Lay out one joint's rows."""
+def single_problem(law: StepLaw, rows: pd.DataFrame, options: FitOptions) -> JointProblem:
+    """One joint's rows under its law."""
     groups = group_rows(rows)
     y, rounding = law.response(rows)
     mean_step = mean_steps(groups, rows, y)
     names = tuple(parameter.name for parameter in law.parameters)
-    lower, upper = terms.bounds_of(law, groups)
-    return Problem(
-        groups, share_by_direction(names, terms.shared, groups), y, law.model(rows),
-        law.start_values(mean_step), law.scales(mean_step), lower, upper,
-        lambda some: law.model(rows.iloc[some]), law, rows, rounding,
+    lower, upper = options.bounds_of(law, groups)
+    return JointProblem(
+        groups, share_by_direction(names, options.shared, groups), y, law.model(rows),
+        law.start_values(mean_step), law.scales(mean_step), lower, upper, law, rows, rounding,
+        subset=lambda some: law.model(rows.iloc[some]),
     )  # fmt: skip
+
+
+def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
+    """Joints whose last parameters, so many of them, are the same for all.
+
+    Parameters
+    ----------
+    joints : sequence of JointProblem
+        Among a joint's own parameters none is shared.
+    shared : int
+
+    Returns
+    -------
+    Problem
+        With the rows and groups of one joint after the other's, and columns as of `columns_of`.
+    """
+    width = max(joint.start.shape[1] for joint in joints)
+    columns = [_columns(joint, width, shared) for joint in joints]
+    groups = _concatenated(joints)
+
+    def table(name: str, absent: float) -> Array:
+        """Each joint's groups and parameters; a parameter that a joint lacks has no effect."""
+        tables = []
+        for joint, place in zip(joints, columns, strict=True):
+            tables.append(np.full((len(joint.groups), width), absent))
+            tables[-1][:, place] = getattr(joint, name)
+        return np.concatenate(tables)
+
+    def model(values: Array) -> tuple[Array, Array]:
+        predicted, slopes, first = np.empty(len(values)), np.zeros((len(values), width)), 0
+        for joint, place in zip(joints, columns, strict=True):
+            rows = slice(first, first := first + len(joint.y))
+            predicted[rows], slopes[rows, place] = joint.model(values[rows, place])
+        return predicted, slopes
+
+    return Problem(
+        groups, share_with_all(np.arange(width) >= width - shared, groups),
+        np.concatenate([joint.y for joint in joints]), model,
+        table("start", 0.0), table("scales", 1.0), table("lower", -np.inf), table("upper", np.inf),
+    )  # fmt: skip
+
+
+def columns_of(whole: Problem, joint: JointProblem) -> Indices:
+    """Positions of a joint's parameters among those of a combined problem: its own first, the shared last."""
+    return _columns(joint, len(whole.sharing.parameters), int(whole.sharing.parameters.sum()))
+
+
+def _columns(joint: JointProblem, width: int, shared: int) -> Indices:
+    return np.r_[: joint.start.shape[1] - shared, width - shared : width]
+
+
+def _concatenated(joints: Sequence[JointProblem]) -> Groups:
+    before = np.cumsum([0, *(len(joint.groups) for joint in joints)])
+    of_row = [joint.groups.of_row + first for joint, first in zip(joints, before[:-1], strict=True)]
+    tables = [joint.groups.table.assign(joint=joint.law.joint) for joint in joints]
+    return Groups(pd.concat(tables, ignore_index=True), np.concatenate(of_row))

@@ -13,7 +13,7 @@ class Remark:
     ----------
     flag : str
         ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted`` or
-        ``wild_count``.
+        ``outlier``.
     joint : int
     direction, session : str
         An empty session stands for all of them.

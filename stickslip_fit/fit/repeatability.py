@@ -73,7 +73,7 @@ def pooled(
     scale2 = float(squares.sum()) / freedom / likelihood.spread**2
     for _ in range(200):
         standard = squares / (scale2 + rounding)
-        excess = float(np.sum(likelihood.share(standard) * standard)) / freedom - 1.0
+        excess = float(np.sum(likelihood.irls_weight(standard) * standard)) / freedom - 1.0
         scale2 *= 1.0 + excess
         if abs(excess) < 1e-10:
             break

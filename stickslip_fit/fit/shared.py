@@ -1,34 +1,42 @@
-"""Least squares where some parameters are one for many groups: a block-arrow system, solved by its blocks.
+"""Least squares where groups share some parameters: block-arrow systems, solved by their blocks.
 
-Each group's own parameters are a block of the system, the shared ones its border. For given shared values
-every block is minimised by itself; the shared slopes, with what a block's own parameters can follow taken
-out of them, then drive the border (variable projection: G. H. Golub and V. Pereyra, SIAM J. Numer. Anal.
-10:413, 1973, as simplified by L. Kaufman, BIT 15:49, 1975). Time and memory grow linearly with the groups.
+Each group's own parameters are a block of the normal equations, the shared ones their border. The own ones
+are eliminated from the border (Schur complement), so that time and memory grow linearly with the groups; all
+parameters then move in one step of the search of `fit.levenberg_marquardt`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit.fit.curvature import (
+    NormalEquations,
+    SingularFactors,
+    factorise_products,
+    products_by_group,
+)
 from stickslip_fit.fit.groups import Groups
 from stickslip_fit.fit.identifiability import known_parameters
-from stickslip_fit.fit.levenberg_marquardt import SMALLEST, Minimum, Part, minimise
+from stickslip_fit.fit.levenberg_marquardt import RANK_TOL, Minimum, Objective, search
 from stickslip_fit.laws.law import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
-# The cost carries the rounding of every block's own search, and so cannot tell much smaller offsets apart.
-REST = 1e-5
+# Own parameters enter nearly linearly and are to keep up with the shared ones, so that these search the
+# profile of the sum of squares (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10:413, 1973).
+OWN_DAMPING = 1e-4
+OFFSET_TOL = 1e-5  # where causes bend the laws, the rounding of the sum of squares hides much smaller ones
 
 
 @dataclass(frozen=True)
-class Sharing:
+class ParameterSharing:
     """Which parameters are shared, and by which groups.
 
     Attributes
@@ -41,38 +49,52 @@ class Sharing:
     parameters: Mask
     sets: Groups
 
-    def mean(self, values: Array) -> Array:
-        """Mean of the shared columns over the groups of each set, shape (g, p) -> (h, q)."""
-        columns = [self.sets.sums(column) for column in values[:, self.parameters].T]
-        return np.stack(columns, axis=-1) / self.sets.sizes[:, None]
+    def total(self, values: Array) -> Array:
+        """Sum over the groups of each set, shape (g, ...) -> (h, ...)."""
+        total = np.zeros((len(self.sets), *values.shape[1:]))
+        np.add.at(total, self.sets.of_row, values)
+        return total
 
-    def merged[T: np.generic](self, own: npt.NDArray[T], shared: npt.NDArray[T]) -> npt.NDArray[T]:
-        """Own and shared columns in the parameters' order, shapes (m, p - q) and (m, q) -> (m, p)."""
-        both = np.empty((len(own), len(self.parameters)), dtype=own.dtype)
-        both[:, ~self.parameters], both[:, self.parameters] = own, shared
-        return both
+    def spread(self, values: Array, total: Array) -> Array:
+        """Values, shape (g, p), with the shared columns from those of each set, shape (h, q)."""
+        spread = values.copy()
+        spread[:, self.parameters] = total[self.sets.of_row]
+        return spread
+
+    def averaged(self, values: Array) -> Array:
+        """Values with each shared column at its mean over the set, shape (g, p)."""
+        return self.spread(values, self.total(values[:, self.parameters]) / self.sets.sizes[:, None])
+
+    def summed(self, values: Array) -> Array:
+        """Values with each shared column summed over the set, shape (g, p)."""
+        return self.spread(values, self.total(values[:, self.parameters]))
 
 
-def share_by_direction(names: tuple[str, ...], shared: tuple[str, ...], groups: Groups) -> Sharing:
+def share_by_direction(names: tuple[str, ...], shared: tuple[str, ...], groups: Groups) -> ParameterSharing:
     """Parameters that have one value in each direction, whatever the session."""
     set_of_group, directions = pd.factorize(groups.table["direction"])
     sets = Groups(pd.DataFrame({"direction": directions}), set_of_group)
-    return Sharing(np.array([name in shared for name in names]), sets)
+    return ParameterSharing(np.array([name in shared for name in names]), sets)
 
 
-def minimise_shared(
+def share_with_all(parameters: Mask, groups: Groups) -> ParameterSharing:
+    """Parameters that have one value in all groups."""
+    return ParameterSharing(parameters, Groups(pd.DataFrame({"set": [0]}), np.zeros(len(groups), np.intp)))
+
+
+def solve_block_arrow(
     model: Model,
     y: Array,
     weight: Array,
     groups: Groups,
-    sharing: Sharing,
+    sharing: ParameterSharing,
     start: Array,
     scales: Array,
     *,
-    part: Part | None = None,
-    lower: Array,
-    upper: Array,
+    lower: Array | float = -np.inf,
+    upper: Array | float = np.inf,
     tolerance: float = 1e-8,
+    offset_tol: float = OFFSET_TOL,
     most: int = 2000,
 ) -> Minimum:
     """Minimise the sum of weight (y - model)^2 over each group's own and the shared parameters.
@@ -83,14 +105,15 @@ def minimise_shared(
         Values of each row's group, shape (n, p), to responses and derivatives; see `StepLaw.model`.
     y, weight : array, shape (n,)
     groups : Groups
-    sharing : Sharing
+    sharing : ParameterSharing
     start, scales : array, shape (g, p)
         Shared parameters begin at the mean over their groups.
-    part : callable, optional
-        See `minimise`.
-    lower, upper : array, shape (g, p)
+    lower, upper : array, broadcast to shape (g, p), optional
     tolerance, most : float, int, optional
-        See `minimise`.
+        See `minimise`; a set of groups converges as one.
+    offset_tol : float, optional
+        A set has also converged with an undamped step from where the relative offset, about the distance to
+        the minimum in standard errors, is less than this.
 
     Returns
     -------
@@ -98,63 +121,131 @@ def minimise_shared(
         As of `minimise`; shared values stand in each of their groups, `curvature` is that of
         `shared_curvature`, and the rank of the shared ones is dealt out over the groups of a set.
     """
-    common, own = sharing.parameters, ~sharing.parameters
-    set_of_row = sharing.sets.of_row[groups.of_row]
-    border = Groups(sharing.sets.table, set_of_row)
+    low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
+    objective = _BlockArrow(
+        model, y, weight, groups, sharing.averaged(scales), low, high, RANK_TOL, tolerance, offset_tol,
+        sharing=sharing,
+    )  # fmt: skip
+    return search(objective, sharing.averaged(start), 0.0, most)
 
-    latest = start[:, own]
 
-    def blocks(shared: Array) -> Minimum:
-        """Every block at its best for the shared values of each row, shape (n, q)."""
-        nonlocal latest
+@dataclass(frozen=True, eq=False)
+class _BlockArrow(Objective):
+    """Sums of squares in which the groups of a set move together."""
 
-        def alone(model: Model, shared: Array) -> Model:
-            def own_values(values: Array) -> tuple[Array, Array]:
-                predicted, slopes = model(sharing.merged(values, shared))
-                return predicted, slopes[:, own]
+    sharing: ParameterSharing = field(kw_only=True)
 
-            return own_values
-
-        found = minimise(
-            alone(model, shared), y, weight, groups, latest, scales[:, own],
-            part=None if part is None else lambda some: alone(part(some), shared[some]),
-            lower=lower[:, own], upper=upper[:, own], damping=0.0, tolerance=tolerance, most=most,
-        )  # fmt: skip
-        # The best for other shared values is not far from here.
-        latest = np.where(found.converged[:, None], found.values, latest)
-        return found
-
-    def profiled(shared: Array) -> tuple[Array, Array]:
-        found = blocks(shared)
-        predicted, slopes = model(sharing.merged(found.values[groups.of_row], shared))
-        slopes[:, own] *= ~found.at_bound[groups.of_row]
-        _, follow = _eliminate(_products(slopes, weight, groups), sharing, scales)
-        followed = np.einsum("ni,nij->nj", slopes[:, own], follow[groups.of_row])
-        return predicted, _seen(
-            slopes[:, common] - followed, slopes * scales[groups.of_row], weight, border, sharing.mean(scales)
+    @property
+    def sizes(self) -> Indices:
+        """See `Objective.sizes`."""
+        return np.bincount(self.sharing.sets.of_row, self.groups.sizes, len(self.sharing.sets)).astype(
+            np.intp
         )
 
-    outer = minimise(
-        profiled, y, weight, border, sharing.mean(start), sharing.mean(scales),
-        lower=sharing.mean(lower), upper=sharing.mean(upper), damping=0.0, rest=REST,
-        tolerance=tolerance, most=most,
-    )  # fmt: skip
-    inner = blocks(outer.values[set_of_row])
-    each = sharing.sets.of_row
-    values = sharing.merged(inner.values, outer.values[each])
-    return Minimum(
-        values=values,
-        curvature=shared_curvature(model(values[groups.of_row])[1], weight, groups, sharing, scales),
-        residual=inner.residual,
-        converged=inner.converged & outer.converged[each],
-        rank=inner.rank + _dealt_out(outer.rank, sharing.sets, groups.sizes),
-        at_bound=sharing.merged(inner.at_bound, outer.at_bound[each]),
-        iterations=outer.iterations,
-    )
+    def of_group[T: np.generic](self, values: npt.NDArray[T]) -> npt.NDArray[T]:
+        """See `Objective.of_group`."""
+        return values[self.sharing.sets.of_row]
+
+    def of_unit(self, values: Array) -> Array:
+        """See `Objective.of_unit`."""
+        return self.sharing.sets.sums(values)
+
+    def largest(self, values: Array) -> Array:
+        """See `Objective.largest`."""
+        largest = np.zeros(len(self.sharing.sets))
+        np.maximum.at(largest, self.sharing.sets.of_row, np.max(values, axis=1, initial=0.0))
+        return largest
+
+    def gradient(self, here: NormalEquations) -> Array:
+        """See `Objective.gradient`."""
+        return self.sharing.summed(super().gradient(here))
+
+    def lengths(self, here: NormalEquations) -> Array:
+        """See `Objective.lengths`."""
+        return np.sqrt(self.sharing.summed(here.norms**2))
+
+    def factors(self, here: NormalEquations, lengths: Array) -> _ArrowFactors:
+        """See `Objective.factors`."""
+        return _ArrowFactors(here.products, lengths, self.sharing, self.rank_tol)
+
+    def rank(self, here: NormalEquations, lengths: Array) -> Indices:
+        """See `Objective.rank`."""
+        factors = self.factors(here, lengths)
+        return factors.own.rank + _dealt_out(factors.border.rank, self.sharing.sets, self.groups.sizes)
+
+    def curvature(self, here: NormalEquations) -> Array:
+        """See `Objective.curvature`."""
+        return _curvature(here.curvature(self.scales), self.sharing, self.scales)
 
 
-def shared_curvature(slopes: Array, weight: Array, groups: Groups, sharing: Sharing, scales: Array) -> Array:
-    """What all rows together say of each group's parameters, the other groups' own eliminated.
+@dataclass(frozen=True, eq=False)
+class _ArrowFactors:
+    """A block-arrow system, solved for g groups in h sets.
+
+    Attributes
+    ----------
+    products : array, shape (g, p + 1, p + 1)
+        See `NormalEquations`.
+    lengths : array, shape (g, p)
+    sharing : ParameterSharing
+    rank_tol : float
+    """
+
+    products: Array
+    lengths: Array
+    sharing: ParameterSharing
+    rank_tol: float
+
+    @cached_property
+    def own(self) -> SingularFactors:
+        """Each group's own parameters, the shared ones held."""
+        own = np.flatnonzero(~self.sharing.parameters)
+        form, gradient = self.products[:, own[:, None], own], self.products[:, own, -1]
+        return factorise_products(form, gradient, self.lengths[:, own], self.rank_tol)
+
+    @cached_property
+    def border(self) -> SingularFactors:
+        """Each set's shared parameters, the own ones eliminated."""
+        total = self.sharing.total(self._eliminated[0])
+        whole = self.sharing.total(np.diagonal(self.products, axis1=1, axis2=2)[:, :-1])
+        lengths = np.sqrt(np.maximum(np.diagonal(total, axis1=1, axis2=2)[:, :-1], 0.0))
+        # A shared parameter that the own ones can follow has next to no length beside the other effects.
+        seen = lengths > self.rank_tol * np.sqrt(np.max(whole, axis=1, keepdims=True, initial=0.0))
+        form = total[:, :-1, :-1] * seen[:, :, None] * seen[:, None, :]
+        return factorise_products(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
+
+    @property
+    def rank(self) -> Indices:
+        """See `Factors.rank`."""
+        return self.sharing.total(self.own.rank).astype(np.intp) + self.border.rank
+
+    @property
+    def gain(self) -> Array:
+        """See `Factors.gain`."""
+        return self.sharing.total(self.own.gain) + self.border.gain
+
+    def step(self, damping: Array) -> Array:
+        """See `Factors.step`.
+
+        That the own parameters follow the shared ones is not damped, nor much what they do by themselves.
+        """
+        of_set, follow = self.sharing.sets.of_row, self._eliminated[1][:, :, :-1]
+        shared = self.border.step(damping)[of_set]
+        step = np.empty_like(self.lengths)
+        step[:, self.sharing.parameters] = shared
+        own = self.own.step(OWN_DAMPING * damping[of_set])
+        step[:, ~self.sharing.parameters] = own - np.vecdot(follow, shared[:, None])
+        return step
+
+    @cached_property
+    def _eliminated(self) -> tuple[Array, Array]:
+        return _eliminate(self.products, self.own.inverse(), self.sharing)
+
+
+def shared_curvature(
+    slopes: Array, weight: Array, groups: Groups, sharing: ParameterSharing, scales: Array
+) -> Array:
+    """J' W J of each group's parameters by all rows, the other groups' own parameters eliminated.
 
     Parameters
     ----------
@@ -163,7 +254,7 @@ def shared_curvature(slopes: Array, weight: Array, groups: Groups, sharing: Shar
     weight : array, shape (n,)
         Inverse variance.
     groups : Groups
-    sharing : Sharing
+    sharing : ParameterSharing
     scales : array, shape (g, p)
 
     Returns
@@ -171,69 +262,44 @@ def shared_curvature(slopes: Array, weight: Array, groups: Groups, sharing: Shar
     array, shape (g, p, p)
         Its inverse is the covariance of the group's own and the shared parameters.
     """
-    products = _products(slopes, weight, groups)
-    reduced, _ = _eliminate(products, sharing, scales)
-    total = np.zeros((len(sharing.sets), *reduced.shape[1:]))
-    np.add.at(total, sharing.sets.of_row, reduced)
-    border = np.ix_(
-        np.arange(len(products)), sharing.parameters.nonzero()[0], sharing.parameters.nonzero()[0]
-    )
-    # A set's curvature beside this group's own share of it, which its rows keep uneliminated.
-    products[border] += total[sharing.sets.of_row] - reduced
-    return products
+    return _curvature(products_by_group(slopes.T * np.sqrt(weight), groups), sharing, scales)
+
+
+def shared_covariance(minimum: Minimum, sharing: ParameterSharing, scales: Array) -> Array:
+    """Covariance of the parameters that all groups share, shape (q, q)."""
+    border = _reduced(minimum.curvature[:1], sharing, scales[:1])
+    return known_parameters(border, scales[:1, sharing.parameters])[2][0]
+
+
+def _curvature(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
+    """J' W J of each group with that of its set's other groups, whose own parameters are eliminated."""
+    reduced, common = _reduced(products, sharing, scales), np.flatnonzero(sharing.parameters)
+    curvature = products.copy()
+    curvature[:, common[:, None], common] += sharing.total(reduced)[sharing.sets.of_row] - reduced
+    return curvature
+
+
+def _reduced(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
+    """J' W J of the shared parameters in each group, its own eliminated, shape (g, q, q)."""
+    own = np.flatnonzero(~sharing.parameters)
+    _, _, inverse = known_parameters(products[:, own[:, None], own], scales[:, own])
+    return _eliminate(products, inverse, sharing)[0]
+
+
+def _eliminate(products: Array, inverse: Array, sharing: ParameterSharing) -> tuple[Array, Array]:
+    """Products of all but the own columns, these eliminated, and how the own parameters follow the others."""
+    own = np.flatnonzero(~sharing.parameters)
+    others = np.setdiff1d(np.arange(products.shape[1]), own)
+    across = products[:, own[:, None], others]
+    follow = inverse @ across
+    return products[:, others[:, None], others] - across.swapaxes(1, 2) @ follow, follow
 
 
 def _dealt_out(rank: Indices, sets: Groups, sizes: Indices) -> Indices:
     """The rank of each set in whole numbers for its groups, as nearly by their rows as may be."""
     dealt = np.zeros(len(sizes), dtype=np.intp)
     for number, whole in enumerate(rank):
-        mine = np.flatnonzero(sets.of_row == number)
-        due = np.round(np.cumsum(sizes[mine]) / sizes[mine].sum() * whole)
-        dealt[mine] = np.diff(due, prepend=0.0)
+        members = np.flatnonzero(sets.of_row == number)
+        due = np.round(np.cumsum(sizes[members]) / sizes[members].sum() * whole)
+        dealt[members] = np.diff(due, prepend=0.0)
     return dealt
-
-
-def _seen(reduced: Array, effects: Array, weight: Array, border: Groups, scales: Array) -> Array:
-    """The reduced slopes, but 0 for shared parameters that matter next to nothing beside all others.
-
-    Parameters
-    ----------
-    reduced : array, shape (n, q)
-    effects : array, shape (n, p)
-        What a change of each parameter that matters does to each response.
-    weight : array, shape (n,)
-    border : Groups
-    scales : array, shape (h, q)
-    """
-
-    def lengths(columns: Array) -> Array:
-        return np.sqrt(np.stack([border.sums(weight * column**2) for column in columns.T], axis=-1))
-
-    enough = lengths(reduced) * scales > SMALLEST * lengths(effects).max(axis=1, keepdims=True)
-    return reduced * enough[border.of_row]
-
-
-def _products(slopes: Array, weight: Array, groups: Groups) -> Array:
-    """J' W J of each group, shape (g, p, p)."""
-    p = slopes.shape[1]
-    products = np.empty((len(groups), p, p))
-    for i in range(p):
-        for j in range(i + 1):
-            products[:, i, j] = products[:, j, i] = groups.sums(weight * slopes[:, i] * slopes[:, j])
-    return products
-
-
-def _eliminate(products: Array, sharing: Sharing, scales: Array) -> tuple[Array, Array]:
-    """The shared parameters' curvature in each group, its own parameters eliminated, and how these follow.
-
-    Returns
-    -------
-    reduced : array, shape (g, q, q)
-    follow : array, shape (g, p - q, q)
-        Change of the own parameters that makes the best of a change of the shared ones, sign reversed.
-    """
-    common, own = sharing.parameters, ~sharing.parameters
-    across = products[:, own][:, :, common]
-    _, _, inverse = known_parameters(products[:, own][:, :, own], scales[:, own])
-    follow = inverse @ across
-    return products[:, common][:, :, common] - across.swapaxes(1, 2) @ follow, follow

@@ -1,4 +1,4 @@
-"""What a fit takes for granted: the noise's shape, which parameters days share, bounds, repeatability."""
+"""Options of a fit: the shape of the noise, which parameters sessions share, bounds, known repeatability."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Terms:
-    """The terms of a least-squares fit.
+class FitOptions:
+    """Options of a least-squares fit.
 
     Attributes
     ----------
@@ -80,4 +80,4 @@ class Terms:
         }
 
 
-NO_TERMS = Terms()
+DEFAULT_OPTIONS = FitOptions()

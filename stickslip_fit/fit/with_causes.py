@@ -12,48 +12,47 @@ from stickslip_fit._format import format_value
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.beginning import begin, bound_to, remainder_of
-from stickslip_fit.fit.fitting import Fitting, together
-from stickslip_fit.fit.problem import Problem, lay_out
+from stickslip_fit.fit.problem import JointProblem, Problem, combined_problem, single_problem
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.result import EVERYWHERE, JointFit
-from stickslip_fit.fit.terms import NO_TERMS, Terms
+from stickslip_fit.fit.terms import DEFAULT_OPTIONS, FitOptions
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import Machine
 
 
-def lay_out_with(
+def problems_with_causes(
     causes: Sequence[Cause],
     laws: dict[int, StepLaw],
     by_joint: dict[int, pd.DataFrame],
     machine: Machine,
-    terms: Terms,
-) -> Fitting:
-    """All joints side by side, the causes' versions chosen and their parameters ready to be shared.
+    options: FitOptions,
+) -> tuple[list[JointProblem], Problem]:
+    """Each joint's problem, the causes' versions chosen and their parameters last, and all of them combined.
 
     Raises
     ------
     InputError
         If a cause cannot be seen in these rows, or other parameters are to be shared, too.
     """
-    if terms.shared:
+    if options.shared:
         raise InputError(
-            f"{', '.join(terms.shared)} cannot be the same in all sessions while causes are fitted; fit one "
-            "or the other"
+            f"{', '.join(options.shared)} cannot be the same in all sessions while causes are fitted; fit "
+            "one or the other"
         )
-    published = [lay_out(laws[joint], mine, NO_TERMS) for joint, mine in by_joint.items()]
+    published = [single_problem(laws[joint], mine, DEFAULT_OPTIONS) for joint, mine in by_joint.items()]
     remainder = remainder_of(published)
     chosen, start = begin(remainder, bound_to(remainder.rows, causes, machine))
-    terms.check([*laws.values(), *(ExtendedLaw(law, chosen) for law in laws.values())])
+    options.check([*laws.values(), *(ExtendedLaw(law, chosen) for law in laws.values())])
     problems = []
     for problem, values in zip(published, remainder.values, strict=True):
-        extended = lay_out(ExtendedLaw(problem.law, chosen), problem.rows, terms)
+        extended = single_problem(ExtendedLaw(problem.law, chosen), problem.rows, options)
         of_group = values[np.unique(problem.groups.of_row, return_index=True)[1]]
         first = np.column_stack([of_group, np.tile(start, (len(of_group), 1))])
         problems.append(replace(extended, start=np.clip(first, extended.lower, extended.upper)))
-    return together(problems, len(start))
+    return problems, combined_problem(problems, len(start))
 
 
-def own_part(problem: Problem) -> Problem:
+def own_part(problem: JointProblem) -> JointProblem:
     """The problem as far as it is the published law's."""
     if not isinstance(problem.law, ExtendedLaw):
         return problem

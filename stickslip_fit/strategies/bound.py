@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.fit.groups import mean_steps
-from stickslip_fit.fit.levenberg_marquardt import SMALLEST
+from stickslip_fit.fit.levenberg_marquardt import RANK_TOL
 from stickslip_fit.laws import travel
 from stickslip_fit.strategies.cost import stepping_seconds
 from stickslip_fit.strategies.designs import NOTHING
@@ -75,7 +75,7 @@ def prediction_variance(jacobian: Array, made: Array, variance: Array) -> Array:
     What the traverses made leave open counts as known: a choice that is best for the rows to predict leaves
     open only what these do not depend on.
     """
-    estimator = np.linalg.pinv(made / np.sqrt(variance)[:, None], rcond=SMALLEST)
+    estimator = np.linalg.pinv(made / np.sqrt(variance)[:, None], rcond=RANK_TOL)
     return np.sum((jacobian @ estimator) ** 2, axis=1)
 
 

@@ -10,7 +10,7 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit.fit.levenberg_marquardt import SMALLEST
+from stickslip_fit.fit.levenberg_marquardt import RANK_TOL
 from stickslip_fit.strategies.closed_form import calibration_traverses
 from stickslip_fit.strategies.exchange import Loss, determinant, exchange, mean_variance
 from stickslip_fit.strategies.task import Task, Unsuited
@@ -81,7 +81,7 @@ class AtRandom:
         rng, slopes = np.random.default_rng([self.seed, crc32(where.encode())]), _slopes(task)
         for _ in range(DRAWS):
             drawn = np.sort(rng.choice(len(task.offered), count, replace=False))
-            if np.linalg.matrix_rank(slopes[drawn], rtol=SMALLEST) == slopes.shape[1]:
+            if np.linalg.matrix_rank(slopes[drawn], rtol=RANK_TOL) == slopes.shape[1]:
                 return drawn
         raise Unsuited(f"no {count} of its configurations were drawn that determine all parameters")
 

@@ -10,8 +10,8 @@ import pandas as pd
 
 from stickslip_fit.fit.groups import Groups
 from stickslip_fit.fit.identifiability import known_parameters
-from stickslip_fit.fit.problem import lay_out
-from stickslip_fit.fit.terms import NO_TERMS
+from stickslip_fit.fit.problem import single_problem
+from stickslip_fit.fit.terms import DEFAULT_OPTIONS
 from stickslip_fit.laws import StepLaw
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ def solve(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> Solved:
     repeatability : float
         Standard deviation of log(steps); the counts' rounding comes on top.
     """
-    problem = lay_out(law, rows, NO_TERMS)
+    problem = single_problem(law, rows, DEFAULT_OPTIONS)
     found = problem.minimise(1.0 / (repeatability**2 + problem.rounding), problem.start)
     known, _, covariance = known_parameters(found.curvature, problem.scales)
     return Solved(problem.groups, found.values, known & found.converged[:, None], covariance)

@@ -84,7 +84,7 @@ def test_a_slow_group_does_not_make_the_others_work_on(problem):
     whole = minimise(counted(everything), y, np.ones(len(y)), groups, ones, ones, tolerance=0.0, most=400)
     without, evaluated = evaluated, 0
     found = minimise(
-        counted(everything), y, np.ones(len(y)), groups, ones, ones, part=counted, tolerance=0.0, most=400
+        counted(everything), y, np.ones(len(y)), groups, ones, ones, subset=counted, tolerance=0.0, most=400
     )
     assert found.iterations == whole.iterations > 20
     assert evaluated < 0.8 * without

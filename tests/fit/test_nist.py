@@ -23,7 +23,7 @@ def solve(problem: Problem, start: int) -> Minimum:
     groups = Groups(one, np.zeros(len(problem.y), dtype=np.intp))
     begin, weight = problem.starts[start][None, :], np.ones(len(problem.y))
     return minimise(
-        problem.model(), problem.y, weight, groups, begin, np.abs(begin), smallest=1e-14, tolerance=1e-10
+        problem.model(), problem.y, weight, groups, begin, np.abs(begin), rank_tol=1e-14, tolerance=1e-10
     )
 
 

@@ -10,11 +10,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.diagnose.laid_out.arrow import minimise_arrow
 from stickslip_fit.diagnose.laid_out.study import Part
 from stickslip_fit.fit.groups import Groups
+from stickslip_fit.fit.shared import share_with_all, shared_covariance, solve_block_arrow
 
 Array = npt.NDArray[np.float64]
+
+OFFSET_TOL = 3e-3  # standard errors before the last step
+MAX_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +87,20 @@ def refit(
         scales[of_block, :own] = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
     first[:, widest:] = start
     scales[:, widest:] = [size for cause in causes for size in cause.scale]
-    lower, upper = (
-        np.array([getattr(each, side) for cause in causes for each in cause.parameters], dtype=float)
-        for side in ("lower", "upper")
-    )
-    found = minimise_arrow(model, responses, 1.0 / scale**2, blocks, first, scales, lower, upper)
+    bounds = [(-np.inf, np.inf)] * widest
+    bounds += [(each.lower, each.upper) for cause in causes for each in cause.parameters]
+    lower, upper = np.array(bounds).T
+    sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
+    found = solve_block_arrow(
+        model, responses, 1.0 / scale**2, blocks, sharing, first, scales,
+        lower=lower, upper=upper, tolerance=0.0, offset_tol=OFFSET_TOL, most=MAX_STEPS,
+    )  # fmt: skip
     taken = tuple(
         Part(law, part.rows, part.block, _columns(found.values[blocks.of_row[part.rows]], part, widest))
         for law, part in zip(extended, parts, strict=True)
     )
-    return Refit(taken, found.values[0, widest:], found.covariance, found.residual, found.converged)
+    covariance = shared_covariance(found, sharing, scales)
+    return Refit(taken, found.values[0, widest:], covariance, found.residual, bool(found.converged.all()))
 
 
 def _extended(law: Any, causes: Sequence[Any]) -> Any:

@@ -13,6 +13,7 @@ from stickslip_fit.fit.bayes.remarks import known_sizes, remarks, remarks_on_siz
 from stickslip_fit.fit.bayes.sample import Sample
 from stickslip_fit.fit.groups import group_rows
 from stickslip_fit.fit.intervals import COVERAGE
+from stickslip_fit.fit.outliers import flag_outliers
 from stickslip_fit.fit.provenance import provenance
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
@@ -33,7 +34,7 @@ def result_of(log: Log, samples: Mapping[tuple[int, str], Sample], seed: int, co
         residuals.append(residual)
         said += remarked
     said += remarks_on_sizes(next(iter(samples.values())))
-    return Result(
+    result = Result(
         method="bayes",
         machine=log.machine,
         joints=joints,
@@ -41,6 +42,7 @@ def result_of(log: Log, samples: Mapping[tuple[int, str], Sample], seed: int, co
         remarks=tuple(said),
         provenance=replace(provenance(log, command), seed=seed),
     )
+    return flag_outliers(result, log)
 
 
 def _fit_joint(
@@ -59,9 +61,7 @@ def _fit_joint(
         mean = found.draws.parameters.mean(axis=0)
         predicted = law.predict(found.traverses.rows, mean[found.traverses.groups.of_row])
         residual = found.traverses.y - predicted
-        remarked, identified = remarks(
-            found.own_part(), machine, way, residual, mean[:, : len(found.prior.names)]
-        )
+        remarked, identified = remarks(found.own_part(), machine, way, mean[:, : len(found.prior.names)])
         said += remarked
         if found.converged:
             own = np.flatnonzero(table["direction"] == way)

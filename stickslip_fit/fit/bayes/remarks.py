@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.fit.bayes.sample import TRUSTED, Sample
-from stickslip_fit.fit.bayes.wild_counts import wild_counts
 from stickslip_fit.fit.identifiability import configuration_rows, describe, known_parameters
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.result import EVERYWHERE
@@ -19,9 +18,7 @@ Mask = npt.NDArray[np.bool_]
 AS_BEFORE = 0.8  # standard deviations of the prior; a posterior as wide has learnt nothing
 
 
-def remarks(
-    sample: Sample, machine: Machine, direction: str, residual: Array, values: Array
-) -> tuple[list[Remark], Mask]:
+def remarks(sample: Sample, machine: Machine, direction: str, values: Array) -> tuple[list[Remark], Mask]:
     """Remarks on one joint and direction, and which parameters its log knows, shape (p,).
 
     Parameters
@@ -29,17 +26,15 @@ def remarks(
     sample : Sample
     machine : Machine
     direction : str
-    residual : array, shape (n,)
-        Of the posterior means.
     values : array, shape (S, p)
         The posterior means.
     """
     slopes = sample.traverses.law.jacobian(sample.traverses.rows, values[sample.traverses.groups.of_row])
     known, *_ = known_parameters((slopes.T @ slopes)[None], sample.prior.width[None])
-    found = _not_converged(sample, direction) + wild_counts(sample.traverses, sample.prior, residual)
+    found = _not_converged(sample, direction)
     if not known.all():
         found.append(_not_identified(sample, machine, direction, slopes, known[0]))
-    freedom = len(residual) - _campaign_rank(sample, slopes)
+    freedom = len(slopes) - _campaign_rank(sample, slopes)
     if freedom < 1:
         found.append(_few_replicates(sample, direction))
     return found, known[0]

@@ -24,6 +24,7 @@ from stickslip_fit.fit.bayes.traverses import Traverses, each_group, lay_out
 from stickslip_fit.fit.bayes.tree import branch_name
 from stickslip_fit.fit.bayes.with_causes import Part, draw_together, propose
 from stickslip_fit.fit.known_causes import HeldLaw
+from stickslip_fit.fit.least_squares import least_squares
 from stickslip_fit.fit.result import Result
 from stickslip_fit.logs import Log
 
@@ -51,9 +52,6 @@ def sample_together(
 
     Least squares chooses the causes' versions, and moments of sudden changes, which are held there.
     """
-    # Least squares names wild counts by this room's model, and so cannot be imported before it.
-    from stickslip_fit.fit.least_squares import least_squares
-
     start, error, laws = _begun(least_squares(log, causes=causes))
     common = priors.causes or weak_cause_priors(next(iter(laws.values())), start, log.usable)
     held = common.values(common.at(start))

@@ -210,10 +210,10 @@ def test_a_count_wildly_off_is_named_and_no_other(campaign, read, sessions, fact
     table = campaign(sessions=days, settings=JOINT_3, directions=("+",))
     table.loc[7, "steps"] = 5 * round(factor * table.loc[7, "steps"] / 5)
     result = bayes(read(table), progress=False).result
-    [remark] = [remark for remark in result.remarks if remark.flag == "wild_count"]
+    [remark] = [remark for remark in result.remarks if remark.flag == "outlier"]
     assert remark.session == days[0]
     assert f"count {table.loc[7, 'steps']} of" in remark.message
-    expected = float(re.search(r"off, (\d+) were", remark.message).group(1))
+    expected = float(re.search(r"predict (\d+);", remark.message).group(1))
     assert expected == pytest.approx(table.loc[7, "steps"] / factor, rel=0.02)
 
 
