@@ -26,7 +26,7 @@ from stickslip_fit.logs import Log
 
 Array = npt.NDArray[np.float64]
 
-ROBUST_Z = 16.0  # flags a row in 1 of 100 logs of 400 rows whose noise is Student's t with df = 5
+ROBUST_Z = 18.0  # Student's t noise, df = 5, reaches it in fewer than 1 of 100 logs of 400 rows (7 of 900)
 SUSPICIOUS_Z = 5.0  # in a fit that an outlier may have pulled towards it
 TYPICAL_SIGMA = 0.003  # of log steps; a few residuals that happen to be small are no measure of the scatter
 SIGMA_PER_MAD = 1.4826

@@ -217,7 +217,7 @@ class _ArrowFactors:
     @property
     def rank(self) -> Indices:
         """See `Factors.rank`."""
-        return self.sharing.total(self.own.rank).astype(np.intp) + self.border.rank
+        return self.sharing.total(self.own.rank.astype(float)).astype(np.intp) + self.border.rank
 
     @property
     def gain(self) -> Array:

@@ -65,5 +65,5 @@ def test_heavy_tails_are_no_outliers():
 @pytest.mark.nightly
 @pytest.mark.parametrize(("sessions", "each"), [(10, 20), (25, 8)])
 def test_heavy_tails_are_flagged_in_one_of_a_hundred_logs_of_400_rows(sessions, each):
-    """4 in 300 is where a rate of 0.5 in 100 is hardly ever; three times that is refused."""
-    assert flagged(300, sessions, each, 4) <= 6
+    """At that rate 3 of 300 are expected, and more than 7 once in a hundred tries."""
+    assert flagged(300, sessions, each, 4) <= 7
