@@ -31,7 +31,7 @@ FLAGS = {
     "not_converged": "not converged",
     "few_replicates": "too few replicates for error bars",
     "repeatability_doubted": "counts scatter unlike the repeatability given",
-    "wild_count": "a count is wildly off",
+    "outlier": "an outlying count",
     "chosen": "chosen among the gaps between traverses",
 }
 

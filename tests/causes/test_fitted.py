@@ -25,7 +25,7 @@ from stickslip_fit.causes import (
     WornSpot,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit import Result, least_squares, load_result, save_result, summary
+from stickslip_fit.fit import Result, least_squares, load_result, save_result
 from stickslip_fit.fit.result import EVERYWHERE
 from stickslip_fit.logs import Log, read_log
 
@@ -91,7 +91,7 @@ def test_a_cause_is_listed_once_for_the_whole_campaign(result):
     assert set(mine["joint"]) == {EVERYWHERE}
     assert set(mine["direction"]) == {""}
     assert mine["session"].isna().all()
-    text = summary(result)
+    text = str(result)
     assert text.count("thermal-warm-up.A") == 1
     assert re.search(r"thermal-warm-up\.A +(3\.9|4\.0)\d ± 0\.1\d %", text)
 
