@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("playwright", reason="playwright is not installed (pip install 'stickslip-fit[test]')")
+pytest.importorskip("playwright", reason="playwright is not installed (pip install 'stickslip-fit[browser]')")
 
 from playwright.sync_api import Browser, BrowserContext, Dialog, Page
 

@@ -12,6 +12,8 @@ from stickslip_fit.fit import closed_form, constant_step, least_squares
 from stickslip_fit.logs import read_log
 from stickslip_fit.report import report_html
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "reports" / "example.html"
 CHARTS = ("departures", "sizes", "order")

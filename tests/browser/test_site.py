@@ -6,6 +6,8 @@ import pytest
 
 from tests.docs.site import built_site
 
+pytestmark = pytest.mark.nightly
+
 PAGES = (
     "index",
     "tutorial",

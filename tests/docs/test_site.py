@@ -8,6 +8,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import SplitResult, unquote, urlsplit
 
+import pytest
+
 from stickslip_fit.causes import library
 from stickslip_fit.logs.columns import FIELDS
 from tests.docs.commands import all_options
@@ -18,6 +20,7 @@ NO_FETCH = ("index", "search", "next", "prev", "canonical")
 FETCHED_BY_STYLE = re.compile(r"""(?:@import\s+|url\()\s*['"]?([^'")]+)""")
 
 
+@pytest.mark.nightly
 def test_the_site_is_whole_and_keeps_to_itself(tmp_path_factory):
     site = built_site(tmp_path_factory)
     pages = {path: _read(path) for path in sorted(site.rglob("*.html"))}

@@ -62,7 +62,7 @@ class Engine:
     """MuJoCo's arm. The engine is fed grams and millimetres from the TOML text, converted here."""
 
     def __init__(self, text):
-        import mujoco
+        mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (the extra peers)")
 
         content = tomllib.loads(text)
         links = content["link"]

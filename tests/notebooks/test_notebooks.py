@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 
-import nbformat
 import pytest
+
+nbformat = pytest.importorskip("nbformat", reason="Jupyter is not installed (the extra lab)")
+pytest.importorskip("jupytext", reason="jupytext is not installed (the extra lab)")
 
 from notebooks.run import HERE, TEXTS, execute, read_text
 
@@ -34,6 +36,7 @@ def told(cell):
             yield kind if kind.startswith("image/") else f"{kind}: {words(content)}"
 
 
+@pytest.mark.nightly
 @each_notebook
 def test_it_runs_and_says_what_it_said(path):
     fresh, kept = execute(read_text(path)), stored(path)
