@@ -52,18 +52,19 @@ import pandas as pd
 from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import (
     Cause,
-    CauseParameter,
     CountCause,
+    ExtendedLaw,
     FactorCause,
-    SizedParameter,
     StateCause,
     TermCause,
+    extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
 from stickslip_fit.causes.environment import Covariate
-from stickslip_fit.causes.extended_law import ExtendedLaw, describe, extend, restore
 from stickslip_fit.causes.geometry import *  # noqa: F403
+from stickslip_fit.causes.io import describe, restore
 from stickslip_fit.causes.load import *  # noqa: F403
+from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.temporal import *  # noqa: F403
 from stickslip_fit.logs.columns import COVARIATE

@@ -8,87 +8,30 @@ to the count. A cause acts at exactly one of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import capitalize_first, format_estimate, format_number
-from stickslip_fit.errors import InputError, Problem
-from stickslip_fit.laws import Parameter, Rows, State, StepLaw, column, state_at
-from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
+from stickslip_fit.causes._integration import Mask, Traverses
+from stickslip_fit.causes.parameters import (
+    CauseParameter,
+    Row,
+    SizedParameter,
+    Sizes,
+    known_of,
+    plain_description,
+)
+from stickslip_fit.laws import Configuration, Rows, State, StepLaw, state_at
+from stickslip_fit.laws.law import Array, Counter, column
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import Interval
 
-if TYPE_CHECKING:
-    from stickslip_fit.causes.extended_law import ExtendedLaw
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
-Row = Mapping[str, Any]
-"""Quantities of each traverse by name, arrays of shape (n,)."""
-
-
-@dataclass(frozen=True)
-class CauseParameter(Parameter):
-    """A parameter of a cause: one number for the whole campaign, or for one joint, direction or session.
-
-    Attributes
-    ----------
-    joint : int or None
-    direction, session : str or None
-    sudden : bool
-        The response jumps as it changes, so that it is chosen among trials; slopes say nothing of it.
-    """
-
-    joint: int | None = None
-    direction: str | None = None
-    session: str | None = None
-    sudden: bool = False
-
-
-@dataclass(frozen=True)
-class SizedParameter:
-    """A parameter of a cause that acts in a log, SI, with its interval of 95 %.
-
-    In ``sentence.format(k=...)`` ``{k}`` is its size with its unit, ``{k:+}`` the same with its sign,
-    ``{k:.2f}`` the bare number, and of ``{k:grow|shrink}`` the first word if it is above 0, else the second.
-
-    Attributes
-    ----------
-    name, unit : str
-        The unit is the one people read it in.
-    size : Interval
-    joint : int or None
-    direction, session : str or None
-    """
-
-    name: str
-    unit: str
-    size: Interval
-    joint: int | None = None
-    direction: str | None = None
-    session: str | None = None
-
-    def times(self, factor: float, unit: str = "") -> SizedParameter:
-        """The parameter times a factor, read in another unit if one is given."""
-        return replace(self, size=self.size.times(factor), unit=unit or self.unit)
-
-    def __format__(self, form: str) -> str:
-        positive, either, other = form.partition("|")
-        if either:
-            return positive if self.size.estimate > 0 else other
-        if form.endswith("f"):
-            return format_number(self.size.estimate, self.unit, int(form[1:-1]))
-        return format_estimate(self.size, self.unit, signed=form == "+")
-
-
-Sizes = Mapping[str, SizedParameter]
-"""Parameters of a cause by name."""
+# Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
+APART = 1e-5
 
 
 class Cause(ABC):
@@ -199,8 +142,6 @@ class Cause(ABC):
 
     def extend(self, law: StepLaw) -> ExtendedLaw:
         """`law` with this cause in it."""
-        from stickslip_fit.causes.extended_law import extend
-
         return extend(law, self)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
@@ -235,6 +176,10 @@ class Cause(ABC):
         if not rows["joint"].isin(self.joints).any():
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
+
+    def departures(self, values: Array, luck: Array) -> Array:
+        """Log steps by which counts are off by chance, (n, q) and (n, 3) -> (n,); none unless overridden."""
+        return np.zeros(len(values))
 
     def _acts_on(self, joint: int, trials: Array) -> npt.NDArray[np.bool_]:
         """Which trials give a parameter that concerns a joint another value than that of no effect."""
@@ -279,8 +224,6 @@ class FactorCause(Cause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that stays the same along a traverse divides its steps."""
-        from stickslip_fit.causes.extended_law import extend_by
-
         before, known = extend_by(law, ()), self.known(law, rows)
         ends = state_at(law.joint, known, np.stack([known["start"], known["stop"]], axis=-1))
         state, one = before.true_state(ends, values), np.ones((len(values), 1))
@@ -303,127 +246,292 @@ class CountCause(Cause):
         """Steps added, shape (n, 1); each of `values` has shape (n, 1)."""
 
 
-def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:
-    """A cause by its phrase, with the sizes of its parameters.
-
-    Examples
-    --------
-    >>> plain_description("the moon shines", [SizedParameter("k", "%", Interval(0.02, 0.01, 0.03))])
-    'The moon shines (k = 2 %)'
-    """
-    sizes = ", ".join(f"{each.name} = {each:+}" for each in parameters)
-    return capitalize_first(phrase) + (f" ({sizes})" if sizes else "")
-
-
-def missing_column(rows: pd.DataFrame, name: str) -> str | None:
-    """Why a column cannot explain anything, or None: it is empty, or the same within every session."""
-    label = CONDITIONS[name].label if name in CONDITIONS else f"column {name.removeprefix(COVARIATE)}"
-    values = pd.to_numeric(rows[name], errors="coerce") if name in rows else pd.Series(dtype=float)
-    if not values.notna().any():
-        return f"the log has no {label}"
-    by_session = values.groupby(rows["session"])
-    if not (by_session.max() > by_session.min()).any():
-        return f"{label} is the same within every session, and each session is calibrated by itself"
-    return None
-
-
-def filled(values: Array, mean: float) -> Array:
-    """Empty cells count as the mean, and so do nothing."""
-    return np.where(np.isnan(values), mean, values)
-
-
-# A joint's first traverse of a session follows none.
-FIRST = {"before_direction": "", "before_load": 0.0}
-NEEDED = {
-    "session": "the session's name",
-    "session_seconds": "the time since the session's first traverse, s",
-    "steps_before": "the steps that the joint has made so far",
-}
-
-
-def known_of(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
-    """Start, stop and the given columns of each traverse, as arrays of shape (n,).
-
-    A joint that nothing is said of follows no other traverse, under the log's mean conditions (as an empty
-    cell does). How long a session has run and how many steps a joint has made have no such value.
-
-    Raises
-    ------
-    InputError
-        For a column that is not there and has none.
-
-    Examples
-    --------
-    >>> known_of({"start": [0.0], "stop": [0.012]}, ["temperature"])["temperature"]
-    array([nan])
-    """
-    known: dict[str, Any] = {"start": column(rows, "start"), "stop": column(rows, "stop")}
-    lacking = [name for name in columns if name in NEEDED and name not in rows]
-    if lacking:
-        raise InputError([Problem(f"the law needs {NEEDED[name]}: give it", column=name) for name in lacking])
-    for name in columns:
-        stands_in = np.full(len(known["start"]), FIRST.get(name, np.nan))
-        known[name] = np.asarray(rows[name]) if name in rows else stands_in
-    return known
-
-
-# In a session, in a log, and as many as a session has in any case: between two of them a change is seen
-# nearly as well.
-MOST, ABOUT, LEAST = 120, 700, 6
-FEWEST = 3  # traverses on either side
-
-
-def moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
-    """Halfway between traverses, for each session that has enough of them; s from its first."""
-    found, every = [], len(rows) / ABOUT
-    for session, mine in rows.groupby(rows["session"].astype(object), sort=False):
-        seconds = np.unique(mine["session_seconds"].to_numpy(float))
-        between = ((seconds[1:] + seconds[:-1]) / 2)[FEWEST - 1 : 1 - FEWEST]
-        if len(between):
-            apart = max(len(between) / MOST, min(every, len(between) / LEAST))
-            found.append((str(session), between[:: int(np.ceil(apart))]))
-    return found
-
-
-def moment_of(session: str) -> CauseParameter:
-    """The parameter that says when, in a session, something changed for good."""
-    meaning = "when, from the session's first traverse"
-    return CauseParameter("moment", "min", meaning, lower=0.0, session=session, sudden=True)
-
-
-def since(state: State, session: str, moment: Array) -> Mask:
-    """Whether each traverse is one of a session and begins at its moment or later; (n, 1) -> (n, 1)."""
-    mine = np.asarray(state.row["session"], dtype=object) == session
-    return mine[:, None] & (state.column("session_seconds") >= moment)
-
-
-def changes_since(
-    changes: Callable[[dict[str, Any], Array, Array], Array],
-    known: dict[str, Any],
-    values: Array,
-    session: str,
-    trials: Array,
-) -> Array:
-    """Changes by trials (size, moment): those that a size makes at all times, from its moment on.
+class Composition(StepLaw):
+    """What a published law and causes make together of a state.
 
     Parameters
     ----------
-    changes : callable
-        As `Cause.changes`, of a cause that changes a traverse by the whole or not at all.
-    known : dict of str to array, shape (n,)
-    values : array, shape (n, p)
-    session : str
-    trials : array, shape (m, 2)
+    law : StepLaw
+    causes : sequence of Cause
+        Bound to a log; see `Cause.bound`.
 
-    Returns
-    -------
-    array, shape (n, m)
+    Attributes
+    ----------
+    common : tuple of CauseParameter
+        The causes' parameters, the last of all: one number each for the whole campaign.
     """
-    found = np.zeros((len(values), len(trials)))
-    mine = np.flatnonzero(np.asarray(known["session"], dtype=object) == session)
-    sizes, which = np.unique(trials[:, 0], return_inverse=True)
-    at_all_times = np.column_stack([sizes, np.full(len(sizes), -np.inf)])
-    there = {name: of[mine] for name, of in known.items()}
-    after = there["session_seconds"][:, None] >= trials[:, 1]
-    found[mine] = changes(there, values[mine], at_all_times)[:, which] * after
-    return found
+
+    def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
+        self.law = law
+        self.causes = tuple(causes)
+        self.joint = law.joint
+        self.common = tuple(_named(cause, each) for cause in causes for each in cause.parameters)
+        self.parameters = (*law.parameters, *self.common)
+
+    @cached_property
+    def acting(self) -> tuple[tuple[Cause, range], ...]:
+        """The causes that act on the joint, each with the places of its parameters."""
+        found, first = [], len(self.law.parameters)
+        for cause in self.causes:
+            places = range(first, first + len(cause.parameters))
+            first = places.stop
+            if self.joint in cause.joints:
+                found.append((cause, places))
+        return tuple(found)
+
+    @property
+    def concerned(self) -> Mask:
+        """Which parameters say anything of this joint, shape (p,)."""
+        places = {k for _, places in self.acting for k in places}
+        own = len(self.law.parameters)
+        mine = [each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)]
+        return np.array([True] * own + mine)
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        true = self.true_state(state, values)
+        return self._before_factors(true, values) * self._factor(true, values)
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
+        true = self.true_state(state, values)
+        before, factor = self._before_factors(true, values), self._factor(true, values)
+        own = self._own_slopes(true, values) * factor[..., None]
+        slopes = [*np.moveaxis(own, -1, 0), *np.zeros((len(self.common), len(values), 1))]
+        ways: dict[type[Any], Callable[[Array], Array]] = {
+            StateCause: lambda there: self.gamma(state, there),
+            TermCause: lambda there: self._before_factors(true, there) * factor,
+            FactorCause: lambda there: before * self._factor(true, there),
+        }
+        for kind, function in ways.items():
+            for _, places in self.by_station[kind]:
+                for k in places:
+                    slopes[k] = self.difference(function, values, k)
+        return np.stack(np.broadcast_arrays(*slopes), axis=-1)
+
+    def true_state(self, state: State, values: Array) -> State:
+        """The state as the causes have it: angles, then what follows from them, then what alters that."""
+        for cause, places in self.by_station[StateCause]:
+            state = cause.change(state, _sizes(values, places))
+        return state
+
+    def steps_added(self, state: State, values: Array) -> Array:
+        """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
+        added = [
+            cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self.by_station[CountCause]
+        ]
+        return np.sum(added, axis=0) if added else np.zeros(len(values))
+
+    @cached_property
+    def by_station(self) -> dict[type[Any], list[tuple[Any, range]]]:
+        """The acting causes by the station at which they act; states in the order of their turns."""
+        found: dict[type[Any], list[tuple[Any, range]]] = {
+            kind: [(cause, places) for cause, places in self.acting if isinstance(cause, kind)]
+            for kind in (TermCause, FactorCause, CountCause)
+        }
+        states = [(cause, places) for cause, places in self.acting if isinstance(cause, StateCause)]
+        return found | {StateCause: sorted(states, key=lambda acting: acting[0].turn)}
+
+    def _before_factors(self, true: State, values: Array) -> Array:
+        """The law and the terms added to it."""
+        own = values[:, : len(self.law.parameters)]
+        gamma, terms = self.law.gamma(true, own), self.by_station[TermCause]
+        free = self.law.gamma(_unloaded(true), own) if terms else gamma
+        return gamma + sum(cause.term(free, true, _sizes(values, places)) for cause, places in terms)
+
+    def _factor(self, true: State, values: Array) -> Array:
+        factor = np.ones((len(values), 1))
+        for cause, places in self.by_station[FactorCause]:
+            factor = factor * cause.factor(true, _sizes(values, places))
+        return factor
+
+    def _own_slopes(self, true: State, values: Array) -> Array:
+        """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
+        own = values[:, : len(self.law.parameters)]
+        slopes, terms = self.law.gamma_slopes(true, own), self.by_station[TermCause]
+        if terms:
+            free, by_free = self.law.gamma(_unloaded(true), own), self.law.gamma_slopes(_unloaded(true), own)
+            for cause, places in terms:
+                sizes, step = _sizes(values, places), APART * free
+                rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
+                slopes = slopes + (rise / (2 * step))[..., None] * by_free
+        return slopes
+
+    def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
+        """Derivative of a function of the values by that of one of a cause's parameters."""
+        step = APART * self.sizes[k - len(self.law.parameters)]
+        ahead, behind = values.copy(), values.copy()
+        ahead[:, k] += step
+        behind[:, k] -= step
+        return (function(ahead) - function(behind)) / (2 * step)
+
+    @property
+    def sizes(self) -> Array:
+        """A size of each of the causes' parameters that matters, shape (q,)."""
+        return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
+
+
+def _named(cause: Cause, parameter: CauseParameter) -> CauseParameter:
+    only = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
+    name = f"{cause.name}.{parameter.name}" + (f"[{only}]" if only else "")
+    return replace(parameter, name=name)
+
+
+def _sizes(values: Array, places: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return [values[:, k, None] for k in places]
+
+
+def _unloaded(state: State) -> State:
+    still = np.zeros((len(state.position), 1))
+    return state.but(given_load=still, given_recoil=still)
+
+
+POSE = ("q1", "q2", "q3", "theta", "psi")
+AT_ONCE = 4096  # rows; with all the positions that a worn spot takes, arrays stay small
+
+
+class ExtendedLaw(Composition):
+    """A published law and the causes by which a joint departs from it.
+
+    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
+    joint, direction or session in brackets where it is that of one only.
+    """
+
+    name = "extended"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
+        needed = [*POSE, *self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
+        return tuple(dict.fromkeys(needed))
+
+    @property
+    def widest(self) -> float:  # type: ignore[override]
+        """See `StepLaw.widest`."""
+        return min([self.law.widest, *(cause.widest for cause, _ in self.acting)])
+
+    def panel(self, values: Array) -> float:
+        """As `widest`, for given values, shape (n, p)."""
+        seen = (cause.panel(values[:, places.start : places.stop]) for cause, places in self.acting)
+        return min([self.law.widest, *seen])
+
+    @cached_property
+    def along(self) -> bool:
+        """Whether a cause makes the step size change along a traverse otherwise than the law itself does."""
+        return any(cause.along for cause, _ in self.acting)
+
+    @property
+    def absent(self) -> Array:
+        """Values of the causes' parameters under which the law is the published one, shape (q,)."""
+        return np.array([value for cause in self.causes for value in cause.absent], dtype=float)
+
+    def counter(self, rows: Rows) -> Counter:
+        """See `StepLaw.counter`; NaN where the step size is not above 0."""
+        parts = self.parts(rows)
+
+        def count(values: Array) -> tuple[Array, Array]:
+            values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+            found = [self._counted(part, values[mine]) for mine, part in parts]
+            counts, slopes = zip(*found, strict=True)
+            return np.concatenate(counts), np.concatenate(slopes)
+
+        return count
+
+    def predict(self, rows: Rows, values: Array) -> Array:
+        """See `StepLaw.predict`; without the derivatives, which take most of the time."""
+        values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(self.steps(rows)(values))
+
+    def steps(self, rows: Rows) -> Callable[[Array], Array]:
+        """Steps over each traverse as a function of the values, shape (n, p) -> (n,)."""
+        parts = self.parts(rows)
+
+        def count(values: Array) -> Array:
+            return np.concatenate(
+                [
+                    part.counts(values[mine]) + self.steps_added(part.here, values[mine])
+                    for mine, part in parts
+                ]
+            )
+
+        return count
+
+    def parts(self, rows: Rows) -> list[tuple[slice, Traverses]]:
+        """The traverses, so many at once as keep memory small."""
+        known = known_of(rows, self.columns)
+        ends = range(0, max(len(known["start"]), 1), AT_ONCE)
+        slices = [slice(first, first + AT_ONCE) for first in ends]
+        return [(mine, Traverses(self, {name: of[mine] for name, of in known.items()})) for mine in slices]
+
+    def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
+        """See `StepLaw.step_size`."""
+        return super().step_size(known_of(rows, self.columns), position, values)
+
+    def in_motion(self, values: Array) -> Array:
+        """Values with all that is in hearing the stop left out, shape (p,) or (n, p)."""
+        moving = np.array(values, dtype=float)
+        for cause, places in self.acting:
+            if cause.of_stop:
+                moving[..., places.start : places.stop] = cause.absent
+        return moving
+
+    def added(self, rows: Rows, values: Array) -> Array:
+        """Steps that count causes add to each traverse, shape (n,)."""
+        return np.concatenate([self.steps_added(part.here, values[mine]) for mine, part in self.parts(rows)])
+
+    def misfires(self, values: Array, luck: Array) -> Array:
+        """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
+        off = [cause.departures(values[:, places.start : places.stop], luck) for cause, places in self.acting]
+        return np.sum(off, axis=0) if off else np.zeros(len(values))
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`: the law's own, with the causes absent."""
+        return _beside(self.law.start_values(mean_step), self.absent)
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return _beside(self.law.scales(mean_step), self.sizes)
+
+    def features(self, rows: Rows) -> Array:
+        """See `StepLaw.features`: those of the law, and every number that a cause looks at."""
+        known = known_of(rows, self.columns)
+        seen = [values.astype(float) for values in known.values() if values.dtype.kind in "fiu"]
+        return np.column_stack([self.law.features(rows), *seen])
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """See `StepLaw.calibration`: that of the law itself."""
+        return self.law.calibration()
+
+    def _counted(self, part: Traverses, values: Array) -> tuple[Array, Array]:
+        counts, slopes = part.counts_and_slopes(values)
+        for _, places in self.by_station[CountCause]:
+            for k in places:
+                slopes[:, k] += self.difference(lambda there: self.steps_added(part.here, there), values, k)
+        return counts + self.steps_added(part.here, values), slopes
+
+
+def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
+    """A law with one cause more.
+
+    Parameters
+    ----------
+    law : StepLaw
+        Published or already extended.
+    cause : Cause
+        Bound to a log.
+    """
+    return extend_by(law, (cause,))
+
+
+def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
+    """A law with any number of causes more, none included."""
+    if isinstance(law, ExtendedLaw):
+        return ExtendedLaw(law.law, (*law.causes, *causes))
+    return ExtendedLaw(law, causes)
+
+
+def _beside(own: Array, same: Array) -> Array:
+    """Columns of the law's own and, the same for every group, those of the causes."""
+    return np.concatenate([own, np.broadcast_to(same, (len(own), len(same)))], axis=1)

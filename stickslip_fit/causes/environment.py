@@ -10,15 +10,8 @@ from typing import ClassVar, Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import (
-    Array,
-    Cause,
-    CauseParameter,
-    FactorCause,
-    Sizes,
-    filled,
-    missing_column,
-)
+from stickslip_fit.causes.base import Array, Cause, FactorCause
+from stickslip_fit.causes.parameters import CauseParameter, Sizes, filled, missing_column
 from stickslip_fit.laws import State
 from stickslip_fit.logs.columns import COVARIATE
 from stickslip_fit.machine import Machine

@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import Array, Cause, CauseParameter, Sizes, StateCause
+from stickslip_fit.causes.base import Array, Cause, StateCause
+from stickslip_fit.causes.parameters import CauseParameter, Sizes
 from stickslip_fit.laws import State
 
 __all__ = ["ThetaOffset", "PsiOffset", "Q2Offset", "Q1Gravity", "RecoilAxis", "RecoilShape"]  # noqa: RUF022

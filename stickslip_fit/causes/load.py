@@ -10,16 +10,12 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_direction, join_words
-from stickslip_fit.causes.base import (
-    Array,
-    Cause,
+from stickslip_fit.causes.base import Array, Cause, FactorCause, StateCause, TermCause
+from stickslip_fit.causes.parameters import (
     CauseParameter,
-    FactorCause,
     Row,
     SizedParameter,
     Sizes,
-    StateCause,
-    TermCause,
     changes_since,
     filled,
     missing_column,

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_percent
-from stickslip_fit.causes.base import Array, Cause, CauseParameter, CountCause, FactorCause, Row, Sizes
+from stickslip_fit.causes.base import Array, Cause, CountCause, FactorCause
+from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.machine import PRISMATIC
 
@@ -84,7 +85,7 @@ class AlongGuide(FactorCause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: where nothing else changes along the guide, each stretch is done once."""
-        from stickslip_fit.causes.extended_law import ExtendedLaw
+        from stickslip_fit.causes.base import ExtendedLaw
 
         if isinstance(law, ExtendedLaw):
             return super().changes(law, rows, values, trials)

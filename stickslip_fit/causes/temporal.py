@@ -10,11 +10,9 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import (
-    Array,
-    Cause,
+from stickslip_fit.causes.base import Array, Cause, FactorCause
+from stickslip_fit.causes.parameters import (
     CauseParameter,
-    FactorCause,
     Row,
     Sizes,
     changes_since,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from stickslip_fit._summary import Summary
-from stickslip_fit.causes.base import SizedParameter
+from stickslip_fit.causes.parameters import SizedParameter
 from stickslip_fit.diagnose.searching.search import Search
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.units import Interval

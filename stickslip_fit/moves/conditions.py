@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.causes.base import FIRST, NEEDED
+from stickslip_fit.causes.parameters import FIRST, NEEDED
 from stickslip_fit.errors import InputError, Problem
 from stickslip_fit.fit import Result
 from stickslip_fit.laws import StepLaw

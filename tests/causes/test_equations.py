@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import covariates, extend, library
-from stickslip_fit.causes.extended_law import ExtendedLaw
+from stickslip_fit.causes.base import ExtendedLaw
 from stickslip_fit.laws import StepLaw
 from tests.causes.by_hand import ROWS, steps
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values

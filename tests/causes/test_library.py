@@ -10,7 +10,7 @@ import pytest
 
 from stickslip_fit import causes
 from stickslip_fit.causes import covariates, library
-from stickslip_fit.causes.base import moments
+from stickslip_fit.causes.parameters import moments
 from stickslip_fit.logs import Log, read_log
 from stickslip_fit.units import UNITS
 from tests.causes.table import LAWS, MACHINE, NAMED, own_values

@@ -6,7 +6,7 @@ from typing import Any
 
 from stickslip_fit._format import format_percent
 from stickslip_fit.causes import EndStopMisfire
-from stickslip_fit.causes.base import plain_description
+from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnose.diagnosis import Finding
 
 

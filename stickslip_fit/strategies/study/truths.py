@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.causes.extended_law import extend_by
+from stickslip_fit.causes.base import extend_by
 from stickslip_fit.laws import StepLaw, travel
 from stickslip_fit.machine import JOINTS
 from stickslip_fit.simulate import expected_counts
