@@ -61,7 +61,7 @@ def study(estimator, campaign, folder, sessions, campaigns, seed):
 
 
 def assert_covers(parameters, predicted):
-    """Each parameter within the binomial error of the largest of so many; parameters and predictions in the mean.
+    """Each parameter within the binomial error of the largest of so many; in the mean, also predictions.
 
     A campaign's intervals share its noise, so that the mean's error is the scatter from campaign to campaign.
     """

@@ -59,7 +59,7 @@ each_direction = pytest.mark.parametrize("direction", ["+", "-"])
 @pytest.mark.parametrize("name", ["prismatic", "elbow", "base"])
 @each_direction
 def test_counts_are_those_of_literally_stepping_the_joint(name, direction, every):
-    """None of the grid's sides is a multiple of five: every fifth traverse from the third on has all values."""
+    """No side of the grid is a multiple of five, so that every fifth traverse has all values of each."""
     law, values = LAWS[name], np.array(VALUES[name][direction])
     rows = {name: column[2 % every :: every] for name, column in traverses(law, direction).items()}
     stepped = step_through(law, rows, values)
