@@ -14,10 +14,10 @@ test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile
 
 nightly: $(VENV)/.ready-nightly
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -m ""
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile -m ""
 
 format: $(VENV)/.ready-test
 	$(BIN)/ruff check --fix .

@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, singledispatch
 from importlib.resources import files
 from itertools import groupby
 from textwrap import fill
@@ -194,6 +194,26 @@ class Summary:
     def as_html(self) -> str:
         """A fragment that needs nothing but itself, on light and on dark ground."""
         return template("summary.html.j2").render(summary=self)
+
+
+@singledispatch
+def summarize(result: object) -> Summary:
+    """What a result says; each package registers how for its own results, beside them."""
+    raise TypeError(f"nothing is registered that summarizes a {type(result).__name__}")
+
+
+class Summarized:
+    """A result that shows itself by its summary, as text and in a notebook."""
+
+    def summary(self) -> Summary:
+        """What the result says: headline, sections with tables, flags, provenance."""
+        return summarize(self)
+
+    def __repr__(self) -> str:
+        return self.summary().as_text()
+
+    def _repr_html_(self) -> str:
+        return self.summary().as_html()
 
 
 def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") -> str:

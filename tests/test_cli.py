@@ -247,15 +247,16 @@ def test_what_was_asked_for_is_saved_whoever_stops_reading(log, tmp_path):
     assert (tmp_path / "fit.json").exists()
 
 
-def test_an_interrupted_run_says_so_and_leaves_nothing(run, monkeypatch, tmp_path):
+def test_an_interrupted_run_says_so_and_leaves_nothing(run, campaign, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stickslip_fit.files.write_atomically", interrupted)
+    campaign(("2012-03-05",), SWEEP).to_csv(tmp_path / "log.csv", index=False)
     quick = ("--no-diagnosis", "--no-strategies", "-o", str(tmp_path / "report.html"))
-    status, _, said = run("report", REFERENCE / "campaign.csv", *quick)
+    status, _, said = run("report", tmp_path / "log.csv", *quick)
     assert (status, said) == (130, "interrupted; nothing was left half-written\n")
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
 
 
 @pytest.mark.nightly

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.anova.answer import Answer, answer
 from stickslip_fit.anova.components import Components, components
 from stickslip_fit.anova.day import day
@@ -21,8 +21,8 @@ from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs import Log
 
 
-@dataclass(frozen=True)
-class Anova:
+@dataclass(frozen=True, repr=False)
+class Anova(Summarized):
     """What a log says of day, direction and normal force.
 
     Attributes
@@ -37,18 +37,6 @@ class Anova:
     answers: tuple[Answer, ...]
     refusals: tuple[Refusal, ...]
     components: tuple[Components, ...] = ()
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self) -> Summary:
-        """What matters and what to do, then what was asked and answered."""
-        from stickslip_fit.anova.summary import summarize
-
-        return summarize(self)
 
     def plot_factor(self, joint: int, factor: str) -> AxesOf:
         """One joint's readings by ``day``, ``direction`` or ``normal-force``.

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.anova.comparison import shift
 from stickslip_fit.anova.holm import holm
 from stickslip_fit.anova.projection import indicator, orthonormal
@@ -60,8 +60,8 @@ class AnovaRow:
     freedom: int
 
 
-@dataclass(frozen=True)
-class FormulaTable:
+@dataclass(frozen=True, repr=False)
+class FormulaTable(Summarized):
     """The table of one joint's model.
 
     Attributes
@@ -81,18 +81,6 @@ class FormulaTable:
     kind: int
     lines: tuple[AnovaRow, ...]
     count: int
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self) -> Summary:
-        """What shows an effect, then the table."""
-        from stickslip_fit.anova.summary import summarize_formula
-
-        return summarize_formula(self)
 
     @property
     def table(self) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -20,23 +20,22 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.anova.analyse import Anova
 from stickslip_fit.anova.answer import Answer
 from stickslip_fit.anova.components import Component, Components
+from stickslip_fit.anova.formula import FormulaTable
 from stickslip_fit.anova.verdict import LEVEL, advice, doubts, reasons, verdicts
 from stickslip_fit.anova.within import MOST_SESSIONS
 from stickslip_fit.units import from_si
-
-if TYPE_CHECKING:
-    from stickslip_fit.anova.analyse import Anova
-    from stickslip_fit.anova.formula import FormulaTable
 
 MAX_ROWS = 24
 AT_FLOOR = "*"
 CAUTIONS = "What to mind, and what cannot be answered"
 
 
-def summarize(anova: Anova) -> Summary:
+@summarize.register
+def summarize_anova(anova: Anova) -> Summary:
     """A paragraph and a section for each joint, then assumptions that fail and what has no answer."""
     sentences = sentences_by_joint(anova)
     headline = [f"Joint {joint}. {' '.join(said)}" for joint, said in sentences.items()]
@@ -199,6 +198,7 @@ def _components_table(found: Components) -> Table:
     return Table(caption, columns, body, note=note)
 
 
+@summarize.register
 def summarize_formula(found: FormulaTable) -> Summary:
     """What shows an effect, then the table; sums of squares in SI units of the response."""
     table = found.table

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized, Summary
 from stickslip_fit.capture import spectra
 from stickslip_fit.capture.limits import CHECKS, Limits, limits_for, pair_chance
 from stickslip_fit.errors import InputError, Problem
@@ -24,8 +24,8 @@ SPECTRA = ("moving", "at_stop")
 WELL, POORLY = 1e-3, 5e-2  # share of stops not found at the second check
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuning(Summarized):
     """How to hear the stop.
 
     Attributes
@@ -124,12 +124,6 @@ class Tuning:
     @property
     def _at_last(self) -> tuple[float, float]:
         return float(self.limits.pair[-1]), float(self.limits.least[-1])
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
 
     def plot_spectrum(self) -> npt.NDArray[np.object_]:
         """Both spectra with the tuned band; see `report.figures.spectrum`."""

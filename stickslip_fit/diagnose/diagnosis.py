@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.causes.parameters import SizedParameter
 from stickslip_fit.diagnose.searching.search import Search
 from stickslip_fit.fit.result import AxesOf
@@ -112,8 +112,8 @@ class NextTraverse:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Summarized):
     """The answer, and what it rests on.
 
     Attributes
@@ -161,18 +161,6 @@ class Diagnosis:
     search: Search
     alike: tuple[tuple[str, str], ...] = ()
 
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self, command: str = "") -> Summary:
-        """The answer in two sentences, then sizes, gain, rivals and what could not be seen."""
-        from stickslip_fit.diagnose.telling.summary import summarize
-
-        return summarize(self, command)
-
     @property
     def parameters(self) -> pd.DataFrame:
         """Every parameter of what was named, one row each.
@@ -219,8 +207,8 @@ class Diagnosis:
         InputError
             If there is no such finding, or it has no shape.
         """
-        from stickslip_fit.report.diagnosis import plot_residuals
         from stickslip_fit.report.figures.axes import panels
+        from stickslip_fit.report.figures.gains import plot_residuals
 
         return panels(plot_residuals(self, finding))
 

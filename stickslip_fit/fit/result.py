@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.fit.intervals import quantile
@@ -68,8 +68,8 @@ class JointFit:
         return index.get_indexer(wanted)
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Summarized):
     """A fitted log.
 
     Attributes
@@ -91,18 +91,6 @@ class Result:
     residuals: pd.DataFrame
     remarks: tuple[Remark, ...]
     provenance: Provenance
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self) -> Summary:
-        """What is wrong with it, and the parameters of every joint by session and direction."""
-        from stickslip_fit.fit.summary import summarize
-
-        return summarize(self)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesOf:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.

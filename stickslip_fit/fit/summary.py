@@ -15,7 +15,7 @@ from stickslip_fit._format import (
     joint_name,
     pluralize,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.fit.expectation import expectation, expectation_text
 from stickslip_fit.fit.remark import Remark
 from stickslip_fit.fit.repeatability import Repeatability
@@ -36,7 +36,8 @@ FLAGS = {
 }
 
 
-def summarize(result: Result) -> Summary:
+@summarize.register
+def summarize_fit(result: Result) -> Summary:
     """Expectation, flags, the parameters of every joint by session and direction, those of causes."""
     files = file_names(list(result.provenance.log_files))
     method = capitalize_first(result.method.replace("-", " "))

@@ -9,15 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.logs.configurations import configurations
-from stickslip_fit.logs.summary import summarize
 from stickslip_fit.logs.write import write_log
 from stickslip_fit.machine import Machine
 
 
-@dataclass(frozen=True, eq=False)
-class Log:
+@dataclass(frozen=True, eq=False, repr=False)
+class Log(Summarized):
     """The traverses of a campaign, as `read_log` returns them.
 
     Attributes
@@ -48,12 +47,6 @@ class Log:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
     @property
     def sessions(self) -> tuple[str, ...]:
         """Labels of the sessions, in the order in which they began."""
@@ -76,10 +69,6 @@ class Log:
     def configurations(self) -> pd.DataFrame:
         """Which configurations the usable rows cover; see `configurations.configurations`."""
         return configurations(self.usable)
-
-    def summary(self) -> Summary:
-        """What the log holds: sessions, coverage, conditions, and what is not fitted."""
-        return summarize(self)
 
     def plot_readings(self) -> npt.NDArray[np.object_]:
         """The mean step size of every usable traverse, in the order in which they were made.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -17,12 +16,10 @@ from stickslip_fit._format import (
     joint_name,
     pluralize,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.logs.columns import CONDITIONS, COVARIATE, FIELDS
+from stickslip_fit.logs.log import Log
 from stickslip_fit.units import SUFFIXES, from_si
-
-if TYPE_CHECKING:
-    from stickslip_fit.logs.log import Log
 
 MAX_ROWS = 10  # of a table; the log itself holds the others
 MAX_FILES = 3
@@ -31,7 +28,8 @@ POSITIONS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
 NOT_FITTED = ("interrupted", "excluded")
 
 
-def summarize(log: Log) -> Summary:
+@summarize.register
+def summarize_log(log: Log) -> Summary:
     """The log in two sentences, then its sessions, coverage, conditions, and traverses with a note."""
     tables = [_sessions(log), _coverage(log), _columns(log), _noted(log)]
     files = join_words([f"{name} (sha256 {sha[:12]})" for name, sha in log.sources[:MAX_FILES]] or ["memory"])

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stickslip_fit._summary import Section, Summary, template, trusted
 from stickslip_fit.diagnose import Diagnosis
 from stickslip_fit.diagnose.telling.show import Shown, shape_of, shown
-from stickslip_fit.errors import InputError
-from stickslip_fit.report.figures.drawing import on_white
-from stickslip_fit.report.figures.evidence import draw_finding, everything_picture, finding_picture
+from stickslip_fit.report.figures.evidence import everything_picture, finding_picture
 from stickslip_fit.report.figures.gains import gain_picture
 from stickslip_fit.report.figures.likeness import likeness_picture
 from stickslip_fit.report.figures.ranking import ranking_picture
@@ -43,7 +40,7 @@ def diagnosed(diagnosis: Diagnosis, command: str = "") -> Summary:
     ]
     joints = sorted(int(joint) for joint in left.rows["joint"].unique())
     pictures = (*evidence, *(everything_picture(joint, left) for joint in joints), gain_picture(diagnosis))
-    summary = diagnosis.summary(command)
+    summary = diagnosis.summary()
     findings, alternatives, unseen = summary.sections
     sections = (
         findings,
@@ -51,7 +48,8 @@ def diagnosed(diagnosis: Diagnosis, command: str = "") -> Summary:
         replace(alternatives, figures=(ranking_picture(diagnosis), likeness_picture(diagnosis))),
         unseen,
     )
-    return replace(summary, sections=sections)
+    source = ("command", command or "none: made from Python")
+    return replace(summary, sections=sections, provenance=(*summary.provenance, source))
 
 
 def numbered(diagnosis: Diagnosis) -> Shown:
@@ -62,22 +60,3 @@ def numbered(diagnosis: Diagnosis) -> Shown:
     ]
     numbers = np.delete(np.arange(len(left.rows) + len(misfired)), np.array(misfired, dtype=int))
     return replace(left, rows=left.rows.set_axis(numbers))
-
-
-def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
-    """One finding's residuals before and after.
-
-    Raises
-    ------
-    InputError
-        If there is no such finding, or it has no shape.
-    """
-    found = {each.cause: each for each in diagnosis.search.found}
-    if not 0 <= finding < len(diagnosis.findings):
-        raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
-    chosen = diagnosis.findings[finding]
-    if found[chosen.cause].misfit is None:
-        raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
-    shape = shape_of(found[chosen.cause], diagnosis.search.bench.study())
-    left = shown(diagnosis.search, diagnosis.seed)
-    return on_white(draw_finding(chosen, found[chosen.cause], shape, left)[1])

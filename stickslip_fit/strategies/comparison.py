@@ -7,15 +7,15 @@ from functools import cached_property
 
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.fit.provenance import Provenance
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.accuracy import CONFIGURATIONS, SESSIONS, summarise
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Summarized):
     """What `compare` returns; SI.
 
     Attributes
@@ -55,18 +55,6 @@ class Comparison:
     looks_back: str
     machine: Machine
     provenance: Provenance
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self) -> Summary:
-        """The answer for each joint, then every strategy's cost and error."""
-        from stickslip_fit.strategies.summary import summarize
-
-        return summarize(self)
 
     def plot_pareto(self) -> AxesOf:
         """Calibration time against held-out error, with the Cramer-Rao bound and the repeatability floor.

@@ -19,7 +19,7 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.strategies.claims import claimed_table, implied_table
 from stickslip_fit.strategies.comparison import Comparison
 from stickslip_fit.strategies.trials import WHERE
@@ -34,7 +34,8 @@ WORST_NOTE = (
 MAX_WORST = 2
 
 
-def summarize(found: Comparison) -> Summary:
+@summarize.register
+def summarize_comparison(found: Comparison) -> Summary:
     """Each joint's answer, then its strategies' cost and errors, and what was left out."""
     sections = [Section(paragraphs=(typeset(heading(found)),))] if found.joints else []
     for joint in found.joints:

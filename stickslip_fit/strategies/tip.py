@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_number
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers
+from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import JOINTS, forward, jacobian
@@ -27,8 +27,8 @@ OFTEN = 0.95
 OF_JOINT = [f"joint_{joint}" for joint in JOINTS]
 
 
-@dataclass(frozen=True, eq=False)
-class TipErrors:
+@dataclass(frozen=True, eq=False, repr=False)
+class TipErrors(Summarized):
     """Where the tip ended after each move, less where it was to end.
 
     Attributes
@@ -41,12 +41,6 @@ class TipErrors:
     """
 
     table: pd.DataFrame
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
 
     def summary(self) -> Summary:
         """The distribution of each strategy's errors."""

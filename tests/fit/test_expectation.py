@@ -57,10 +57,12 @@ def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, tmp_path):
     assert "nm" in told
 
 
-def test_the_stated_rate_of_surprises_holds(drifting, tmp_path):
+@pytest.mark.parametrize("campaigns", [30, pytest.param(300, marks=pytest.mark.nightly)])
+def test_the_stated_rate_of_surprises_holds(drifting, tmp_path, campaigns):
     """Usual days only: a surprise anywhere in about 1 of 100; parameters move together, so fewer."""
-    surprised = [expectation(fitted(drifting(1.0, seed), tmp_path))["surprising"].any() for seed in range(60)]
-    assert sum(surprised) <= 4
+    logs = (fitted(drifting(1.0, seed), tmp_path) for seed in range(campaigns))
+    surprised = sum(expectation(log)["surprising"].any() for log in logs)
+    assert surprised <= binom.ppf(0.999, campaigns, 0.01)
 
 
 def test_three_sessions_are_too_few(campaign, tmp_path):

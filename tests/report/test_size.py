@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pandas as pd
+import pytest
 
 from stickslip_fit.fit import closed_form, constant_step, least_squares
 from stickslip_fit.logs import read_log
@@ -9,7 +10,8 @@ from stickslip_fit.report import report_html
 MOST = 4_500_000
 
 
-def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path):
+@pytest.mark.parametrize("days", [36, pytest.param(100, marks=pytest.mark.nightly)])
+def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path, days):
     """Years of sessions: shown are the latest, and of too many points a sample; the page says so."""
     once = campaign(("2012-03-05",))
     years = pd.concat(
@@ -20,7 +22,7 @@ def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path):
                     "%Y-%m-%dT%H:%M:%S"
                 ),
             )
-            for day in range(100)
+            for day in range(days)
         ]
     )
     path = tmp_path / "years.csv"
@@ -30,9 +32,9 @@ def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path):
     html = report_html(log, calibration, constant_step(log, calibration), least_squares(log))
     page = read_page(html)
     sessions = page.tables["Sessions and traverses"]
-    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(90, 100)]
+    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(days - 10, days)]
     assert len(html.encode()) < MOST
-    assert "The latest 10 of 100 sessions." in html
+    assert f"The latest 10 of {days} sessions." in html
     assert "chosen at random" in html
-    assert "day 099" in html
-    assert "day 050" not in page.text
+    assert f"day {days - 1:03d}" in html
+    assert "day 005" not in page.text

@@ -49,8 +49,9 @@ def drawn(rng: np.random.Generator, better: float) -> np.ndarray:
     return rms
 
 
-def test_strategies_that_are_alike_are_rarely_told_apart():
-    rng, logs = np.random.default_rng(2), 300
+@pytest.mark.parametrize("logs", [120, pytest.param(2000, marks=pytest.mark.nightly)])
+def test_strategies_that_are_alike_are_rarely_told_apart(logs):
+    rng = np.random.default_rng(2)
     wrong = sum(
         (pair_up(errors_of(drawn(rng, 1.0)), ("session",))["verdict"] != INDISTINGUISHABLE).any()
         for _ in range(logs)

@@ -95,7 +95,7 @@ def check(errors, truth):
 
 @pytest.mark.parametrize(("kind", "uneven"), [("gaussian", False), ("t5", True)])
 def test_intervals_over_configurations_cover(kind, uneven):
-    check(*simulated(300, 40, 1, kind, uneven))
+    check(*simulated(120, 40, 1, kind, uneven))
 
 
 @pytest.mark.nightly

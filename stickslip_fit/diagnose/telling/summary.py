@@ -23,7 +23,7 @@ from stickslip_fit._format import (
     pluralize,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain, NextTraverse, SizedParameter
 from stickslip_fit.diagnose.experiments.next_experiment import out_of_reach
 from stickslip_fit.diagnose.searching.misfit import UNKNOWN, Misfit
@@ -34,15 +34,9 @@ LIKELY_ENOUGH, MAX_RANKED, MAX_TRAVERSES = 0.015, 10, 20
 POWER_OF_TEN = np.log(10.0)
 
 
-def summarize(diagnosis: Diagnosis, command: str = "") -> Summary:
-    """The answer; findings with sizes and gain; what else it could be; what could not be seen.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    command : str, optional
-        As typed.
-    """
+@summarize.register
+def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
+    """The answer; findings with sizes and gain; what else it could be; what could not be seen."""
     name = Path(diagnosis.log_file).name or "a log that was never in a file"
     further = traverses_table("Traverses that would tell", diagnosis.next_experiment)
     return Summary(
@@ -60,7 +54,6 @@ def summarize(diagnosis: Diagnosis, command: str = "") -> Summary:
         ),
         provenance=(
             (name, f"sha256 {diagnosis.log_sha256}"),
-            ("command", command or "none: made from Python"),
             ("false-alarm rate, seed", f"{diagnosis.alpha:g}, {diagnosis.seed}"),
         ),
     )

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._summary import Section, Summary
+from stickslip_fit._summary import Section, Summarized, Summary
 from stickslip_fit.fit.bayes.means import BOUNDS
 from stickslip_fit.fit.bayes.priors import Priors
 from stickslip_fit.fit.bayes.tree import branch_name
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Summarized):
     """A log fitted by Bayes.
 
     Attributes
@@ -40,12 +40,6 @@ class Posterior:
     tree: DataTree
     priors: Priors
     diagnostics: pd.DataFrame
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
 
     def summary(self) -> Summary:
         """As a result's, with how good the draws are, and the priors."""

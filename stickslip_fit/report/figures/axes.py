@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,7 +30,8 @@ class Panels(np.ndarray):
     @property
     def figure(self) -> Drawing:
         """The figure that they are of."""
-        return cast("Drawing", self.flat[0].get_figure(root=True))
+        first: Any = self.flat[0]
+        return first.get_figure(root=True)
 
     def savefig(self, *arguments: Any, **options: Any) -> None:
         """Write the figure to a file; see `matplotlib.figure.Figure.savefig`."""

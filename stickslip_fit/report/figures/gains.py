@@ -8,8 +8,10 @@ from matplotlib.figure import Figure
 from stickslip_fit._format import format_percent as percent
 from stickslip_fit._format import pluralize as count
 from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
+from stickslip_fit.diagnose.telling.show import shape_of, shown
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.report.figures.drawing import on_white
+from stickslip_fit.report.figures.evidence import draw_finding
 from stickslip_fit.report.figures.picture import Picture, not_drawn, picture
 from stickslip_fit.report.figures.style import (
     BLUE,
@@ -82,3 +84,22 @@ def draw_gain(gain: Gain) -> Figure:
         ]
         legend(figure, entries)
     return figure
+
+
+def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
+    """One finding's residuals before and after.
+
+    Raises
+    ------
+    InputError
+        If there is no such finding, or it has no shape.
+    """
+    found = {each.cause: each for each in diagnosis.search.found}
+    if not 0 <= finding < len(diagnosis.findings):
+        raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
+    chosen = diagnosis.findings[finding]
+    if found[chosen.cause].misfit is None:
+        raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
+    shape = shape_of(found[chosen.cause], diagnosis.search.bench.study())
+    left = shown(diagnosis.search, diagnosis.seed)
+    return on_white(draw_finding(chosen, found[chosen.cause], shape, left)[1])

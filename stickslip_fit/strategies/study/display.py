@@ -17,14 +17,15 @@ from stickslip_fit._format import (
     step_unit,
     typeset,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.fit.provenance import versions
 from stickslip_fit.strategies.study.study import Study
 from stickslip_fit.strategies.study.verdict import answer, of_joint
 from stickslip_fit.units import JOINTS
 
 
-def summarize(found: Study) -> Summary:
+@summarize.register
+def summarize_study(found: Study) -> Summary:
     """Which strategy survives what, joint by joint; where the tip ends; who takes no part."""
     sections = [Section(paragraphs=(typeset(_heading(found)),))]
     sections += [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from stickslip_fit._summary import Summary
+from stickslip_fit._summary import Summarized
 from stickslip_fit.fit.result import AxesOf
 from stickslip_fit.strategies.study.chunk import TIP
 from stickslip_fit.strategies.study.design import Design
@@ -14,8 +14,8 @@ from stickslip_fit.strategies.study.plan import StudyPlan
 from stickslip_fit.strategies.study.summary import summarise, summarise_tips
 
 
-@dataclass(frozen=True, eq=False)
-class Study:
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(Summarized):
     """What `run_study` returns; SI.
 
     Attributes
@@ -32,18 +32,6 @@ class Study:
     design: Design
     campaigns: pd.DataFrame
     command: str = ""
-
-    def __repr__(self) -> str:
-        return self.summary().as_text()
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
-
-    def summary(self) -> Summary:
-        """The answer for each joint and for the tip, then every number."""
-        from stickslip_fit.strategies.study.display import summarize
-
-        return summarize(self)
 
     def plot_errors(self) -> AxesOf:
         """Calibration time against the error of the mean step size, scenario by scenario."""

@@ -26,7 +26,7 @@ def nested(log_steps, traverses, prior, seed, **settings):
     Returns mean and standard deviation of each, and the Monte Carlo errors of both, from repeated runs as
     dynesty simulates them; the weights alone say two thirds of that.
     """
-    dynesty = pytest.importorskip("dynesty", reason="dynesty is not installed (the extra peers)")
+    dynesty = pytest.importorskip("dynesty", reason="dynesty is not installed (the extra test)")
     from dynesty.utils import jitter_run, resample_run
 
     p, sessions = len(prior.centre), len(traverses.groups)
