@@ -33,9 +33,9 @@ def campaign():
     from dataclasses import replace
 
     from stickslip_fit.logs.plan import PlannedSession
-    from stickslip_fit.logs.read_plan import read_plan
+    from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.machine import load_machine
-    from stickslip_fit.simulate import read_law_values, simulate
+    from stickslip_fit.simulation import read_law_values, simulate
 
     machine = load_machine()
     plan = read_plan(REFERENCE / "plan.toml", machine)
@@ -48,11 +48,11 @@ def campaign():
 
 def problem(log) -> dict[str, dict[str, np.ndarray]]:
     """Each joint and direction in plain arrays, for peers that know nothing of this package."""
-    from stickslip_fit.fit.bayes import weak_prior
-    from stickslip_fit.fit.bayes.traverses import each_group
+    from stickslip_fit.bayes import weak_prior
+    from stickslip_fit.bayes.priors import iterate_groups
 
     groups = {}
-    for joint, direction, traverses in each_group(log):
+    for joint, direction, traverses in iterate_groups(log):
         law, rows, prior = traverses.law, traverses.rows, weak_prior(traverses.law, traverses.rows)
         ends = {name: rows[name].to_numpy() for name in ("start", "stop")}
         if joint == 3:
@@ -89,11 +89,11 @@ def log_steps(xp, group, phi):
 
 
 def ours(path: str) -> dict[str, np.ndarray]:
-    from stickslip_fit.fit.bayes import bayes
+    from stickslip_fit.bayes import fit_bayes
     from stickslip_fit.logs import read_log
 
-    posterior = bayes(read_log(path), progress=False)
-    assert not posterior.result.remarks, posterior.result.remarks
+    posterior = fit_bayes(read_log(path), progress=False)
+    assert not posterior.result.flags, posterior.result.flags
     found = {
         f"{joint}{way} {quantity}": posterior.draws(joint, way, name)
         for joint, way in posterior.groups

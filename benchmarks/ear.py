@@ -7,16 +7,29 @@ from time import process_time
 
 import numpy as np
 
-from stickslip_fit.capture.detector import Detector
-from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.powers import Part, Powers, powers_of
-from stickslip_fit.capture.emulator.sound import sound_of
-from stickslip_fit.capture.evidence import Evidence, hear, nothing_heard
-from stickslip_fit.capture.limits import CHECKS, FALSE_STOPS, Limits, exceeded
-from stickslip_fit.capture.source import Sound
-from stickslip_fit.capture.tune import tune
-from stickslip_fit.capture.tuning import Tuning
-from stickslip_fit.capture.wav import Recording
+from stickslip_fit.capture.audio import Recording
+from stickslip_fit.capture.emulator.acoustics import (
+    Acoustics,
+    CheckPowers,
+    PowerDistribution,
+    compute_powers,
+    synthesize_sound,
+)
+from stickslip_fit.capture.end_stop import (
+    SequentialDetector,
+    SequentialTest,
+    begin_sequential_test,
+    update_sequential_test,
+)
+from stickslip_fit.capture.protocols import Sound
+from stickslip_fit.capture.tuning import (
+    CHECKS_PER_TRAVERSE,
+    FALSE_STOPS_PER_TRAVERSE,
+    DetectionLimits,
+    Tuning,
+    choose_tuning,
+    power_quantile,
+)
 
 RATIOS = (-12, -9, -6, -3, -2, -1, 0, 1, 2, 3, 6, 9, 12)  # dB
 STEPS, SECONDS = 5, 0.05  # of a check
@@ -32,16 +45,16 @@ DISTURBED = {"bangs": 0.05, "speech": 0.03, "drift_db": DRIFT}
 class Running:
     """Our ear, for many traverses side by side."""
 
-    limits: Limits
-    evidence: Evidence = field(init=False)
+    limits: DetectionLimits
+    evidence: SequentialTest = field(init=False)
 
     def begin(self, traverses: int) -> None:
         """Forget the traverses before."""
-        self.evidence = nothing_heard(traverses)
+        self.evidence = begin_sequential_test(traverses)
 
     def check(self, band: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Whether each is at its stop."""
-        self.evidence, verdict = hear(self.limits, self.evidence, band, reference)
+        self.evidence, verdict = update_sequential_test(self.limits, self.evidence, band, reference)
         return verdict.at_stop
 
 
@@ -85,11 +98,11 @@ class Found:
 
 def rehearse(
     judge: Judge,
-    powers: Powers,
+    powers: CheckPowers,
     traverses: int,
     rng: np.random.Generator,
     *,
-    checks: int = CHECKS,
+    checks: int = CHECKS_PER_TRAVERSE,
     drift_db: float = 0.0,
     pushed: np.ndarray | None = None,
 ) -> Found:
@@ -118,7 +131,11 @@ def rehearse(
 
 
 def mixed(
-    moving: Part, at_stop: Part, share: float | np.ndarray, traverses: int, rng: np.random.Generator
+    moving: PowerDistribution,
+    at_stop: PowerDistribution,
+    share: float | np.ndarray,
+    traverses: int,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Powers of checks of which a share is at the stop."""
     if np.ndim(share) == 0:
@@ -131,8 +148,8 @@ def tuned(acoustics: Acoustics, rng: np.random.Generator) -> Tuning:
     """As before a session, from five seconds each."""
     calm = replace(acoustics, bangs=0.0, speech=0.0, drift_db=0.0)
     ways = [np.full(STEPS * LISTEN, pushing) for pushing in (False, True)]
-    moving, at_stop = (sound_of(calm, 0.0, np.ones(len(way)), way, rng) for way in ways)
-    return tune(moving, at_stop, calm.rate, SECONDS)
+    moving, at_stop = (synthesize_sound(calm, 0.0, np.ones(len(way)), way, rng) for way in ways)
+    return choose_tuning(moving, at_stop, calm.rate, SECONDS)
 
 
 def recorded(acoustics: Acoustics, began: float, checks: int, rng: np.random.Generator) -> Sound:
@@ -142,13 +159,13 @@ def recorded(acoustics: Acoustics, began: float, checks: int, rng: np.random.Gen
     times = began + acoustics.period * np.arange(0, len(pushing), 1000)
     return np.concatenate(
         [
-            sound_of(acoustics, at, np.ones(len(part)), part, rng)
+            synthesize_sound(acoustics, at, np.ones(len(part)), part, rng)
             for at, part in zip(times, parts, strict=True)
         ]
     )
 
 
-def listened(detector: Detector) -> tuple[int, bool]:
+def listened(detector: SequentialDetector) -> tuple[int, bool]:
     """The check at which a detector stops, and whether for a fault."""
     detector.begin()
     check = 0
@@ -164,7 +181,7 @@ def main() -> None:
     rng = np.random.default_rng(20261121)
     at_zero = tuned(Acoustics(0.0), rng)
     print("late: not found at the first or second check at the stop, per 1,000 stops")
-    print(f"imagined: traverses of {STEPS * CHECKS:,} steps with an imagined stop, per 1,000")
+    print(f"imagined: traverses of {STEPS * CHECKS_PER_TRAVERSE:,} steps with an imagined stop, per 1,000")
     print("      ------ ours ------   -- ours, drift --   ---- threshold ---   threshold, drift")
     print("  dB     late  imagined      late  imagined      late  imagined      late  imagined")
     for ratio in RATIOS:
@@ -180,13 +197,13 @@ def main() -> None:
 def cell(ratio: int, name: str, drift: float, at_zero: Tuning, rng: np.random.Generator) -> str:
     """Two figures of the table; several tunings for each, so that none is a lucky one."""
     acoustics = Acoustics(float(ratio))
-    set_once = Fixed(exceeded(FALSE_STOPS / CHECKS, at_zero.freedom))
+    set_once = Fixed(power_quantile(FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, at_zero.df))
     found = []
     for _ in range(max((AT_ZERO if ratio == 0 else TRAVERSES) // BATCH, 1)):
         tuning = tuned(acoustics, rng) if name == "ours" else at_zero
         judge = Running(tuning.limits) if name == "ours" else set_once
-        found.append(rehearse(judge, powers_of(acoustics, tuning), BATCH, rng, drift_db=drift))
-        stops = rehearse(judge, powers_of(acoustics, tuning), 5 * BATCH, rng, checks=80, drift_db=drift)
+        found.append(rehearse(judge, compute_powers(acoustics, tuning), BATCH, rng, drift_db=drift))
+        stops = rehearse(judge, compute_powers(acoustics, tuning), 5 * BATCH, rng, checks=80, drift_db=drift)
         found.append(Found(np.nan, stops.at))
     late, imagined = (
         1e3 * np.nanmean([getattr(each, part) for each in found]) for part in ("late", "imagined")
@@ -200,7 +217,7 @@ def anywhere(ratio: int, rng: np.random.Generator) -> str:
     tuning = tuned(acoustics, rng)
     pushed = rng.integers(1, STEPS + 1, 10 * BATCH) / STEPS
     judge = Running(tuning.limits)
-    found = rehearse(judge, powers_of(acoustics, tuning), 10 * BATCH, rng, checks=80, pushed=pushed)
+    found = rehearse(judge, compute_powers(acoustics, tuning), 10 * BATCH, rng, checks=80, pushed=pushed)
     off = STEPS * (found.at - 1)  # the count leaves out the later check of the two
     right = np.mean(off == 0)
     return (f"{ratio:4d} dB, the stop met at any step of a check: counts right {100 * right:.1f} %, "
@@ -213,12 +230,12 @@ def disturbed(ratio: int, rng: np.random.Generator) -> str:
     right = imagined = late = refused = 0
     for number in range(SOUNDED):
         acoustics = Acoustics(float(ratio), seed=number, **DISTURBED)
-        sound = recorded(acoustics, float(rng.uniform(0, 120)), CHECKS, rng)
-        at, fault = listened(Detector(Recording(sound, acoustics.rate), detector_of))
+        sound = recorded(acoustics, float(rng.uniform(0, 120)), CHECKS_PER_TRAVERSE, rng)
+        at, fault = listened(SequentialDetector(Recording(sound, acoustics.rate), detector_of))
         refused += fault
-        imagined += not fault and at <= CHECKS
-        right += not fault and CHECKS < at <= CHECKS + 2
-        late += not fault and at > CHECKS + 2
+        imagined += not fault and at <= CHECKS_PER_TRAVERSE
+        right += not fault and CHECKS_PER_TRAVERSE < at <= CHECKS_PER_TRAVERSE + 2
+        late += not fault and at > CHECKS_PER_TRAVERSE + 2
     return (f"{ratio:4d} dB, bangs, speech and drift, {SOUNDED} whole sounds: {right} right, {late} late, "
             f"{imagined} imagined, {refused} broken off with a fault")  # fmt: skip
 
@@ -228,7 +245,7 @@ def speed(rng: np.random.Generator) -> str:
     acoustics = Acoustics(6.0)
     tuning = tuned(acoustics, rng)
     sound = recorded(acoustics, 0.0, 1000, rng)
-    detector = Detector(Recording(sound, acoustics.rate), tuning)
+    detector = SequentialDetector(Recording(sound, acoustics.rate), tuning)
     detector.check(SECONDS)
     began = process_time()
     at, _ = listened(detector)

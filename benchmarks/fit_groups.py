@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares as scipy_least_squares
 
-from stickslip_fit.fit.groups import group_rows
-from stickslip_fit.fit.levenberg_marquardt import minimise
+from stickslip_fit.estimation._optimize import group_rows, minimize
 from stickslip_fit.laws import Prismatic
 
 SESSIONS = 1000
@@ -57,7 +56,7 @@ def ours(rows: pd.DataFrame) -> np.ndarray:
     y, weight = weights(law, rows)
     mean = np.full(len(groups), 900e-9)
     start, scales = law.start_values(mean), law.scales(mean)
-    return minimise(law.model(rows), y, weight, groups, start, scales, damping=0.0).values
+    return minimize(law.model(rows), y, weight, groups, start, scales, damping=0.0).values
 
 
 def scipy_loop(parts: list[pd.DataFrame]) -> np.ndarray:

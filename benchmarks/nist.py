@@ -14,8 +14,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from benchmarks.nist_problems import FILES, Problem, digits, read
-from stickslip_fit.fit.groups import Groups
-from stickslip_fit.fit.levenberg_marquardt import minimise
+from stickslip_fit.estimation._optimize import Groups, minimize
 
 
 def ours(problem: Problem, begin: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -24,7 +23,7 @@ def ours(problem: Problem, begin: np.ndarray) -> tuple[np.ndarray, bool]:
         pd.DataFrame({"session": [""], "direction": ["+"]}), np.zeros(len(problem.y), dtype=np.intp)
     )
     weight, start = np.ones(len(problem.y)), begin[None, :]
-    found = minimise(
+    found = minimize(
         problem.model(), problem.y, weight, groups, start, np.abs(start), rank_tol=1e-14, tolerance=1e-10
     )
     return found.values[0], bool(found.converged[0] and found.rank[0] == len(begin))

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import scipy.stats
 
-from stickslip_fit.anova.comparison import compare, sums_of_squares
+from stickslip_fit.anova.contrasts import build_comparison, sums_of_squares
 from stickslip_fit.anova.formula import anova_rows, model_terms
 
 FILES = sorted((Path(scipy.stats.__file__).parent / "tests" / "data" / "nist_anova").glob("*.dat"))
@@ -47,7 +47,7 @@ def read(path: Path) -> Certified:
 
 def ours(problem: Certified) -> tuple[float, ...]:
     """The core behind the named analyses."""
-    found = sums_of_squares(problem.values, compare(problem.group))
+    found = sums_of_squares(problem.values, build_comparison(problem.group))
     share = found.between / found.total
     return tuple(
         float(value)
@@ -81,7 +81,7 @@ def by_formula(problem: Certified) -> float:
     """F by the table of a formula."""
     rows = pd.DataFrame({"y": problem.values, "group": problem.group})
     between, within = anova_rows(*model_terms(rows, "y ~ C(group)", sums_to_zero=False), kind=1)
-    return between.squares / between.freedom / (within.squares / within.freedom)
+    return between.squares / between.df / (within.squares / within.df)
 
 
 def by_statsmodels(problem: Certified) -> float:

@@ -13,9 +13,9 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks.simulate_campaign import REFERENCE, enlarged
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values, simulate
+from stickslip_fit.simulation import read_law_values, simulate
 
 TRAVERSES = 100_000
 OPENED = 5

@@ -8,9 +8,9 @@ from pathlib import Path
 from time import perf_counter
 
 from stickslip_fit.logs.plan import Plan, PlannedSession
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import LawValues, read_law_values, simulate, step_through
+from stickslip_fit.simulation import LawValues, read_law_values, simulate, step_through
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 TRAVERSES = 1_000_000

@@ -16,23 +16,27 @@ import pandas as pd
 
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import load_machine
-from stickslip_fit.strategies.study import Cores, Scenario, StudyPlan, read_study, run_study
-from stickslip_fit.strategies.study.calibrations import FITTED, Fitted, all_at_once
-from stickslip_fit.strategies.study.campaigns import Campaigns, simulate_campaigns
-from stickslip_fit.strategies.study.chunk import Chunk
-from stickslip_fit.strategies.study.design import Cell, design
-from stickslip_fit.strategies.study.draws import draw
+from stickslip_fit.studies import Cores, Scenario, StudyPlan, read_study, run_study
+from stickslip_fit.studies.calibration import (
+    LAW_STRATEGIES,
+    DesignCell,
+    LawCalibrations,
+    calibrate_by_law,
+    design_study,
+)
+from stickslip_fit.studies.execution import Chunk
+from stickslip_fit.studies.simulation import SimulatedCampaigns, draw_campaigns, simulate_campaigns
 
 PLAN = Path(__file__).parents[1] / "data" / "reference" / "study.toml"
 CAMPAIGNS = 10_000
 LOOPED = 4
 
 
-def lmfit_loop(law: StepLaw, name: str, cells: list[Cell], campaigns: Campaigns) -> np.ndarray:
+def lmfit_loop(law: StepLaw, name: str, cells: list[DesignCell], campaigns: SimulatedCampaigns) -> np.ndarray:
     """Parameters of each campaign and session of a joint and direction, shape (c, p)."""
     found = []
     for number in range(campaigns.count):
-        rows = campaigns.one(number)
+        rows = campaigns.campaign_rows(number)
         for cell in cells:
             found.append(lmfit_one(law, rows.iloc[cell.made[name]], cell.repeatability))
     return np.array(found)
@@ -57,20 +61,20 @@ def lmfit_one(law: StepLaw, made: pd.DataFrame, repeatability: float) -> np.ndar
 
 def loop(study: StudyPlan) -> tuple[float, float]:
     """Seconds that a looped study of `LOOPED` campaigns takes, and the largest relative disagreement."""
-    plain, common = study.scenarios[0], design(study)
+    plain, common = study.scenarios[0], design_study(study)
     began, worst, own = time.perf_counter(), 0.0, 0.0
-    campaigns = simulate_campaigns(study, plain, draw(study, plain, range(LOOPED)))
+    campaigns = simulate_campaigns(study, plain, draw_campaigns(study, plain, range(LOOPED)))
     for _, _, cells, _ in common.drives():
         offered = np.concatenate([cell.offered for cell in cells])
         session = np.repeat(np.arange(len(cells)), [len(cell.offered) for cell in cells])
         number = (np.arange(LOOPED)[:, None] * len(cells) + session).ravel()
         rows = campaigns.rows.iloc[campaigns.places(offered).ravel()]
         for strategy in study.strategies:
-            law = FITTED[type(strategy)](cells[0].law)
+            law = LAW_STRATEGIES[type(strategy)](cells[0].law)
             values = lmfit_loop(law, strategy.name, cells, campaigns)
             predicted = law.predict(rows, values[number])
             aside = time.perf_counter()
-            ours: Fitted = all_at_once(law, strategy.name, cells, campaigns)
+            ours: LawCalibrations = calibrate_by_law(law, strategy.name, cells, campaigns)
             off = np.abs(np.expm1(ours.predict(rows, number)[0] - predicted))
             worst = max(worst, float(np.median(off)))
             own += time.perf_counter() - aside
@@ -82,7 +86,7 @@ def main() -> None:
     study = read_study(PLAN, load_machine())
     study = replace(study, scenarios=(Scenario("nothing hidden"),), moves=0, campaigns=CAMPAIGNS)
     print(f"{len(study.strategies)} strategies, {len(study.plan.rows())} traverses a campaign")
-    chunk = Chunk(study, design(study), study.scenarios[0], 0, 100)
+    chunk = Chunk(study, design_study(study), study.scenarios[0], 0, 100)
     began = time.perf_counter()
     chunk.run()
     ours = (time.perf_counter() - began) / len(chunk)

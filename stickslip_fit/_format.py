@@ -1,4 +1,9 @@
-"""Numbers, names and lists as sentences and tables have them; SI in, people's units out."""
+"""Numbers, units and lists as text: estimates with uncertainty, percentages, p-values, configurations.
+
+An estimate has as many decimals as its standard uncertainty justifies (JCGM 100:2008, 7.2.6). Functions
+named `format_...` return plain text; functions named `typeset_...` return the text of a page, with
+minus signs and no-break spaces.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +18,26 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MINUS = "\N{MINUS SIGN}"
-NO_BREAK = "\N{NO-BREAK SPACE}"
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 MISSING = "–"  # in a table's cell
-UNKNOWN = "not known"
-DECIMALS = {"nm": 1, "µrad": 2, "%": 2}  # about a tenth of the repeatability of a traverse
+UNKNOWN_VALUE = "not known"
+STEP_DECIMALS = {"nm": 1, "µrad": 2, "%": 2}  # about a tenth of the repeatability of a traverse
 MAX_DECIMALS = 6
 WHOLE_FROM = 10.0  # without an interval, a number from here on has no decimals
-SAME_ANGLE, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
+ANGLE_TOL, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
 
-_SPACED = re.compile(r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))")
-_NEGATIVE = re.compile(r"(?<= )-(?=\d)")
+_BREAK_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))")
+_HYPHEN_MINUS = re.compile(r"(?<= )-(?=\d)")
 _DEGREES = re.compile(r"(?<=\d) deg\b")
 _BESIDE = {"": "", "1": "", "%/%": " % per %"}
 
 
-def digits_for(uncertainty: float) -> int:
+def decimals_for(uncertainty: float) -> int:
     """Decimals that show two significant digits of `uncertainty` below 30, else one (JCGM 100, 7.2.6).
 
     Examples
     --------
-    >>> digits_for(0.123), digits_for(0.52), digits_for(47.0)
+    >>> decimals_for(0.123), decimals_for(0.52), decimals_for(47.0)
     (2, 1, 0)
     """
     if not isfinite(uncertainty) or uncertainty <= 0:
@@ -53,7 +58,7 @@ def format_number(value: float | None, unit: str, decimals: int | None = None) -
     if value is None or not isfinite(value):
         return MISSING
     shown = float(from_si(float(value), unit)) if unit in UNITS else float(value)
-    return _true_minus(f"{shown:.{DECIMALS.get(unit, 1) if decimals is None else decimals}f}")
+    return _true_minus(f"{shown:.{STEP_DECIMALS.get(unit, 1) if decimals is None else decimals}f}")
 
 
 def format_value(value: float | None, unit: str, decimals: int | None = None) -> str:
@@ -79,12 +84,12 @@ def format_uncertain(
     ('957.3 ± 1.2 nm', '957.3 ± ?')
     """
     if value is None or not isfinite(value):
-        return UNKNOWN
+        return UNKNOWN_VALUE
     beside = _beside(unit) if with_unit else ""
     if standard_error is None or not isfinite(standard_error):
         return f"{format_number(value, unit, 3 if unit == '1' else 1)} ± ?{beside}"
     error = from_si(float(standard_error), unit) if unit != "°C" else standard_error
-    decimals = digits_for(error)
+    decimals = decimals_for(error)
     return f"{format_number(value, unit, decimals)} ± {error:.{decimals}f}{beside}"
 
 
@@ -113,14 +118,14 @@ def format_estimate(interval: Interval, unit: str, *, signed: bool = False) -> s
     """
     value = interval.estimate if signed else abs(interval.estimate)
     if not isfinite(value):
-        return UNKNOWN
+        return UNKNOWN_VALUE
     return f"{_thousands(format_number(value, unit, _decimals_of(interval, unit)))}{_beside(unit)}"
 
 
 def format_interval(interval: Interval, unit: str, further: int = 0) -> str:
     """An interval without its unit, to `further` digits more than its estimate in a sentence."""
     if not isfinite(interval.high - interval.low):
-        return UNKNOWN
+        return UNKNOWN_VALUE
     decimals = _decimals_of(interval, unit, further)
     ends = (_thousands(format_number(end, unit, decimals)) for end in (interval.low, interval.high))
     return " to ".join(ends)
@@ -137,7 +142,7 @@ def format_percent(share: float, *, with_unit: bool = True, signed: bool = False
     ('+7.9 %', '7.9')
     """
     if not isfinite(share):
-        return UNKNOWN
+        return UNKNOWN_VALUE
     size = 100 * abs(share)
     text = format_number(share, "%", 2 if size < 0.995 else 1 if size < 99.5 else 0)
     return f"{'+' if signed and share > 0 else ''}{text}{' %' if with_unit else ''}"
@@ -221,7 +226,7 @@ def format_configuration(row: pd.Series, span: float) -> str:
         The joint's full travel.
     """
     joint = int(row["joint"])
-    names = ["q1"] if abs(row["q1"]) > SAME_ANGLE else []
+    names = ["q1"] if abs(row["q1"]) > ANGLE_TOL else []
     names += [name for name in ("q2", "q3", "theta", "psi") if name != f"q{joint}"]
     parts = [f"{name} {(format_length if name == 'q3' else format_angle)(row[name])}" for name in names]
     if abs(abs(row["stop"] - row["start"]) - span) > SAME_SHARE * span:
@@ -305,20 +310,20 @@ def capitalize_first(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def typeset(text: str) -> str:
+def typeset_text(text: str) -> str:
     """A sentence for any output: degree signs and true minus signs.
 
     Examples
     --------
-    >>> typeset("theta -90 deg, q3 12 mm")
+    >>> typeset_text("theta -90 deg, q3 12 mm")
     'theta −90°, q3 12 mm'
     """
-    return _DEGREES.sub("°", _NEGATIVE.sub(MINUS, text))
+    return _DEGREES.sub("°", _HYPHEN_MINUS.sub(MINUS, text))
 
 
 def keep_units(text: str) -> str:
     """A sentence whose lines never break between a number and its unit."""
-    return _SPACED.sub(NO_BREAK, text)
+    return _BREAK_BEFORE_UNIT.sub(NO_BREAK_SPACE, text)
 
 
 def _decimals_of(interval: Interval, unit: str, further: int = 0) -> int:

@@ -1,7 +1,7 @@
-"""What a result says, once: a `Summary` is its text for the terminal and its HTML for notebooks and reports.
+"""Tables and page elements: what a result displays as text and as HTML.
 
-Whatever a log says is text in the templates, never markup. A page may use its own style and script, known by
-their hashes, and nothing else.
+Cells are plain text and are escaped by the templates, so that nothing in a log becomes markup. A page
+allows only its own style and script, by a content security policy with their hashes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from itertools import groupby
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol
 
-from stickslip_fit._format import NO_BREAK, keep_units
+from stickslip_fit._format import NO_BREAK_SPACE, keep_units
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WIDTH = 110
 GAP = "  "  # between columns
-_UNSAFE = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
+_UNSAFE_IN_SCRIPT = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")
 
 
@@ -193,7 +193,7 @@ class Summary:
 
     def as_html(self) -> str:
         """A fragment that needs nothing but itself, on light and on dark ground."""
-        return template("summary.html.j2").render(summary=self)
+        return load_template("summary.html.j2").render(summary=self)
 
 
 @singledispatch
@@ -229,7 +229,7 @@ def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") ->
         fill(keep_units(line), width, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)
         for line in text.split("\n")
     ]
-    return "\n".join(lines).replace(NO_BREAK, " ")
+    return "\n".join(lines).replace(NO_BREAK_SPACE, " ")
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
@@ -261,7 +261,7 @@ def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
 
 
 @cache
-def template(name: str) -> Template:
+def load_template(name: str) -> Template:
     """A template by its file's name."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -277,7 +277,7 @@ def template(name: str) -> Template:
 
 
 @dataclass(frozen=True)
-class Trusted:
+class PageAssets:
     """Style and script of a page, and the policy that allows nothing but them.
 
     Attributes
@@ -293,36 +293,36 @@ class Trusted:
     policy: str
 
 
-def trusted(*, script: bool) -> Trusted:
+def load_page_assets(*, script: bool) -> PageAssets:
     """The report's style, and its script where the page has one."""
-    style, code = _source("report.css"), _source("report.js" if script else "")
-    scripts = _hash(code) if script else "'none'"
+    style, code = _read_asset("report.css"), _read_asset("report.js" if script else "")
+    scripts = _csp_hash(code) if script else "'none'"
     policy = (
-        f"default-src 'none'; style-src {_hash(style)}; script-src {scripts}; img-src data:; "
+        f"default-src 'none'; style-src {_csp_hash(style)}; script-src {scripts}; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
-    return Trusted(style, code, policy)
+    return PageAssets(style, code, policy)
 
 
-def embedded(content: Any) -> Markup:
+def embed_json(content: Any) -> Markup:
     r"""Data as JSON that can stand in a script element: no letter of it ends the element or begins another.
 
     Examples
     --------
-    >>> embedded({"session": "</script>"})
+    >>> embed_json({"session": "</script>"})
     Markup('{"session":"\\u003c/script\\u003e"}')
     """
     from markupsafe import Markup
 
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return Markup(text.translate(_UNSAFE))
+    return Markup(text.translate(_UNSAFE_IN_SCRIPT))
 
 
-def _source(name: str) -> Markup:
+def _read_asset(name: str) -> Markup:
     from markupsafe import Markup
 
     return Markup(files("stickslip_fit").joinpath("templates", name).read_text("utf-8") if name else "")
 
 
-def _hash(text: str) -> str:
+def _csp_hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError, Valida
 from pydantic.functional_validators import WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
-from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 Bounds = tuple[float, float]
@@ -197,7 +197,7 @@ def file_bytes(path: str | Path, kind: str) -> bytes:
         return Path(path).read_bytes()
     except OSError as error:
         message = f"cannot be read ({error.strerror}); name an existing {kind}"
-        raise InputError(Problem(message, str(path))) from None
+        raise InputError(InputIssue(message, str(path))) from None
 
 
 def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
@@ -212,20 +212,20 @@ def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context:
         text = raw.decode("utf-8-sig")
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(Problem(f"is no TOML file ({error}); correct it there", file)) from None
+        raise InputError(InputIssue(f"is no TOML file ({error}); correct it there", file)) from None
     try:
         return model.model_validate(content, context=context)
     except ValidationError as error:
-        lines, problems = _lines(text), list[Problem]()
+        lines, problems = _lines(text), list[InputIssue]()
         for each in error.errors(include_url=False):
             place, value = each["loc"], each["input"]
             line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
-            here = Problem(each["msg"], file, line, _path(place), None if value is None else _shown(value))
+            here = InputIssue(each["msg"], file, line, _path(place), None if value is None else _shown(value))
             problems += each["ctx"]["problems"] or [here]
         raise InputError(problems) from None
 
 
-def fault(advice: str, problems: Sequence[Problem] = ()) -> PydanticCustomError:
+def fault(advice: str, problems: Sequence[InputIssue] = ()) -> PydanticCustomError:
     """For a validator of a field: what is wrong in words of its own, or problems of another file."""
     return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "problems": problems})
 
@@ -241,7 +241,7 @@ def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -
     return WrapValidator(read, json_schema_input_type=Union[tuple(models.values())])  # noqa: UP007
 
 
-def _fault(advice: str, place: Place, value: Any, problems: Sequence[Problem] = ()) -> InitErrorDetails:
+def _fault(advice: str, place: Place, value: Any, problems: Sequence[InputIssue] = ()) -> InitErrorDetails:
     return InitErrorDetails(type=fault(advice, problems), loc=place, input=value)
 
 

@@ -1,4 +1,7 @@
-"""What is said to a person whose input cannot be used."""
+"""InputError: input that cannot be used, with every fault that was found.
+
+Each fault is an InputIssue: file, line, column, value, what is wrong and what to do about it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Problem:
+class InputIssue:
     """One fault of one input.
 
     Attributes
@@ -47,15 +50,15 @@ class InputError(Exception):
 
     Examples
     --------
-    >>> error = InputError([Problem("is empty; give a count", "day.csv", 3, "steps", "")])
+    >>> error = InputError([InputIssue("is empty; give a count", "day.csv", 3, "steps", "")])
     >>> print(error)
     day.csv, line 3, column steps, value '': is empty; give a count
     """
 
-    def __init__(self, problems: str | Problem | Iterable[Problem]) -> None:
+    def __init__(self, problems: str | InputIssue | Iterable[InputIssue]) -> None:
         if isinstance(problems, str):
-            problems = [Problem(problems)]
-        elif isinstance(problems, Problem):
+            problems = [InputIssue(problems)]
+        elif isinstance(problems, InputIssue):
             problems = [problems]
         self.problems = tuple(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))

@@ -142,9 +142,9 @@ def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
         ("2012-03-06",), ({"joint": 3, "q2_deg": -30.0}, {"joint": 2, "q3_mm": 6.0}), repeatability=0.0
     )
     for row in truth.itertuples():
-        mine = foretold[(foretold["joint"] == row.joint) & (foretold["direction"] == row.direction)]
-        assert mine["low"].iloc[0] <= row.steps <= mine["high"].iloc[0]
-        assert mine["high"].iloc[0] - mine["low"].iloc[0] < 0.03 * row.steps
+        subset = foretold[(foretold["joint"] == row.joint) & (foretold["direction"] == row.direction)]
+        assert subset["low"].iloc[0] <= row.steps <= subset["high"].iloc[0]
+        assert subset["high"].iloc[0] - subset["low"].iloc[0] < 0.03 * row.steps
     assert foretold["step_size_nm"].notna().equals(foretold["joint"] == 3)
     assert foretold["step_size_urad"].notna().equals(foretold["joint"] == 2)
 
@@ -251,7 +251,7 @@ def test_an_interrupted_run_says_so_and_leaves_nothing(run, campaign, monkeypatc
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stickslip_fit.files.write_atomically", interrupted)
+    monkeypatch.setattr("stickslip_fit._io.write_atomically", interrupted)
     campaign(("2012-03-05",), SWEEP).to_csv(tmp_path / "log.csv", index=False)
     quick = ("--no-diagnosis", "--no-strategies", "-o", str(tmp_path / "report.html"))
     status, _, said = run("report", tmp_path / "log.csv", *quick)

@@ -14,7 +14,7 @@ import pytest
 
 from stickslip_fit import cli
 from stickslip_fit.causes import ExtendedLaw, ThermalWarmUp
-from stickslip_fit.cli import diagnosing
+from stickslip_fit.cli import diagnose as diagnosing
 from stickslip_fit.logs import read_log
 
 A, TAU, LOST = 0.04, 1200.0, 80
@@ -213,17 +213,17 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
             SimpleNamespace(version=None, traverses=log.usable.iloc[misheard]),
         ]
     )
-    law = diagnosing.law_found(log, found)
+    law = diagnosing.fit_extended_law(log, found)
     assert isinstance(law.joints[3].law, ExtendedLaw)
     assert len(law.residuals) == len(log.rows) - 2
     size = law.parameters.set_index("name").loc["thermal-warm-up.A"]
     assert abs(size["estimate"] - A) < 0.015
-    told = diagnosing.save_law(law, Path("named.json"))
+    told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
     move = ("steps", "named.json", "--at", "0,-90,0", "--joints", "0,-60,6", "--condition", "session_min=30")
     assert run(*move)[0] == 0
-    nothing = diagnosing.law_found(log, SimpleNamespace(findings=[]))
-    assert "published, since no cause was named" in diagnosing.save_law(nothing, Path("plain.json"))
+    nothing = diagnosing.fit_extended_law(log, SimpleNamespace(findings=[]))
+    assert "published, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
 
 
 def test_the_guide_s_example_comes_out_as_printed_there(run):

@@ -10,11 +10,11 @@ import pytest
 
 from stickslip_fit._toml import parse_toml
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs.read_plan import PlanFile
+from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine import load_machine
 from stickslip_fit.machine.machine_file import MachineFile
-from stickslip_fit.simulate.law_values import LawFile
-from stickslip_fit.strategies.study.read import StudyFile
+from stickslip_fit.simulation.truth import LawFile
+from stickslip_fit.studies.plan import StudyFile
 from tests.docs.commands import ROOT
 from tests.docs.fences import fences
 

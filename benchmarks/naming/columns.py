@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from benchmarks.naming.problem import Array
+from benchmarks.cause_set.problem import Array
 from tests.hidden.physics import DEG, FULL, MM, STROKE, Place, full_load
 
 Candidates = Iterator[tuple[str, Array]]
@@ -128,10 +128,10 @@ def _loads(rows: pd.DataFrame, places: Sequence[Place]) -> Candidates:
     ways = [(place.joint, way) for place in places for way in (1.0, -1.0)]
     for power in (2, 3):
         bend = _term(places, lambda p, power=power: p.unloaded * p.load**power)
-        mine = {(p.joint, way): p.rows[p.forward[:, 0] == way] for p in places for way in (1.0, -1.0)}
+        subset = {(p.joint, way): p.rows[p.forward[:, 0] == way] for p in places for way in (1.0, -1.0)}
         columns = np.zeros((len(rows), len(ways)))
         for number, each in enumerate(ways):
-            columns[mine[each], number] = bend[mine[each]]
+            columns[subset[each], number] = bend[subset[each]]
         yield "load-nonlinearity", columns
     yield "load-hysteresis", _together(rows["before_load"].to_numpy(float))
     heavier = _change(places, lambda place: replace(place, load=1.02 * place.load).step_size())

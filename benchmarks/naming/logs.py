@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmarks.naming.columns import candidates
-from benchmarks.naming.problem import Array, Problem
-from stickslip_fit.fit.groups import usable_rows
-from stickslip_fit.fit.least_squares import least_squares
+from benchmarks.cause_set.columns import candidates
+from benchmarks.cause_set.problem import Array, Problem
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.logs import Log, read_log
 from tests.hidden.catalogue import OUTSIDE
 from tests.hidden.generate import Hidden, hide
@@ -112,24 +112,24 @@ def _problem(log_file: Path) -> tuple[Problem, Array]:
 def _baseline(log: Log, rows: pd.DataFrame) -> tuple[Array, Array, Array, list[Place]]:
     """What the published laws leave and predict, what recalibration can do, and the laws node by node."""
     y, predicted, blocks, places = np.zeros(len(rows)), np.zeros(len(rows)), [], []
-    for joint, fit in least_squares(log).joints.items():
-        mine = np.flatnonzero(rows["joint"].to_numpy() == joint)
-        its, block = rows.iloc[mine], fit.group_of(rows.iloc[mine])
-        predicted[mine], slopes = fit.law.model(its)(fit.values[block])
-        y[mine] = fit.law.response(its)[0] - predicted[mine]
+    for joint, fit in fit_least_squares(log).joints.items():
+        subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
+        its, block = rows.iloc[subset], fit.group_index(rows.iloc[subset])
+        predicted[subset], slopes = fit.law.model(its)(fit.values[block])
+        y[subset] = fit.law.response(its)[0] - predicted[subset]
         for each in np.unique(block):
             left, spread, _ = np.linalg.svd(
                 slopes[block == each] / np.linalg.norm(slopes, axis=0), full_matrices=False
             )
             columns = np.zeros((len(rows), int(np.sum(spread > 1e-6 * spread[0]))))
-            columns[mine[block == each]] = left[:, : columns.shape[1]]
+            columns[subset[block == each]] = left[:, : columns.shape[1]]
             blocks.append(columns)
         ends = np.sort(its[["start", "stop"]].to_numpy(), axis=1).T
         where = {name: its[name].to_numpy(float) for name in ("q1", "q2", "q3", "theta", "psi")}
-        values = dict.fromkeys(PARAMETERS[joint], np.zeros(len(mine)))
+        values = dict.fromkeys(PARAMETERS[joint], np.zeros(len(subset)))
         values |= dict(zip(PARAMETERS[joint], fit.values[block].T, strict=True))
         forward = np.where(its["direction"].to_numpy(str) == "+", 1.0, -1.0)
-        places.append(place(joint, mine, {**where, "low": ends[0], "high": ends[1]}, values, forward))
+        places.append(place(joint, subset, {**where, "low": ends[0], "high": ends[1]}, values, forward))
     return y, predicted, np.concatenate(blocks, axis=1), places
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.naming.problem import Answer, Problem
+from benchmarks.cause_set.problem import Answer, Problem
 
 
 def ours(problem: Problem) -> Answer:
     """Decide and name as ``stickslip-fit diagnose`` does, without the gain and the next experiment."""
-    from stickslip_fit.diagnose.diagnose import decide
+    from stickslip_fit.diagnosis.pipeline import find_causes
     from stickslip_fit.logs import read_log
 
-    decided = decide(read_log(problem.log), seed=0)
+    decided = find_causes(read_log(problem.log), seed=0)
     told = {cause: float(value) for cause, value in decided.inclusion.items() if value is not None}
     # Alarms go by the p-value of anything at all: digits by which it is below 1 %.
     loud = -2.0 - float(np.log10(decided.p_value))
@@ -20,7 +20,7 @@ def ours(problem: Problem) -> Answer:
     if not found:
         found = [(max(told, key=lambda cause: told[cause], default="unknown"), loud)]
     departure = np.zeros(len(problem.y))
-    kept = np.setdiff1d(np.arange(len(problem.y)), decided.search.misfired)
+    kept = np.setdiff1d(np.arange(len(problem.y)), decided.search.outliers)
     departure[kept] = problem.y[kept] - decided.search.fit.residual
     first = decided.findings[0] if decided.findings else None
     return Answer(

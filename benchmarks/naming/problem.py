@@ -64,14 +64,14 @@ class Problem:
         return list(dict.fromkeys(map(str, self.cause)))
 
     @cached_property
-    def freedom(self) -> int:
+    def df(self) -> int:
         """Rows less what the baseline has fitted."""
         return len(self.y) - self.basis.shape[1]
 
     @cached_property
     def noise(self) -> float:
         """Standard deviation of y under the baseline."""
-        return float(np.sqrt(self.y @ self.y / self.freedom))
+        return float(np.sqrt(self.y @ self.y / self.df))
 
     def strength(self, departure: Array) -> float:
         """Length of a departure over the noise."""

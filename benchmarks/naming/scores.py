@@ -130,8 +130,8 @@ def _scored(truths: dict[str, Any], said: dict[str, dict[str, Any]], threshold: 
 
 def _row(scored: list[Scored]) -> list[str]:
     def of(kind: str, least: float = 0.0, most: float = np.inf) -> list[Scored]:
-        mine = [each for each in scored if each.truth["kind"] == kind]
-        return [each for each in mine if least <= each.truth["strength"] <= most]
+        subset = [each for each in scored if each.truth["kind"] == kind]
+        return [each for each in subset if least <= each.truth["strength"] <= most]
 
     single, loud, nulls = of("single"), of("single", LOUD), of("nothing")
     known = [each.covered for each in single if each.covered is not None]

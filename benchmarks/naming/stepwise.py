@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.naming.problem import Answer, Array, Indices, Problem
+from benchmarks.cause_set.problem import Answer, Array, Indices, Problem
 
 MOST = 8  # candidates taken in, at most
 Worth = Callable[[float, float, int, int, Problem], float]
@@ -29,7 +29,7 @@ def family_wise(before: float, after: float, columns: int, taken: int, problem: 
     """Digits by which the p-value, times the number of candidates, is below 1 %."""
     from scipy.stats import f
 
-    left = problem.freedom - taken - columns
+    left = problem.df - taken - columns
     p = f.logsf((before - after) / columns / (after / left), columns, left) / np.log(10)
     return float(-2 - p - np.log10(len(set(problem.candidate))))
 

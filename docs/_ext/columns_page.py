@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from markdown import code, table
 
-from stickslip_fit.logs.columns import FIELDS
+from stickslip_fit.logs.schema import FIELDS
 
 
 def page() -> str:

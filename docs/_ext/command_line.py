@@ -7,7 +7,7 @@ from typing import Any
 from markdown import code, table, text
 from typer.main import get_command
 
-from stickslip_fit.cli.app import app
+from stickslip_fit.cli import app
 
 SAME_EVERYWHERE = "help"
 

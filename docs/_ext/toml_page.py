@@ -10,10 +10,10 @@ from typing import Any
 from markdown import code, table, text
 
 from stickslip_fit._toml import Table
-from stickslip_fit.logs.read_plan import PlanFile
+from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine.machine_file import MachineFile
-from stickslip_fit.simulate.law_values import LawFile
-from stickslip_fit.strategies.study.read import StudyFile
+from stickslip_fit.simulation.truth import LawFile
+from stickslip_fit.studies.plan import StudyFile
 
 FILES: dict[str, type[Table]] = {
     "plan": PlanFile, "law": LawFile, "study": StudyFile, "machine": MachineFile

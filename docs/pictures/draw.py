@@ -15,13 +15,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stickslip_fit.diagnose.diagnose import decide
-from stickslip_fit.diagnose.diagnosis import Finding
-from stickslip_fit.fit import least_squares
+from stickslip_fit.diagnosis import Finding
+from stickslip_fit.diagnosis.pipeline import find_causes
+from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import Log, read_log, write_log
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values, simulate
+from stickslip_fit.simulation import read_law_values, simulate
 from stickslip_fit.units import from_si
 
 HERE = Path(__file__).parent
@@ -43,7 +43,7 @@ def main() -> None:
     """Draw both versions beside this file."""
     with tempfile.TemporaryDirectory() as folder:
         log = hidden_campaign(Path(folder))
-    (found,) = decide(log).findings
+    (found,) = find_causes(log).findings
     before, after = left_over(log), left_over(log, found)
     for name, look in LOOKS.items():
         with mpl.rc_context(_style(look)):
@@ -65,7 +65,7 @@ def hidden_campaign(folder: Path) -> Log:
 def left_over(log: Log, found: Finding | None = None) -> pd.Series:
     """Departures of each count from the law, per cent, recalibrated with or without what was found."""
     causes = () if found is None else (found.version,)
-    return 100 * np.expm1(least_squares(log, causes=causes).residuals["residual"])
+    return 100 * np.expm1(fit_least_squares(log, causes=causes).residuals["residual"])
 
 
 def draw(log: Log, before: pd.Series, after: pd.Series, found: Finding, look: dict[str, str]) -> Figure:
@@ -95,11 +95,11 @@ def _panel(axis: Axes, log: Log, departures: pd.Series, look: dict[str, str]) ->
     hours = from_si(rows["session_seconds"].to_numpy(float), "h")
     axis.axhline(0.0, color=look["soft"], lw=0.8)
     for way, marker in MARKERS.items():
-        mine = (rows["direction"] == way).to_numpy()
-        y = departures.to_numpy()[mine]
+        subset = (rows["direction"] == way).to_numpy()
+        y = departures.to_numpy()[subset]
         label = f"direction {'−' if way == '-' else way}"
         axis.plot(
-            hours[mine], y, ls="", marker=marker, ms=2.2, mew=0, alpha=0.75, color=look[way], label=label
+            hours[subset], y, ls="", marker=marker, ms=2.2, mew=0, alpha=0.75, color=look[way], label=label
         )
     axis.set_xlabel("hours since the session began")
     axis.set_xlim(-0.4, 21.6)

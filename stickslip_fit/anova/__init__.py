@@ -1,25 +1,30 @@
 """Which factors matter: day, direction, normal force; and any others, by formula."""
 
-from stickslip_fit.anova.analyse import Anova, analyse
-from stickslip_fit.anova.answer import Answer
-from stickslip_fit.anova.components import Component, Components
-from stickslip_fit.anova.formula import FormulaTable, formula
-from stickslip_fit.anova.question import Question, Refusal, every, most_read
-from stickslip_fit.anova.readings import readings
-from stickslip_fit.anova.record import save_records
+from stickslip_fit.anova import _summary as _summary  # registers how results are summarized
+from stickslip_fit.anova.analysis import Anova, analyze_variance, save_records
+from stickslip_fit.anova.designs import (
+    FactorTestDesign,
+    NotTestable,
+    choose_all,
+    choose_most_informative,
+    step_size_observations,
+)
+from stickslip_fit.anova.factor_test import FactorTest
+from stickslip_fit.anova.formula import FormulaTable, analyze_formula
+from stickslip_fit.anova.variance_components import VarianceComponent, VarianceComponents
 
 __all__ = [
     "Anova",
-    "Answer",
-    "Component",
-    "Components",
+    "FactorTest",
+    "FactorTestDesign",
     "FormulaTable",
-    "Question",
-    "Refusal",
-    "analyse",
-    "every",
-    "formula",
-    "most_read",
-    "readings",
+    "NotTestable",
+    "VarianceComponent",
+    "VarianceComponents",
+    "analyze_formula",
+    "analyze_variance",
+    "choose_all",
+    "choose_most_informative",
     "save_records",
+    "step_size_observations",
 ]

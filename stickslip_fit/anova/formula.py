@@ -1,7 +1,8 @@
-"""Linear models of any columns of a log, written as a formula: ``step_size ~ C(session) * direction``.
+"""Analysis of variance by formula, as in ``step_size ~ C(session) * direction``: types I, II and III.
 
-patsy reads the formula. Sums of squares of types I, II and III are differences between the residual sums of
-squares of two least-squares fits, whatever the coding of the factors and the balance of the design.
+patsy reads the formula. A term's sum of squares is the difference between two nested least-squares
+models: type I after the terms before it, type II after all terms that do not contain it, type III after
+all others with sum-to-zero coding. Degrees of freedom are ranks.
 """
 
 from __future__ import annotations
@@ -16,21 +17,18 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._summary import Summarized
-from stickslip_fit.anova.comparison import shift
-from stickslip_fit.anova.holm import holm
-from stickslip_fit.anova.projection import indicator, orthonormal
-from stickslip_fit.anova.readings import readings, selected
-from stickslip_fit.anova.record import COLUMNS
+from stickslip_fit._typing import Array
+from stickslip_fit.anova.analysis import RECORD_COLUMNS
+from stickslip_fit.anova.contrasts import adjust_holm, indicator_columns, orthonormal_basis, subtract_median
+from stickslip_fit.anova.designs import select_observations, step_size_observations
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
-Array = npt.NDArray[np.float64]
-
-RESIDUAL = "residual"
+RESIDUAL_NAME = "residual"
 TYPES = (1, 2, 3)
-EXACT = 1e-12  # relative scatter that is the rounding of doubles
-OWN_COLUMNS = (COVARIATE, "text:")
+EXACT_FIT_TOL = 1e-12  # relative scatter that is the rounding of doubles
+LAB_COLUMN_PREFIXES = (COVARIATE_PREFIX, "text:")
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class AnovaRow:
 
     name: str
     squares: float
-    freedom: int
+    df: int
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,14 +85,14 @@ class FormulaTable(Summarized):
         """term, ss, df, ms, F, p, p_holm, omega_squared (partial)."""
         from scipy.special import fdtrc
 
-        table = pd.DataFrame([(line.name, line.squares, line.freedom) for line in self.lines])
+        table = pd.DataFrame([(line.name, line.squares, line.df) for line in self.lines])
         table.columns = pd.Index(["term", "ss", "df"])
         table["ms"] = table["ss"] / table["df"].where(table["df"] > 0)
         error = self.lines[-1]
-        table["F"] = (table["ms"] / (error.squares / error.freedom)).where(table["term"] != RESIDUAL)
-        table["p"] = fdtrc(table["df"].astype(float), float(error.freedom), table["F"])
+        table["F"] = (table["ms"] / (error.squares / error.df)).where(table["term"] != RESIDUAL_NAME)
+        table["p"] = fdtrc(table["df"].astype(float), float(error.df), table["F"])
         tested = table["p"].notna()
-        table.loc[tested, "p_holm"] = holm(table.loc[tested, "p"])
+        table.loc[tested, "p_holm"] = adjust_holm(table.loc[tested, "p"])
         excess = table["df"] * (table["F"] - 1.0)
         return table.assign(omega_squared=np.maximum(0.0, excess / (excess + self.count)))
 
@@ -103,16 +101,16 @@ class FormulaTable(Summarized):
         told = []
         for row in self.table[:-1].itertuples(index=False):
             tested = bool(row.df)
-            found: dict[str, object] = dict.fromkeys(COLUMNS)
-            found |= {"analysis": f"formula: {row.term}", "joint": self.joint, "error_term": RESIDUAL}
+            found: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
+            found |= {"analysis": f"formula: {row.term}", "joint": self.joint, "error_term": RESIDUAL_NAME}
             if tested:
-                found |= {"F": row.F, "df": [row.df, self.lines[-1].freedom], "p_value": row.p}
+                found |= {"F": row.F, "df": [row.df, self.lines[-1].df], "p_value": row.p}
                 found |= {"p_holm": row.p_holm, "omega_squared": row.omega_squared}
             told.append(found)
         return told
 
 
-def formula(
+def analyze_formula(
     log: Log, text: str, *, joint: int | None = None, session: str | None = None, kind: int = 2
 ) -> tuple[FormulaTable, ...]:
     """Analyse any columns of a log, each joint by itself.
@@ -141,37 +139,37 @@ def formula(
         If the formula cannot be read, names what the log does not have, meets empty cells, leaves no scatter
         to compare with, or asks for type III where some combinations of levels are missing.
     """
-    rows = with_plain_names(selected(readings(log), joint, session))
-    return tuple(_analysed(mine, int(one), text, kind) for one, mine in rows.groupby("joint"))
+    rows = add_plain_names(select_observations(step_size_observations(log), joint, session))
+    return tuple(_analyze_joint(subset, int(one), text, kind) for one, subset in rows.groupby("joint"))
 
 
-def with_plain_names(rows: pd.DataFrame) -> pd.DataFrame:
+def add_plain_names(rows: pd.DataFrame) -> pd.DataFrame:
     """The lab's own columns also without their prefix, where that name is free."""
     plain = {
         name: name.removeprefix(prefix)
-        for prefix in OWN_COLUMNS
+        for prefix in LAB_COLUMN_PREFIXES
         for name in rows.columns
         if name.startswith(prefix) and name.removeprefix(prefix) not in rows.columns
     }
     return rows.assign(**{short: rows[name] for name, short in plain.items()})
 
 
-def _analysed(rows: pd.DataFrame, joint: int, text: str, kind: int) -> FormulaTable:
+def _analyze_joint(rows: pd.DataFrame, joint: int, text: str, kind: int) -> FormulaTable:
     if kind not in TYPES:
         raise InputError(f"type {kind} of sums of squares is none of 1, 2, 3")
     values, terms = model_terms(rows, text, sums_to_zero=kind == 3)
     lines = anova_rows(values, terms, kind)
-    rest, rounding = lines[-1], EXACT * float(np.abs(values).max())
-    if rest.freedom < 1 or rest.squares <= rest.freedom * rounding**2:
+    rest, rounding = lines[-1], EXACT_FIT_TOL * float(np.abs(values).max())
+    if rest.df < 1 or rest.squares <= rest.df * rounding**2:
         raise InputError(f"joint {joint}: {text!r} leaves no scatter to compare with; leave a term out")
     if kind == 3:
-        _refuse_gaps(terms, lines)
+        _check_estimable(terms, lines)
     return FormulaTable(joint, text, kind, tuple(lines), len(values))
 
 
-def _refuse_gaps(terms: Sequence[ModelTerm], lines: Sequence[AnovaRow]) -> None:
+def _check_estimable(terms: Sequence[ModelTerm], lines: Sequence[AnovaRow]) -> None:
     for term, line in zip(terms, lines, strict=False):
-        if line.freedom < term.columns.shape[1]:
+        if line.df < term.columns.shape[1]:
             raise InputError(
                 f"type 3 cannot separate {term.name} from the other terms, or lacks readings of some "
                 "combination of its levels; ask for type 1 or 2 (--type)"
@@ -194,10 +192,10 @@ def anova_rows(values: Array, terms: Sequence[ModelTerm], kind: int) -> list[Ano
     --------
     >>> session = ModelTerm("session", frozenset({"session"}), np.array([[1.0], [1], [0], [0]]))
     >>> rows = anova_rows(np.array([1.0, 2, 3, 4]), [session], kind=1)
-    >>> [(row.name, round(row.squares, 9), row.freedom) for row in rows]
+    >>> [(row.name, round(row.squares, 9), row.df) for row in rows]
     [('session', 4.0, 1), ('residual', 1.0, 2)]
     """
-    values, rows = shift(values), []
+    values, rows = subtract_median(values), []
     for index, term in enumerate(terms):
         if kind == 1:
             others = list(terms[:index])
@@ -211,7 +209,7 @@ def anova_rows(values: Array, terms: Sequence[ModelTerm], kind: int) -> list[Ano
         squares = float(np.sum((smaller.resid - larger.resid) ** 2)) if df else 0.0
         rows.append(AnovaRow(term.name, squares, df))
     full = _least_squares(values, terms)
-    return [*rows, AnovaRow(RESIDUAL, float(full.ssr), int(full.df_resid))]
+    return [*rows, AnovaRow(RESIDUAL_NAME, float(full.ssr), int(full.df_resid))]
 
 
 def _least_squares(values: Array, terms: Sequence[ModelTerm]) -> Any:
@@ -224,7 +222,7 @@ def _least_squares(values: Array, terms: Sequence[ModelTerm]) -> Any:
 
     intercept = np.full((len(values), 1), len(values) ** -0.5)
     columns = np.hstack([np.empty((len(values), 0)), *(term.columns for term in terms)])
-    design = np.hstack([intercept, orthonormal(columns, beyond=intercept)])
+    design = np.hstack([intercept, orthonormal_basis(columns, beyond=intercept)])
     return OLS(values, design).fit(method="pinv")
 
 
@@ -247,27 +245,30 @@ def model_terms(rows: pd.DataFrame, text: str, *, sums_to_zero: bool) -> tuple[A
     import patsy
 
     environment = patsy.EvalEnvironment([{"np": np}])
-    data = {name: _plain(rows[name]) for name in rows.columns}
+    data = {name: _plain_column(rows[name]) for name in rows.columns}
     try:
         wanted = patsy.ModelDesc.from_formula(text)
         response, design = patsy.dmatrices(wanted, data, environment, NA_action="raise")
         known = {
-            factor.name(): _values(info, data) for factor, info in design.design_info.factor_infos.items()
+            factor.name(): _factor_values(info, data)
+            for factor, info in design.design_info.factor_infos.items()
         }
     except Exception as error:  # a formula is code, and may fail in any way
-        raise InputError(f"the formula {text!r} cannot be used: {_reason(error)}") from None
+        raise InputError(f"the formula {text!r} cannot be used: {_error_reason(error)}") from None
     products = [tuple(factor.name() for factor in term.factors) for term in wanted.rhs_termlist]
     products.sort(key=len)
-    _refuse(text, response.shape[1], products)
+    _check_formula(text, response.shape[1], products)
     asked = {frozenset(product) for product in products}
     return np.asarray(response)[:, 0], [
-        ModelTerm(":".join(product), frozenset(product), _columns(product, known, asked, sums_to_zero))
+        ModelTerm(
+            ":".join(product), frozenset(product), _product_columns(product, known, asked, sums_to_zero)
+        )
         for product in products
         if product
     ]
 
 
-def _refuse(text: str, responses: int, products: list[tuple[str, ...]]) -> None:
+def _check_formula(text: str, responses: int, products: list[tuple[str, ...]]) -> None:
     if responses != 1:
         raise InputError(f"the formula {text!r} must have one numeric response before its ~, e.g. step_size")
     if () not in products:
@@ -276,14 +277,14 @@ def _refuse(text: str, responses: int, products: list[tuple[str, ...]]) -> None:
         raise InputError(f"the formula {text!r} has nothing after its ~ to look at, e.g. C(session)")
 
 
-def _plain(column: pd.Series) -> Any:
+def _plain_column(column: pd.Series) -> Any:
     """Numbers as they are and everything else as text: what patsy takes for covariates and for factors."""
     if pd.api.types.is_numeric_dtype(column):
         return column.to_numpy()
     return column.astype(str).to_numpy(object)
 
 
-def _values(info: Any, data: dict[str, Any]) -> tuple[bool, npt.NDArray[Any]]:
+def _factor_values(info: Any, data: dict[str, Any]) -> tuple[bool, npt.NDArray[Any]]:
     """Whether a factor is categorical, and its codes or its numbers, shape (n,) or (n, p)."""
     from patsy import NAAction
     from patsy.categorical import categorical_to_int
@@ -294,7 +295,7 @@ def _values(info: Any, data: dict[str, Any]) -> tuple[bool, npt.NDArray[Any]]:
     return False, np.asarray(found, float).reshape(len(found), -1)
 
 
-def _columns(
+def _product_columns(
     product: tuple[str, ...],
     known: dict[str, tuple[bool, npt.NDArray[Any]]],
     asked: set[frozenset[str]],
@@ -310,13 +311,13 @@ def _columns(
         categorical, values = known[name]
         if categorical:
             nested = frozenset(product) - {name} not in asked
-            values = indicator(values)
+            values = indicator_columns(values)
             values = values if nested or not sums_to_zero else values[:, :-1] - values[:, -1:]
         parts.append(values)
     return reduce(lambda one, other: (one[:, :, None] * other[:, None, :]).reshape(len(one), -1), parts)
 
 
-def _reason(error: Exception) -> str:
+def _error_reason(error: Exception) -> str:
     """The first line of what went wrong, without patsy's drawing of where."""
     line = str(error).splitlines()[0] if str(error) else type(error).__name__
     if "NaN" in line or "missing values" in line:

@@ -67,7 +67,7 @@ from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.temporal import *  # noqa: F403
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 FAMILIES = (temporal, environment, geometry, load, position)
 ENTRY_POINT = "stickslip_fit.causes"
@@ -111,7 +111,9 @@ def library() -> tuple[Cause, ...]:
 def covariates(rows: pd.DataFrame) -> tuple[Covariate, ...]:
     """A cause for every numeric column that the lab added."""
     return tuple(
-        Covariate(name.removeprefix(COVARIATE)) for name in rows.columns if name.startswith(COVARIATE)
+        Covariate(name.removeprefix(COVARIATE_PREFIX))
+        for name in rows.columns
+        if name.startswith(COVARIATE_PREFIX)
     )
 
 

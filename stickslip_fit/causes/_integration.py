@@ -1,7 +1,8 @@
-"""Steps over traverses by the step size along them, each counted in the simplest way that is right.
+"""Steps over traverses under an extended law, and their derivatives.
 
-Each way of counting says at which positions it needs the step size; the steps are then a function of those
-numbers alone, whatever they depend on.
+`AdaptiveCounter` takes the cheapest method that is exact enough: a constant step size along the
+traverse, one sinusoid of a rotary joint's position (closed form), or Gauss-Legendre panels, halved
+until the last Legendre coefficients are negligible. Each method needs the step size at its nodes only.
 """
 
 from __future__ import annotations
@@ -11,26 +12,27 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.laws import State, state_at
-from stickslip_fit.laws.harmonic import harmonic_counts
-from stickslip_fit.machine import PRISMATIC
+from stickslip_fit.laws.integration import harmonic_counts
+from stickslip_fit.units import PRISMATIC
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
-ALIKE = 1e-9  # relative; a step size that is a sine of the position is one to within rounding
-ORDER = 10
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
+SINE_TOL = 1e-9  # relative; a step size that is a sine of the position is one to within rounding
+GAUSS_ORDER = 10
+GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_ORDER)
 # The last two Legendre coefficients of a panel, as sums over its nodes.
-TAIL = (2 * np.arange(ORDER - 2, ORDER) + 1) / 2 * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:]
-TAIL *= WEIGHTS[:, None]
+TAIL_COEFFICIENTS = (
+    (2 * np.arange(GAUSS_ORDER - 2, GAUSS_ORDER) + 1)
+    / 2
+    * np.polynomial.legendre.legvander(GAUSS_NODES, GAUSS_ORDER - 1)[:, -2:]
+)
+TAIL_COEFFICIENTS *= GAUSS_WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
-SETTLED = 3e-6
+TAIL_TOL = 3e-6
 
 
-class Counting(ABC):
+class StepCounter(ABC):
     """A way of counting the steps over n traverses from the step size at k positions of each.
 
     Attributes
@@ -41,7 +43,7 @@ class Counting(ABC):
     positions: Array
 
     @abstractmethod
-    def fits(self, gamma: Array) -> Mask:
+    def is_exact(self, gamma: Array) -> BoolArray:
         """Whether each count will be right, shape (n,), by the step sizes, shape (n, k) or (n, 1)."""
 
     @abstractmethod
@@ -53,7 +55,7 @@ class Counting(ABC):
         """Derivative of the steps by the step size at each position, shape (n, k)."""
 
 
-class Even(Counting):
+class UniformCounter(StepCounter):
     """The step size is the same all along a traverse: its length over the step size.
 
     Parameters
@@ -65,7 +67,7 @@ class Even(Counting):
         self.length = np.abs(stop - start)
         self.positions = np.stack([start, stop], axis=-1)
 
-    def fits(self, gamma: Array) -> Mask:
+    def is_exact(self, gamma: Array) -> BoolArray:
         """See `Counting.fits`: it must not so much as depend on the position."""
         return np.full(len(gamma), gamma.shape[1] == 1)
 
@@ -79,7 +81,7 @@ class Even(Counting):
         return (-self.counts(gamma) / gamma[:, 0])[:, None]
 
 
-class Swinging(Counting):
+class SinusoidalCounter(StepCounter):
     """The step size swings as one sine of a rotary joint's position; closed form of `harmonic_counts`.
 
     Three positions, a third of a turn apart, tell mean, cosine and sine; two more whether it is a sine.
@@ -89,26 +91,26 @@ class Swinging(Counting):
     start, stop : array, shape (n,)
     """
 
-    PLACES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3, 0.8, 2.9])
-    PARTS = np.stack([np.ones(5), np.cos(PLACES), np.sin(PLACES)])
-    FROM_THREE = np.linalg.inv(PARTS[:, :3].T)
+    ANGLES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3, 0.8, 2.9])
+    HARMONICS = np.stack([np.ones(5), np.cos(ANGLES), np.sin(ANGLES)])
+    HARMONICS_INVERSE = np.linalg.inv(HARMONICS[:, :3].T)
 
     def __init__(self, start: Array, stop: Array) -> None:
         self.start, self.stop = start, stop
-        self.positions = np.broadcast_to(self.PLACES, (len(start), 5))
+        self.positions = np.broadcast_to(self.ANGLES, (len(start), 5))
 
-    def fits(self, gamma: Array) -> Mask:
+    def is_exact(self, gamma: Array) -> BoolArray:
         """See `Counting.fits`."""
-        departure = gamma - self._parts(gamma) @ self.PARTS
-        return np.all(np.abs(departure) <= ALIKE * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
+        departure = gamma - self._parts(gamma) @ self.HARMONICS
+        return np.all(np.abs(departure) <= SINE_TOL * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
 
     def counts(self, gamma: Array) -> Array:
         """See `Counting.counts`."""
-        return harmonic_counts(*self._swing(gamma), self.start, self.stop)[0]
+        return harmonic_counts(*self._amplitude_and_phase(gamma), self.start, self.stop)[0]
 
     def slopes(self, gamma: Array) -> Array:
         """See `Counting.slopes`."""
-        mean, amplitude, phase = self._swing(gamma)
+        mean, amplitude, phase = self._amplitude_and_phase(gamma)
         _, by_mean, by_amplitude = harmonic_counts(mean, amplitude, phase, self.start, self.stop)
         first, last = self.start - phase, self.stop - phase
         ends = (mean + amplitude * np.cos(first)) * (mean + amplitude * np.cos(last))
@@ -117,19 +119,19 @@ class Swinging(Counting):
         by_cosine = by_amplitude * np.cos(phase) - across * np.sin(phase)
         by_sine = by_amplitude * np.sin(phase) + across * np.cos(phase)
         slopes = np.zeros((len(mean), 5))
-        slopes[:, :3] = np.stack([by_mean, by_cosine, by_sine], axis=-1) @ self.FROM_THREE
+        slopes[:, :3] = np.stack([by_mean, by_cosine, by_sine], axis=-1) @ self.HARMONICS_INVERSE
         return slopes
 
     def _parts(self, gamma: Array) -> Array:
         """Mean, cosine and sine of the step size over a turn, shape (n, 3)."""
-        return np.broadcast_to(gamma, self.positions.shape)[:, :3] @ self.FROM_THREE.T
+        return np.broadcast_to(gamma, self.positions.shape)[:, :3] @ self.HARMONICS_INVERSE.T
 
-    def _swing(self, gamma: Array) -> tuple[Array, Array, Array]:
+    def _amplitude_and_phase(self, gamma: Array) -> tuple[Array, Array, Array]:
         mean, cosine, sine = self._parts(gamma).T
         return mean, np.hypot(cosine, sine), np.arctan2(sine, cosine)
 
 
-class Panels(Counting):
+class PanelCounter(StepCounter):
     """Any step size: Gauss-Legendre panels of equal width along each traverse.
 
     Parameters
@@ -143,14 +145,14 @@ class Panels(Counting):
         self.number = number
         half = (stop - start)[:, None] / (2 * number)
         middles = start[:, None] + half * (2 * np.arange(number) + 1)
-        self.positions = (middles[:, :, None] + half[:, :, None] * NODES).reshape(len(start), -1)
-        self.weights = np.abs(half) * np.tile(WEIGHTS, number)
+        self.positions = (middles[:, :, None] + half[:, :, None] * GAUSS_NODES).reshape(len(start), -1)
+        self.weights = np.abs(half) * np.tile(GAUSS_WEIGHTS, number)
 
-    def fits(self, gamma: Array) -> Mask:
+    def is_exact(self, gamma: Array) -> BoolArray:
         """See `Counting.fits`: it stalls, or each panel's last Legendre coefficients are next to nothing."""
         rate = self._rate(gamma)
-        tail = np.abs(rate.reshape(len(rate), self.number, ORDER) @ TAIL).max(axis=(1, 2))
-        return ~(tail > SETTLED * rate.mean(axis=1))
+        tail = np.abs(rate.reshape(len(rate), self.number, GAUSS_ORDER) @ TAIL_COEFFICIENTS).max(axis=(1, 2))
+        return ~(tail > TAIL_TOL * rate.mean(axis=1))
 
     def counts(self, gamma: Array) -> Array:
         """See `Counting.counts`."""
@@ -165,10 +167,10 @@ class Panels(Counting):
             return np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), self.positions.shape)
 
 
-FINEST = 7  # times that panels are halved before a step size counts as no smooth function
+MAX_PANEL_HALVINGS = 7  # times that panels are halved before a step size counts as no smooth function
 
 
-class Stepping(Protocol):
+class CountableLaw(Protocol):
     """What a law has to tell."""
 
     joint: int
@@ -187,7 +189,7 @@ class Stepping(Protocol):
         """See `StepLaw.gamma_slopes`."""
 
 
-class Traverses:
+class AdaptiveCounter:
     """Traverses of one joint, counted in the simplest way that is right.
 
     Parameters
@@ -197,14 +199,14 @@ class Traverses:
         start, stop and the columns that the law needs.
     """
 
-    def __init__(self, law: Stepping, known: dict[str, Any]) -> None:
+    def __init__(self, law: CountableLaw, known: dict[str, Any]) -> None:
         self.law = law
         self.known = known
-        self._prepared: dict[tuple[Any, ...], tuple[Counting, State]] = {}
-        self._simple: list[type[Counting]] = [Even]
+        self._prepared: dict[tuple[Any, ...], tuple[StepCounter, State]] = {}
+        self._simple_counters: list[type[StepCounter]] = [UniformCounter]
         if law.joint != PRISMATIC and not law.along:
-            self._simple.append(Swinging)
-        self._halved = 0
+            self._simple_counters.append(SinusoidalCounter)
+        self._n_halvings = 0
 
     @cached_property
     def here(self) -> State:
@@ -213,37 +215,39 @@ class Traverses:
 
     def counts(self, values: Array) -> Array:
         """Steps over each traverse, shape (n, p) -> (n,); NaN where the step size is not above 0."""
-        way, _, gamma, right = self._settled(values)
+        way, _, gamma, right = self._select_counter(values)
         return np.where(right, way.counts(gamma), np.nan)
 
     def counts_and_slopes(self, values: Array) -> tuple[Array, Array]:
         """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
-        way, state, gamma, right = self._settled(values)
+        way, state, gamma, right = self._select_counter(values)
         by_place, by_value = way.slopes(gamma), self.law.gamma_slopes(state, values)
         by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
         slopes = np.einsum("nk,nkp->np", by_place, by_value)
         return np.where(right, way.counts(gamma), np.nan), slopes
 
-    def _settled(self, values: Array) -> tuple[Counting, State, Array, Mask]:
+    def _select_counter(self, values: Array) -> tuple[StepCounter, State, Array, BoolArray]:
         """A way of counting that is right, the step size where it needs it, and for which rows it is."""
-        while self._simple:
-            found = self._tried(values, self._simple[0])
+        while self._simple_counters:
+            found = self._try_counter(values, self._simple_counters[0])
             if found[-1].all():
                 return found
-            self._simple.pop(0)  # Other values are likely to need more, too.
+            self._simple_counters.pop(0)  # Other values are likely to need more, too.
         longest = np.abs(self.known["stop"] - self.known["start"]).max(initial=0.0)
         fewest = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
-        for halved in range(self._halved, FINEST):
-            found = self._tried(values, Panels, 2 ** (fewest + halved))
+        for halved in range(self._n_halvings, MAX_PANEL_HALVINGS):
+            found = self._try_counter(values, PanelCounter, 2 ** (fewest + halved))
             if found[-1].all():
-                self._halved = halved
+                self._n_halvings = halved
                 break
         return found
 
-    def _tried(self, values: Array, kind: Any, *arguments: int) -> tuple[Counting, State, Array, Mask]:
+    def _try_counter(
+        self, values: Array, kind: Any, *arguments: int
+    ) -> tuple[StepCounter, State, Array, BoolArray]:
         if (kind, *arguments) not in self._prepared:
             way = kind(self.known["start"], self.known["stop"], *arguments)
             self._prepared[kind, *arguments] = way, state_at(self.law.joint, self.known, way.positions)
         way, state = self._prepared[kind, *arguments]
         gamma = self.law.gamma(state, values)
-        return way, state, gamma, way.fits(gamma)
+        return way, state, gamma, way.is_exact(gamma)

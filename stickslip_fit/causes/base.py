@@ -1,8 +1,9 @@
-"""What every cause is: a reason why a step size is not what the published law says.
+"""Cause: a systematic effect that a published law leaves out, and its four kinds.
 
-Whatever is known of a traverse goes through the same stations, in this order: the state (angles, then load
-and recoil), the law, terms added to the step size, factors on it, the steps over the traverse, steps added
-to the count. A cause acts at exactly one of them.
+The model of a traverse is evaluated in a fixed order: state (angles, then load and recoil), law, terms
+added to the step size, factors on it, steps over the traverse, steps added to the count. A cause acts
+at exactly one of these stages. A sudden change has its time as a parameter; candidate times lie between
+traverses.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.causes._integration import Mask, Traverses
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes._integration import AdaptiveCounter
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -26,8 +28,8 @@ from stickslip_fit.causes.parameters import (
     known_of,
     plain_description,
 )
-from stickslip_fit.laws import Configuration, Rows, State, StepLaw, state_at
-from stickslip_fit.laws.law import Array, Counter, column
+from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
+from stickslip_fit.laws.base import Counter
 from stickslip_fit.machine import Machine
 
 # Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
@@ -70,11 +72,11 @@ class Cause(ABC):
         Whether it changes along a traverse beyond what the law itself does.
     joined : bool
         Whether a version's trials act in any combination, and not one at a time.
-    of_stop : bool
+    affects_stop_only : bool
         Whether it is in hearing the stop, and not in the motion on the way there.
     most : float
         Where `largest` is empty: how many times as large as in its trials the first parameter may be.
-    widest : float
+    max_panel : float
         Widest panel, rad or m, that still sees it along a traverse.
     """
 
@@ -93,9 +95,9 @@ class Cause(ABC):
     forms: ClassVar[tuple[str, ...]] = ()
     along: ClassVar[bool] = False
     joined: ClassVar[bool] = False
-    of_stop: ClassVar[bool] = False
+    affects_stop_only: ClassVar[bool] = False
     most: ClassVar[float] = 10.0
-    widest: float = np.inf
+    max_panel: float = np.inf
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """What to look for in a log: `scale` itself, unless a cause has more to it.
@@ -110,7 +112,7 @@ class Cause(ABC):
 
     def panel(self, values: Array) -> float:
         """As `widest`, for given values, shape (n, q)."""
-        return self.widest
+        return self.max_panel
 
     def largest(self) -> tuple[Array, ...]:
         """The largest plausible sizes, each shape (q,): if not even they show in a log, it is untestable.
@@ -167,7 +169,7 @@ class Cause(ABC):
         """What a law with this cause in it has to know of each traverse; see `known_of`."""
         return known_of(rows, self.extend(law).columns)
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Cause:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Cause:
         """The cause as it acts in a log: with the means and ranges that its equation refers to."""
         return self
 
@@ -177,14 +179,14 @@ class Cause(ABC):
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
 
-    def departures(self, values: Array, luck: Array) -> Array:
+    def departures(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off by chance, (n, q) and (n, 3) -> (n,); none unless overridden."""
         return np.zeros(len(values))
 
     def _acts_on(self, joint: int, trials: Array) -> npt.NDArray[np.bool_]:
         """Which trials give a parameter that concerns a joint another value than that of no effect."""
-        mine = [each.joint in (None, joint) for each in self.parameters]
-        return np.any((trials != np.array(self.absent)) & mine, axis=1)
+        subset = [each.joint in (None, joint) for each in self.parameters]
+        return np.any((trials != np.array(self.absent)) & subset, axis=1)
 
 
 class StateCause(Cause):
@@ -269,7 +271,7 @@ class Composition(StepLaw):
         self.parameters = (*law.parameters, *self.common)
 
     @cached_property
-    def acting(self) -> tuple[tuple[Cause, range], ...]:
+    def active_causes(self) -> tuple[tuple[Cause, range], ...]:
         """The causes that act on the joint, each with the places of its parameters."""
         found, first = [], len(self.law.parameters)
         for cause in self.causes:
@@ -280,12 +282,14 @@ class Composition(StepLaw):
         return tuple(found)
 
     @property
-    def concerned(self) -> Mask:
+    def affects_joint(self) -> BoolArray:
         """Which parameters say anything of this joint, shape (p,)."""
-        places = {k for _, places in self.acting for k in places}
+        places = {k for _, places in self.active_causes for k in places}
         own = len(self.law.parameters)
-        mine = [each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)]
-        return np.array([True] * own + mine)
+        subset = [
+            each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)
+        ]
+        return np.array([True] * own + subset)
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
@@ -304,51 +308,51 @@ class Composition(StepLaw):
             FactorCause: lambda there: before * self._factor(true, there),
         }
         for kind, function in ways.items():
-            for _, places in self.by_station[kind]:
+            for _, places in self.by_stage[kind]:
                 for k in places:
                     slopes[k] = self.difference(function, values, k)
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
         """The state as the causes have it: angles, then what follows from them, then what alters that."""
-        for cause, places in self.by_station[StateCause]:
+        for cause, places in self.by_stage[StateCause]:
             state = cause.change(state, _sizes(values, places))
         return state
 
     def steps_added(self, state: State, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
         added = [
-            cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self.by_station[CountCause]
+            cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self.by_stage[CountCause]
         ]
         return np.sum(added, axis=0) if added else np.zeros(len(values))
 
     @cached_property
-    def by_station(self) -> dict[type[Any], list[tuple[Any, range]]]:
+    def by_stage(self) -> dict[type[Any], list[tuple[Any, range]]]:
         """The acting causes by the station at which they act; states in the order of their turns."""
         found: dict[type[Any], list[tuple[Any, range]]] = {
-            kind: [(cause, places) for cause, places in self.acting if isinstance(cause, kind)]
+            kind: [(cause, places) for cause, places in self.active_causes if isinstance(cause, kind)]
             for kind in (TermCause, FactorCause, CountCause)
         }
-        states = [(cause, places) for cause, places in self.acting if isinstance(cause, StateCause)]
+        states = [(cause, places) for cause, places in self.active_causes if isinstance(cause, StateCause)]
         return found | {StateCause: sorted(states, key=lambda acting: acting[0].turn)}
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
         own = values[:, : len(self.law.parameters)]
-        gamma, terms = self.law.gamma(true, own), self.by_station[TermCause]
+        gamma, terms = self.law.gamma(true, own), self.by_stage[TermCause]
         free = self.law.gamma(_unloaded(true), own) if terms else gamma
         return gamma + sum(cause.term(free, true, _sizes(values, places)) for cause, places in terms)
 
     def _factor(self, true: State, values: Array) -> Array:
         factor = np.ones((len(values), 1))
-        for cause, places in self.by_station[FactorCause]:
+        for cause, places in self.by_stage[FactorCause]:
             factor = factor * cause.factor(true, _sizes(values, places))
         return factor
 
     def _own_slopes(self, true: State, values: Array) -> Array:
         """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
         own = values[:, : len(self.law.parameters)]
-        slopes, terms = self.law.gamma_slopes(true, own), self.by_station[TermCause]
+        slopes, terms = self.law.gamma_slopes(true, own), self.by_stage[TermCause]
         if terms:
             free, by_free = self.law.gamma(_unloaded(true), own), self.law.gamma_slopes(_unloaded(true), own)
             for cause, places in terms:
@@ -384,7 +388,7 @@ def _sizes(values: Array, places: range) -> list[Array]:
 
 def _unloaded(state: State) -> State:
     still = np.zeros((len(state.position), 1))
-    return state.but(given_load=still, given_recoil=still)
+    return state.with_changes(given_load=still, given_recoil=still)
 
 
 POSE = ("q1", "q2", "q3", "theta", "psi")
@@ -403,23 +407,27 @@ class ExtendedLaw(Composition):
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
-        needed = [*POSE, *self.law.columns, *(name for cause, _ in self.acting for name in cause.columns)]
+        needed = [
+            *POSE,
+            *self.law.columns,
+            *(name for cause, _ in self.active_causes for name in cause.columns),
+        ]
         return tuple(dict.fromkeys(needed))
 
     @property
-    def widest(self) -> float:  # type: ignore[override]
+    def max_panel(self) -> float:  # type: ignore[override]
         """See `StepLaw.widest`."""
-        return min([self.law.widest, *(cause.widest for cause, _ in self.acting)])
+        return min([self.law.max_panel, *(cause.max_panel for cause, _ in self.active_causes)])
 
     def panel(self, values: Array) -> float:
         """As `widest`, for given values, shape (n, p)."""
-        seen = (cause.panel(values[:, places.start : places.stop]) for cause, places in self.acting)
-        return min([self.law.widest, *seen])
+        seen = (cause.panel(values[:, places.start : places.stop]) for cause, places in self.active_causes)
+        return min([self.law.max_panel, *seen])
 
     @cached_property
     def along(self) -> bool:
         """Whether a cause makes the step size change along a traverse otherwise than the law itself does."""
-        return any(cause.along for cause, _ in self.acting)
+        return any(cause.along for cause, _ in self.active_causes)
 
     @property
     def absent(self) -> Array:
@@ -431,8 +439,8 @@ class ExtendedLaw(Composition):
         parts = self.parts(rows)
 
         def count(values: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
-            found = [self._counted(part, values[mine]) for mine, part in parts]
+            values = np.broadcast_to(values, (len(float_column(rows, "start")), len(self.parameters)))
+            found = [self._counted(part, values[subset]) for subset, part in parts]
             counts, slopes = zip(*found, strict=True)
             return np.concatenate(counts), np.concatenate(slopes)
 
@@ -440,7 +448,7 @@ class ExtendedLaw(Composition):
 
     def predict(self, rows: Rows, values: Array) -> Array:
         """See `StepLaw.predict`; without the derivatives, which take most of the time."""
-        values = np.broadcast_to(values, (len(column(rows, "start")), len(self.parameters)))
+        values = np.broadcast_to(values, (len(float_column(rows, "start")), len(self.parameters)))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.log(self.steps(rows)(values))
 
@@ -451,19 +459,22 @@ class ExtendedLaw(Composition):
         def count(values: Array) -> Array:
             return np.concatenate(
                 [
-                    part.counts(values[mine]) + self.steps_added(part.here, values[mine])
-                    for mine, part in parts
+                    part.counts(values[subset]) + self.steps_added(part.here, values[subset])
+                    for subset, part in parts
                 ]
             )
 
         return count
 
-    def parts(self, rows: Rows) -> list[tuple[slice, Traverses]]:
+    def parts(self, rows: Rows) -> list[tuple[slice, AdaptiveCounter]]:
         """The traverses, so many at once as keep memory small."""
         known = known_of(rows, self.columns)
         ends = range(0, max(len(known["start"]), 1), AT_ONCE)
         slices = [slice(first, first + AT_ONCE) for first in ends]
-        return [(mine, Traverses(self, {name: of[mine] for name, of in known.items()})) for mine in slices]
+        return [
+            (subset, AdaptiveCounter(self, {name: of[subset] for name, of in known.items()}))
+            for subset in slices
+        ]
 
     def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
         """See `StepLaw.step_size`."""
@@ -472,18 +483,23 @@ class ExtendedLaw(Composition):
     def in_motion(self, values: Array) -> Array:
         """Values with all that is in hearing the stop left out, shape (p,) or (n, p)."""
         moving = np.array(values, dtype=float)
-        for cause, places in self.acting:
-            if cause.of_stop:
+        for cause, places in self.active_causes:
+            if cause.affects_stop_only:
                 moving[..., places.start : places.stop] = cause.absent
         return moving
 
     def added(self, rows: Rows, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,)."""
-        return np.concatenate([self.steps_added(part.here, values[mine]) for mine, part in self.parts(rows)])
+        return np.concatenate(
+            [self.steps_added(part.here, values[subset]) for subset, part in self.parts(rows)]
+        )
 
-    def misfires(self, values: Array, luck: Array) -> Array:
+    def misfires(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
-        off = [cause.departures(values[:, places.start : places.stop], luck) for cause, places in self.acting]
+        off = [
+            cause.departures(values[:, places.start : places.stop], misfire_draws)
+            for cause, places in self.active_causes
+        ]
         return np.sum(off, axis=0) if off else np.zeros(len(values))
 
     def start_values(self, mean_step: Array) -> Array:
@@ -504,9 +520,9 @@ class ExtendedLaw(Composition):
         """See `StepLaw.calibration`: that of the law itself."""
         return self.law.calibration()
 
-    def _counted(self, part: Traverses, values: Array) -> tuple[Array, Array]:
+    def _counted(self, part: AdaptiveCounter, values: Array) -> tuple[Array, Array]:
         counts, slopes = part.counts_and_slopes(values)
-        for _, places in self.by_station[CountCause]:
+        for _, places in self.by_stage[CountCause]:
             for k in places:
                 slopes[:, k] += self.difference(lambda there: self.steps_added(part.here, there), values, k)
         return counts + self.steps_added(part.here, values), slopes

@@ -1,4 +1,7 @@
-"""Causes in the surroundings: a condition that the log has a column for, or a column of the lab's own."""
+"""Causes that follow a recorded column: temperature, humidity, supply voltage, step rate, covariates.
+
+All are factors on the step size that are 1 at the log's mean (step rate: at the median period).
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,18 @@ from typing import ClassVar, Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import Array, Cause, FactorCause
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes, filled, missing_column
 from stickslip_fit.laws import State
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
 __all__ = ["Temperature", "Humidity", "SupplyVoltage", "StepRate", "Covariate"]  # noqa: RUF022
 
 
 @dataclass(frozen=True)
-class OfColumn(FactorCause):
+class ColumnCause(FactorCause):
     """gamma times 1 + k (x - mean x), x a column of the log: the only one of `columns`.
 
     Attributes
@@ -31,10 +35,10 @@ class OfColumn(FactorCause):
 
     mean: float = 0.0
 
-    plausible: ClassVar[float]
+    largest_change: ClassVar[float]
     absent = (0.0,)
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
 
@@ -45,11 +49,11 @@ class OfColumn(FactorCause):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (self.plausible / 10,)
+        return (self.largest_change / 10,)
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.array([self.plausible]),)
+        return (np.array([self.largest_change]),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -60,12 +64,14 @@ class OfColumn(FactorCause):
         return filled(state.column(self.columns[0]), self.mean) - self.mean
 
 
-STRAIGHT = (CauseParameter("k", "%/K", "change of the step size per kelvin"),)
-BEND = CauseParameter("bend", "1", "share of k gained at half the log's range above its mean", -1.0, 1.0)
+LINEAR_PARAMETERS = (CauseParameter("k", "%/K", "change of the step size per kelvin"),)
+BEND_PARAMETER = CauseParameter(
+    "bend", "1", "share of k gained at half the log's range above its mean", -1.0, 1.0
+)
 
 
 @dataclass(frozen=True)
-class Temperature(OfColumn):
+class Temperature(ColumnCause):
     """gamma times 1 + k x, in its curved form 1 + k x (1 + bend x / half), with x = T - mean T.
 
     Attributes
@@ -89,13 +95,13 @@ class Temperature(OfColumn):
     sentence = "Steps {k:grow|shrink} by {k} with the room's temperature"
     remedy = "keeping the room's temperature"
     columns = ("temperature",)
-    plausible = 0.02
+    largest_change = 0.02
     forms = ("straight", "curved")
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return STRAIGHT if self.form == "straight" else (*STRAIGHT, BEND)
+        return LINEAR_PARAMETERS if self.form == "straight" else (*LINEAR_PARAMETERS, BEND_PARAMETER)
 
     @property
     def absent(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -105,21 +111,21 @@ class Temperature(OfColumn):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (self.plausible / 10, 0.5)[: len(self.parameters)]
+        return (self.largest_change / 10, 0.5)[: len(self.parameters)]
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
-        return replace(super().bound(rows, machine), half=float(np.ptp(rows["temperature"].dropna()) / 2))
+        return replace(super().bind(rows, machine), half=float(np.ptp(rows["temperature"].dropna()) / 2))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
         straight, curved = replace(self, form="straight"), replace(self, form="curved")
-        size = self.plausible / 10
+        size = self.largest_change / 10
         return [(straight, np.array([[size]])), (curved, np.array([[size, 0.5], [size, -0.5]]))]
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.array([self.plausible, 0.0])[: len(self.parameters)],)
+        return (np.array([self.largest_change, 0.0])[: len(self.parameters)],)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -129,7 +135,7 @@ class Temperature(OfColumn):
 
 
 @dataclass(frozen=True)
-class Humidity(OfColumn):
+class Humidity(ColumnCause):
     """gamma times 1 + k (x - mean x), x the relative humidity."""
 
     name = "humidity"
@@ -143,11 +149,11 @@ class Humidity(OfColumn):
     remedy = "keeping the room's humidity"
     columns = ("humidity",)
     parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
-    plausible = 0.5
+    largest_change = 0.5
 
 
 @dataclass(frozen=True)
-class SupplyVoltage(OfColumn):
+class SupplyVoltage(ColumnCause):
     """gamma times 1 + k (x - mean x), x the supply voltage."""
 
     name = "supply-voltage"
@@ -161,7 +167,7 @@ class SupplyVoltage(OfColumn):
     remedy = "steadying the supply"
     columns = ("supply",)
     parameters = (CauseParameter("k", "%/V", "change of the step size per volt"),)
-    plausible = 0.05
+    largest_change = 0.05
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,7 @@ class StepRate(FactorCause):
     absent = (0.0,)
     scale = (0.02,)
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         return replace(self, median=float(np.nanmedian(rows["step_period"].to_numpy(float))))
 
@@ -246,7 +252,7 @@ class Covariate(FactorCause):
     @property
     def name(self) -> str:  # type: ignore[override]
         """See `Cause`."""
-        return COVARIATE + self.column
+        return COVARIATE_PREFIX + self.column
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -262,7 +268,7 @@ class Covariate(FactorCause):
         """See `Cause.quantities`: the coefficients of a curve tell nobody anything."""
         return {"column": self.column}
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         values = rows[self.name].astype(float)
         return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))

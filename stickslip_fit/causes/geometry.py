@@ -1,4 +1,4 @@
-"""Causes in the geometry: other angles than were written down, and loads and recoil that follow otherwise."""
+"""Causes in the geometry: base tilt, joint 2's zero, gravity at any q1, axis and shape of the recoil."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import Array, Cause, StateCause
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, StateCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes
 from stickslip_fit.laws import State
 
@@ -37,7 +38,7 @@ class AngleOffset(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.but(**{self.angle: getattr(state, self.angle) + values[0]})
+        return state.with_changes(**{self.angle: getattr(state, self.angle) + values[0]})
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,8 @@ class Q1Gravity(StateCause):
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
-        mine = rows[rows["joint"].isin(self.joints)]
-        if len(mine) and not mine["q1"].fillna(0.0).any():
+        subset = rows[rows["joint"].isin(self.joints)]
+        if len(subset) and not subset["q1"].fillna(0.0).any():
             return "every traverse of joints 2 and 3 was made at q1 = 0"
         return super().missing(rows)
 
@@ -128,7 +129,7 @@ class Q1Gravity(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.but(given_load=(1.0 - values[0]) * state.load + values[0] * state.full_load)
+        return state.with_changes(given_load=(1.0 - values[0]) * state.load + values[0] * state.full_load)
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ class RecoilAxis(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.but(given_recoil=np.abs(np.cos(state.q2 - values[0])))
+        return state.with_changes(given_recoil=np.abs(np.cos(state.q2 - values[0])))
 
 
 @dataclass(frozen=True)
@@ -191,4 +192,4 @@ class RecoilShape(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.but(given_recoil=state.recoil ** values[0])
+        return state.with_changes(given_recoil=state.recoil ** values[0])

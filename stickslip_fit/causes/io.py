@@ -10,7 +10,7 @@ from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import StepLaw, describe_law, restore_law
-from stickslip_fit.logs.columns import COVARIATE
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
 
@@ -60,7 +60,7 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
 
 def _restored(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
     name, bound = description["name"], {key: _tuples(value) for key, value in description.items()}
-    if name.startswith(COVARIATE):
+    if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
         raise InputError(

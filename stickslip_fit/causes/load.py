@@ -1,4 +1,4 @@
-"""Causes by which the step size follows a load otherwise than the law has it, or follows another load."""
+"""Causes in the load: side load, nonlinear or hysteretic response, quadratic inertia, cable torque."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_direction, join_words
-from stickslip_fit.causes.base import Array, Cause, FactorCause, StateCause, TermCause
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -63,12 +64,12 @@ class SideLoad(FactorCause):
         return 1.0 - values[0] * np.sqrt(np.maximum(1.0 - state.load**2, 0.0))
 
 
-BENDS: dict[str, Callable[[Array], Array]] = {
+BEND_SHAPES: dict[str, Callable[[Array], Array]] = {
     "square": np.square,
     "cube": lambda load: load**3,
     "tanh": lambda load: np.tanh(2.0 * load),
 }
-GROUPS = tuple((joint, way) for joint in (1, 2, 3) for way in "+-")
+JOINT_DIRECTIONS = tuple((joint, way) for joint in (1, 2, 3) for way in "+-")
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class LoadNonlinearity(TermCause):
     """
 
     form: str = "square"
-    groups: tuple[tuple[int, str], ...] = GROUPS
+    groups: tuple[tuple[int, str], ...] = JOINT_DIRECTIONS
 
     name = "load-nonlinearity"
     phrase = "the response to load bends"
@@ -95,7 +96,7 @@ class LoadNonlinearity(TermCause):
     )
     shows_best = "joint 3 or 2 at half the full load, upwards and downwards"
     remedy = "calibrating at the loads that are used"
-    forms = tuple(BENDS)
+    forms = tuple(BEND_SHAPES)
     along = True
     joined = True
 
@@ -117,14 +118,14 @@ class LoadNonlinearity(TermCause):
         """See `Cause`."""
         return (0.02,) * len(self.groups)
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         there = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
-        return replace(self, groups=tuple(group for group in GROUPS if group in there))
+        return replace(self, groups=tuple(group for group in JOINT_DIRECTIONS if group in there))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
-        return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BENDS]
+        return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BEND_SHAPES]
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
@@ -141,7 +142,7 @@ class LoadNonlinearity(TermCause):
         """See `TermCause.term`."""
         size = dict(zip(self.groups, values, strict=True))
         up, down = (size.get((state.joint, way), np.zeros_like(state.way)) for way in "+-")
-        return np.where(state.way > 0, up, down) * free * BENDS[self.form](state.load)
+        return np.where(state.way > 0, up, down) * free * BEND_SHAPES[self.form](state.load)
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,7 @@ class PayloadChange(StateCause):
             found += super().trials(rows)
         return found
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
 
@@ -257,12 +258,12 @@ class PayloadChange(StateCause):
         """See `StateCause.change`."""
         if self.session == "":
             payload = filled(state.column("payload"), self.mean)
-            return state.but(given_load=state.load * (1.0 + values[0] * payload))
+            return state.with_changes(given_load=state.load * (1.0 + values[0] * payload))
         size, moment = values
-        return state.but(given_load=state.load * (1.0 + size * since(state, self.session, moment)))
+        return state.with_changes(given_load=state.load * (1.0 + size * since(state, self.session, moment)))
 
 
-FAR = 0.012  # m; with the law linear between 0 and here, only the bend between them is new
+GUIDE_END = 0.012  # m; with the law linear between 0 and here, only the bend between them is new
 
 
 @dataclass(frozen=True)
@@ -286,8 +287,8 @@ class InertiaQuadratic(TermCause):
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
-        mine = rows[rows["joint"] == 2]
-        if len(mine) and mine["q3"].round(6).nunique() < 3:
+        subset = rows[rows["joint"] == 2]
+        if len(subset) and subset["q3"].round(6).nunique() < 3:
             return "joint 2 was driven at fewer than three positions of joint 3"
         return super().missing(rows)
 
@@ -297,11 +298,11 @@ class InertiaQuadratic(TermCause):
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`: the bend in the middle, where it is largest."""
-        return {"half_way": sizes["k"].times(-((FAR / 2) ** 2), "µrad")}
+        return {"half_way": sizes["k"].times(-((GUIDE_END / 2) ** 2), "µrad")}
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        return values[0] * state.q3 * (state.q3 - FAR)
+        return values[0] * state.q3 * (state.q3 - GUIDE_END)
 
 
 @dataclass(frozen=True)
@@ -334,7 +335,7 @@ class CableTorque(TermCause):
     scale = (0.01e-6 * 180 / np.pi,)
     along = True
 
-    def bound(self, rows: pd.DataFrame, machine: Machine) -> Self:
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bound`."""
         return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in self.joints))
 

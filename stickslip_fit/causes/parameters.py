@@ -7,17 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import capitalize_first, format_estimate, format_number
-from stickslip_fit.errors import InputError, Problem
-from stickslip_fit.laws import Parameter, Rows, State, column
-from stickslip_fit.logs.columns import CONDITIONS, COVARIATE
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.laws import Parameter, Rows, State, float_column
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.units import Interval
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 Row = Mapping[str, Any]
 """Quantities of each traverse by name, arrays of shape (n,)."""
@@ -95,7 +92,7 @@ def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:
 
 def missing_column(rows: pd.DataFrame, name: str) -> str | None:
     """Why a column cannot explain anything, or None: it is empty, or the same within every session."""
-    label = CONDITIONS[name].label if name in CONDITIONS else f"column {name.removeprefix(COVARIATE)}"
+    label = CONDITIONS[name].label if name in CONDITIONS else f"column {name.removeprefix(COVARIATE_PREFIX)}"
     values = pd.to_numeric(rows[name], errors="coerce") if name in rows else pd.Series(dtype=float)
     if not values.notna().any():
         return f"the log has no {label}"
@@ -135,10 +132,12 @@ def known_of(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
     >>> known_of({"start": [0.0], "stop": [0.012]}, ["temperature"])["temperature"]
     array([nan])
     """
-    known: dict[str, Any] = {"start": column(rows, "start"), "stop": column(rows, "stop")}
+    known: dict[str, Any] = {"start": float_column(rows, "start"), "stop": float_column(rows, "stop")}
     lacking = [name for name in columns if name in NEEDED and name not in rows]
     if lacking:
-        raise InputError([Problem(f"the law needs {NEEDED[name]}: give it", column=name) for name in lacking])
+        raise InputError(
+            [InputIssue(f"the law needs {NEEDED[name]}: give it", column=name) for name in lacking]
+        )
     for name in columns:
         stands_in = np.full(len(known["start"]), FIRST.get(name, np.nan))
         known[name] = np.asarray(rows[name]) if name in rows else stands_in
@@ -154,8 +153,8 @@ FEWEST = 3  # traverses on either side
 def moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
     """Halfway between traverses, for each session that has enough of them; s from its first."""
     found, every = [], len(rows) / ABOUT
-    for session, mine in rows.groupby(rows["session"].astype(object), sort=False):
-        seconds = np.unique(mine["session_seconds"].to_numpy(float))
+    for session, subset in rows.groupby(rows["session"].astype(object), sort=False):
+        seconds = np.unique(subset["session_seconds"].to_numpy(float))
         between = ((seconds[1:] + seconds[:-1]) / 2)[FEWEST - 1 : 1 - FEWEST]
         if len(between):
             apart = max(len(between) / MOST, min(every, len(between) / LEAST))
@@ -169,10 +168,10 @@ def moment_of(session: str) -> CauseParameter:
     return CauseParameter("moment", "min", meaning, lower=0.0, session=session, sudden=True)
 
 
-def since(state: State, session: str, moment: Array) -> Mask:
+def since(state: State, session: str, moment: Array) -> BoolArray:
     """Whether each traverse is one of a session and begins at its moment or later; (n, 1) -> (n, 1)."""
-    mine = np.asarray(state.row["session"], dtype=object) == session
-    return mine[:, None] & (state.column("session_seconds") >= moment)
+    subset = np.asarray(state.row["session"], dtype=object) == session
+    return subset[:, None] & (state.column("session_seconds") >= moment)
 
 
 def changes_since(
@@ -198,10 +197,10 @@ def changes_since(
     array, shape (n, m)
     """
     found = np.zeros((len(values), len(trials)))
-    mine = np.flatnonzero(np.asarray(known["session"], dtype=object) == session)
+    subset = np.flatnonzero(np.asarray(known["session"], dtype=object) == session)
     sizes, which = np.unique(trials[:, 0], return_inverse=True)
     at_all_times = np.column_stack([sizes, np.full(len(sizes), -np.inf)])
-    there = {name: of[mine] for name, of in known.items()}
+    there = {name: of[subset] for name, of in known.items()}
     after = there["session_seconds"][:, None] >= trials[:, 1]
-    found[mine] = changes(there, values[mine], at_all_times)[:, which] * after
+    found[subset] = changes(there, values[subset], at_all_times)[:, which] * after
     return found

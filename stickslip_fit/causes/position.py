@@ -1,4 +1,4 @@
-"""Causes along a joint's own travel, and at its ends: where the end stop is heard, and after a reversal."""
+"""Causes in position and counting: runout, guide gradient, worn spot, reversal loss, end-stop errors."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_percent
-from stickslip_fit.causes.base import Array, Cause, CountCause, FactorCause
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, CountCause, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
-from stickslip_fit.machine import PRISMATIC
+from stickslip_fit.units import PRISMATIC
 
 __all__ = [  # noqa: RUF022
     "BearingRunout",
@@ -61,7 +62,7 @@ class BearingRunout(FactorCause):
         return 1.0 + values[0] * np.cos(state.position - values[1])
 
 
-class AlongGuide(FactorCause):
+class GuideProfileCause(FactorCause):
     """gamma times a factor that depends on the place along the guide alone."""
 
     joints = (PRISMATIC,)
@@ -77,9 +78,9 @@ class AlongGuide(FactorCause):
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
-        mine = rows[rows["joint"].isin(self.joints)]
-        ends = np.sort(mine[["start", "stop"]].to_numpy(float), axis=1).round(7)
-        if len(mine) and len(np.unique(ends, axis=0)) < 2:
+        subset = rows[rows["joint"].isin(self.joints)]
+        ends = np.sort(subset[["start", "stop"]].to_numpy(float), axis=1).round(7)
+        if len(subset) and len(np.unique(ends, axis=0)) < 2:
             return "every prismatic traverse runs the whole guide"
         return super().missing(rows)
 
@@ -100,7 +101,7 @@ GUIDE_MIDDLE = 0.006  # m
 
 
 @dataclass(frozen=True)
-class GuideGradient(AlongGuide):
+class GuideGradient(GuideProfileCause):
     """Prismatic: gamma times 1 + k (q3 - 6 mm)."""
 
     name = "guide-gradient"
@@ -131,7 +132,7 @@ WIDTHS_IN_PANEL = 4  # widths of a spot that a panel may span
 
 
 @dataclass(frozen=True)
-class WornSpot(AlongGuide):
+class WornSpot(GuideProfileCause):
     """Prismatic: gamma times 1 + A exp(-((q3 - x0) / w)^2 / 2)."""
 
     name = "worn-spot"
@@ -150,7 +151,7 @@ class WornSpot(AlongGuide):
     )
     absent = (0.0, 6e-3, 1e-3)
     scale = (0.05, 1e-3, 1e-3)
-    widest = WIDTHS_IN_PANEL * NARROWEST_SPOT
+    max_panel = WIDTHS_IN_PANEL * NARROWEST_SPOT
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: spots of three widths, side by side along the guide."""
@@ -193,7 +194,7 @@ class EndStopLatency(CountCause):
     parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
     absent = (0.0,)
     scale = (20.0,)
-    of_stop = True
+    affects_stop_only = True
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
@@ -224,7 +225,7 @@ class ReversalLoss(CountCause):
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
-        turned = reversed_before(rows["before_direction"], rows["direction"])
+        turned = is_reversed(rows["before_direction"], rows["direction"])
         if not turned.any():
             return "no traverse follows one in the other direction"
         return "every traverse follows one in the other direction" if turned.all() else None
@@ -237,10 +238,10 @@ class ReversalLoss(CountCause):
         """See `CountCause.steps`."""
         before = np.asarray(state.row["before_direction"], dtype=object)
         own = np.where(state.way[:, 0] > 0, "+", "-")
-        return values[0] * reversed_before(before, own)[:, None]
+        return values[0] * is_reversed(before, own)[:, None]
 
 
-def reversed_before(before: object, own: object) -> np.ndarray:
+def is_reversed(before: object, own: object) -> np.ndarray:
     """Whether each traverse follows one in the other direction."""
     before, own = np.asarray(before, dtype=object), np.asarray(own, dtype=object)
     return (before != "") & (before != own)
@@ -265,7 +266,7 @@ class EndStopMisfire(Cause):
     )
     absent = (0.0, 0.0)
     scale = (0.01, 0.05)
-    of_stop = True
+    affects_stop_only = True
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: no direction in which counts depart together."""
@@ -276,7 +277,7 @@ class EndStopMisfire(Cause):
         one_in = round(1 / sizes["share"].size.estimate)
         return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
 
-    def departures(self, values: Array, luck: Array) -> Array:
+    def departures(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps that misfires add to counts, shape (n,).
 
         Parameters
@@ -285,6 +286,6 @@ class EndStopMisfire(Cause):
         luck : array, shape (n, 3)
             Uniform between 0 and 1: whether there is one, how large it is, and which way.
         """
-        hit, spread, way = luck.T
+        hit, spread, way = misfire_draws.T
         size = values[:, 1] * (0.7 + 0.6 * spread) * np.where(way < 0.5, -1.0, 1.0)
         return np.where(hit < values[:, 0], size, 0.0)

@@ -1,4 +1,4 @@
-"""Causes that act with time: warming up, drift, a jump, wear."""
+"""Causes that act over time or use: warm-up, drift, a jump within a session, wear, a payload change."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit.causes.base import Array, Cause, FactorCause
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, FactorCause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -65,7 +66,7 @@ class ThermalWarmUp(FactorCause):
         return 1.0 - size * np.expm1(-state.column("session_seconds") / tau)
 
 
-HOUR = 3600.0
+SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,11 @@ class Drift(FactorCause):
     columns = ("session_seconds",)
     parameters = (CauseParameter("k", "%/h", "change of the step size per hour"),)
     absent = (0.0,)
-    scale = (0.01 / HOUR,)
+    scale = (0.01 / SECONDS_PER_HOUR,)
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.array([0.1 / HOUR]),)
+        return (np.array([0.1 / SECONDS_PER_HOUR]),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""

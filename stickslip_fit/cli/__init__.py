@@ -1,5 +1,6 @@
 """The command line: one verb a question."""
 
-from stickslip_fit.cli.app import app, main
+from stickslip_fit.cli._app import main
+from stickslip_fit.cli.capture import app
 
 __all__ = ["app", "main"]

@@ -1,13 +1,20 @@
 """What the step size should be, and the steps over a traverse that follow from it."""
 
-from stickslip_fit.laws.constant import ConstantStep
-from stickslip_fit.laws.count import expected_steps, rounding_variance, seen_count
-from stickslip_fit.laws.law import Rows, StepLaw, column, travel
-from stickslip_fit.laws.parameter import Configuration, Parameter
-from stickslip_fit.laws.prismatic import Prismatic
+from stickslip_fit.laws.base import (
+    Configuration,
+    Parameter,
+    Rows,
+    StepLaw,
+    expected_steps,
+    float_column,
+    observed_count,
+    rounding_variance,
+    traverse_length,
+)
+from stickslip_fit.laws.integration import State, state_at
+from stickslip_fit.laws.prismatic import ConstantStep, Prismatic
 from stickslip_fit.laws.published import constant_law, describe_law, published_law, restore_law
 from stickslip_fit.laws.rotary import Base, BaseAtOneReach, Elbow, Rotary
-from stickslip_fit.laws.state import State, state_at
 
 __all__ = [
     "Base",
@@ -21,14 +28,14 @@ __all__ = [
     "Rows",
     "State",
     "StepLaw",
-    "column",
     "constant_law",
     "describe_law",
     "expected_steps",
+    "float_column",
+    "observed_count",
     "published_law",
     "restore_law",
     "rounding_variance",
-    "seen_count",
     "state_at",
-    "travel",
+    "traverse_length",
 ]

@@ -1,4 +1,9 @@
-"""The prismatic joint (thesis Eq. 4.5): gamma3 = (1 - b |cos q2|) (a - c cos zeta cos theta)."""
+"""Laws of the prismatic joint (thesis Eq. 4.5): gamma3 = (1 - b |cos q2|) (a - c cos zeta cos theta).
+
+a is the step size without gravity and recoil, b the recoil of the arm, c the gravity load coefficient.
+ConstantStep, one step size for every configuration, is the model that labs use without calibration (Ch.
+7).
+"""
 
 from __future__ import annotations
 
@@ -6,10 +11,19 @@ from math import radians
 
 import numpy as np
 
-from stickslip_fit.laws.law import Array, Counter, Rows, StepLaw, column, travel
-from stickslip_fit.laws.parameter import Configuration, Parameter
-from stickslip_fit.laws.state import State
-from stickslip_fit.machine import PRISMATIC, published_load
+from stickslip_fit._typing import Array
+from stickslip_fit.laws.base import (
+    Configuration,
+    Counter,
+    Parameter,
+    Rows,
+    StepLaw,
+    float_column,
+    traverse_length,
+)
+from stickslip_fit.laws.integration import State
+from stickslip_fit.machine import published_load
+from stickslip_fit.units import PRISMATIC
 
 
 class Prismatic(StepLaw):
@@ -30,12 +44,12 @@ class Prismatic(StepLaw):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        kept, net = _factors(state.recoil, state.load, values[:, None, :])
+        kept, net = _recoil_and_load_factors(state.recoil, state.load, values[:, None, :])
         return kept * net
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        kept, net = _factors(state.recoil, state.load, values[:, None, :])
+        kept, net = _recoil_and_load_factors(state.recoil, state.load, values[:, None, :])
         return np.stack(np.broadcast_arrays(kept, -state.recoil * net, -kept * state.load), axis=-1)
 
     def start_values(self, mean_step: Array) -> Array:
@@ -48,7 +62,7 @@ class Prismatic(StepLaw):
 
     def features(self, rows: Rows) -> Array:
         """Recoil |cos q2| and load; see `StepLaw.features`."""
-        q2, theta, psi = (column(rows, name) for name in ("q2", "theta", "psi"))
+        q2, theta, psi = (float_column(rows, name) for name in ("q2", "theta", "psi"))
         return np.stack([np.abs(np.cos(q2)), published_load(PRISMATIC, 0.0, q2, theta, psi)], axis=-1)
 
     def calibration(self) -> tuple[Configuration, ...]:
@@ -62,10 +76,10 @@ class Prismatic(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`; NaN where the step size is not above 0."""
-        length, (recoil, load) = travel(rows), self.features(rows).T
+        length, (recoil, load) = traverse_length(rows), self.features(rows).T
 
         def count(values: Array) -> tuple[Array, Array]:
-            kept, net = _factors(recoil, load, values)
+            kept, net = _recoil_and_load_factors(recoil, load, values)
             with np.errstate(divide="ignore", invalid="ignore"):
                 counts = np.where((kept > 0) & (net > 0), length / (kept * net), np.nan)
                 slopes = np.stack([-counts / net, counts * recoil / kept, counts * load / net], axis=-1)
@@ -74,6 +88,60 @@ class Prismatic(StepLaw):
         return count
 
 
-def _factors(recoil: Array, load: Array, values: Array) -> tuple[Array, Array]:
+def _recoil_and_load_factors(recoil: Array, load: Array, values: Array) -> tuple[Array, Array]:
     """What recoil leaves, 1 - b recoil, and what load leaves, a - c load; values' last axis is a, b, c."""
     return 1.0 - values[..., 1] * recoil, values[..., 0] - values[..., 2] * load
+
+
+class ConstantStep(StepLaw):
+    """One step size for every configuration.
+
+    Parameters
+    ----------
+    joint : {1, 2, 3}
+    measured_in : Configuration
+        Where the one step size is measured.
+    """
+
+    name = "constant"
+
+    def __init__(self, joint: int, measured_in: Configuration) -> None:
+        self.joint = joint
+        self.measured_in = measured_in
+        unit = "nm" if joint == PRISMATIC else "µrad"
+        self.parameters = (Parameter("gamma", unit, "step size everywhere", lower=0.0),)
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        return values[:, :1]
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        return np.ones((len(values), 1, 1))
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`."""
+        return mean_step[:, None]
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return mean_step[:, None]
+
+    def features(self, rows: Rows) -> Array:
+        """See `StepLaw.features`: nothing matters."""
+        return np.zeros((len(float_column(rows, "start")), 0))
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """See `StepLaw.calibration`."""
+        return (self.measured_in,)
+
+    def counter(self, rows: Rows) -> Counter:
+        """Closed form of `StepLaw.counter`."""
+        length = traverse_length(rows)
+
+        def count(values: Array) -> tuple[Array, Array]:
+            gamma = np.broadcast_to(values, (len(length), 1))[:, 0]
+            counts = length / gamma
+            return counts, (-counts / gamma)[:, None]
+
+        return count

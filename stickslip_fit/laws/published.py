@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws.constant import ConstantStep
-from stickslip_fit.laws.law import Rows, StepLaw, column
-from stickslip_fit.laws.prismatic import Prismatic
+from stickslip_fit.laws.base import Rows, StepLaw, float_column
+from stickslip_fit.laws.prismatic import ConstantStep, Prismatic
 from stickslip_fit.laws.rotary import Base, BaseAtOneReach, Elbow
 from stickslip_fit.machine import Machine, reach
 
-SAME_REACH = 1e-6  # m; closer than a lab can set an arm
+REACH_TOL = 1e-6  # m; closer than a lab can set an arm
 
 
 def published_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
@@ -29,8 +28,8 @@ def published_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
         return Prismatic()
     if joint == Elbow.joint:
         return Elbow(machine)
-    q2, q3 = column(rows, "q2"), column(rows, "q3")
-    if len(q2) and np.ptp(reach(machine, q2, q3)) < SAME_REACH:
+    q2, q3 = float_column(rows, "q2"), float_column(rows, "q3")
+    if len(q2) and np.ptp(reach(machine, q2, q3)) < REACH_TOL:
         return BaseAtOneReach(machine, float(q2[0]), float(q3[0]))
     return Base(machine)
 

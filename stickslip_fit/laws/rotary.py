@@ -1,4 +1,8 @@
-"""The rotary joints (thesis Eq. 6.10): gamma = gamma0 + d u, both linear in how far the arm is out."""
+"""Laws of the rotary joints (thesis Eq. 6.10): gamma = gamma0 + d u, linear in the arm's extension.
+
+u is the gravity load. gamma0 and d are linear in q3 for joint 2 (Elbow), and in the reach rho = -(l2 +
+q3) sin q2 for joint 1 (Base).
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,9 @@ from math import pi, radians
 
 import numpy as np
 
-from stickslip_fit.laws.harmonic import harmonic_counts
-from stickslip_fit.laws.law import Array, Counter, Rows, StepLaw, column
-from stickslip_fit.laws.parameter import Configuration, Parameter
-from stickslip_fit.laws.state import State
+from stickslip_fit._typing import Array
+from stickslip_fit.laws.base import Configuration, Counter, Parameter, Rows, StepLaw, float_column
+from stickslip_fit.laws.integration import State, harmonic_counts
 from stickslip_fit.machine import Machine, published_load, reach
 
 
@@ -31,12 +34,12 @@ class Rotary(StepLaw):
 
     def basis(self, rows: Rows) -> Array:
         """Weights of each gamma0_k and d_k, shape (n, m)."""
-        q2 = column(rows, "q2") if "q2" in self.columns else np.zeros(len(column(rows, "q3")))
-        return np.stack(self.weights(q2, column(rows, "q3")), axis=-1)
+        q2 = float_column(rows, "q2") if "q2" in self.columns else np.zeros(len(float_column(rows, "q3")))
+        return np.stack(self.weights(q2, float_column(rows, "q3")), axis=-1)
 
     def coefficients(self, rows: Rows, values: Array) -> tuple[Array, Array]:
         """gamma0 and d of each row, rad, each shape (n,)."""
-        return _weighted(self.basis(rows), values)
+        return _weighted_sum(self.basis(rows), values)
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
@@ -53,11 +56,11 @@ class Rotary(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`; NaN where the step size is not above 0 all round."""
-        start, stop = column(rows, "start"), column(rows, "stop")
+        start, stop = float_column(rows, "start"), float_column(rows, "stop")
         basis, (amplitude, phase) = self.basis(rows), self.swing(rows)
 
         def count(values: Array) -> tuple[Array, Array]:
-            gamma0, d = _weighted(basis, values)
+            gamma0, d = _weighted_sum(basis, values)
             counts, by_gamma0, by_swing = harmonic_counts(gamma0, d * amplitude, phase, start, stop)
             slopes = [basis * by_gamma0[:, None], basis * (by_swing * amplitude)[:, None]]
             return counts, np.concatenate(slopes, axis=1)
@@ -71,7 +74,7 @@ class Rotary(StepLaw):
         return np.concatenate([self.basis(rows), load], axis=1)
 
 
-def _weighted(basis: Array, values: Array) -> tuple[Array, Array]:
+def _weighted_sum(basis: Array, values: Array) -> tuple[Array, Array]:
     m = basis.shape[1]
     values = np.broadcast_to(values, (len(basis), 2 * m))
     return np.sum(basis * values[:, :m], axis=1), np.sum(basis * values[:, m:], axis=1)
@@ -107,7 +110,7 @@ class Elbow(Rotary):
 
     def swing(self, rows: Rows) -> tuple[Array, Array]:
         """u2 = cos(theta) sin(psi - q2)."""
-        return np.cos(column(rows, "theta")), column(rows, "psi") - pi / 2
+        return np.cos(float_column(rows, "theta")), float_column(rows, "psi") - pi / 2
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -159,7 +162,7 @@ class Base(Rotary):
 
     def swing(self, rows: Rows) -> tuple[Array, Array]:
         """u1 = cos(theta) sin(psi) sin(q1) + sin(theta) cos(q1)."""
-        theta, psi = column(rows, "theta"), column(rows, "psi")
+        theta, psi = float_column(rows, "theta"), float_column(rows, "psi")
         along_sine = published_load(1, pi / 2, 0.0, theta, psi)
         along_cosine = published_load(1, 0.0, 0.0, theta, psi)
         return np.hypot(along_sine, along_cosine), np.arctan2(along_sine, along_cosine)

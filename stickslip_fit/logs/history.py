@@ -1,4 +1,4 @@
-"""What came before each traverse: direction and load, steps driven, time since the session began."""
+"""What came before each traverse: the joint's last direction and load, its steps, the session's time."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.logs.parse import labelled
-from stickslip_fit.logs.together import together
-from stickslip_fit.machine import JOINTS
-from stickslip_fit.machine.load import mean_load
+from stickslip_fit.logs._table import label_codes, run_in_threads
+from stickslip_fit.machine import mean_load
+from stickslip_fit.units import JOINTS
 
 
 def add_history(rows: pd.DataFrame) -> pd.DataFrame:
@@ -57,32 +56,32 @@ def add_session_history(rows: pd.DataFrame, session: npt.NDArray[np.int64]) -> p
     direction, load = np.full(len(rows), -1), np.zeros(len(rows))
 
     def look_back(each: int) -> None:
-        mine = np.flatnonzero(joint == each)
-        before = previous(session[mine])
+        subset = np.flatnonzero(joint == each)
+        before = previous_rows(session[subset])
         known = before >= 0
-        direction[mine] = np.where(known, backwards[mine][before], -1)
-        load[mine] = np.where(known, _loads(rows, mine, each)[before], 0.0)
+        direction[subset] = np.where(known, backwards[subset][before], -1)
+        load[subset] = np.where(known, _previous_loads(rows, subset, each)[before], 0.0)
 
     # No two joints share a row, so that they can be looked at side by side.
-    found = together(
+    found = run_in_threads(
         {
-            "seconds": partial(_seconds, session, time),
+            "seconds": partial(_session_seconds, session, time),
             **{f"q{each}": partial(look_back, each) for each in JOINTS},
         }
     )
     return rows.assign(
-        before_direction=labelled(direction, ("+", "-")).set_axis(rows.index),
+        before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
         session_seconds=found["seconds"],
     )
 
 
-def previous(group: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def previous_rows(group: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Row before each row in its own group, -1 for a group's first.
 
     Examples
     --------
-    >>> previous(np.array([7, 7, 2, 7, 2]))
+    >>> previous_rows(np.array([7, 7, 2, 7, 2]))
     array([-1,  0, -1,  1,  2])
     """
     order = np.argsort(group, kind="stable")
@@ -102,17 +101,17 @@ def steps_before(joint: npt.NDArray[np.int64], steps: npt.NDArray[np.int64]) -> 
     """
     driven = np.zeros(len(joint), np.int64)
     for each in JOINTS:
-        mine = np.flatnonzero(joint == each)
-        driven[mine] = np.cumsum(steps[mine]) - steps[mine]
+        subset = np.flatnonzero(joint == each)
+        driven[subset] = np.cumsum(steps[subset]) - steps[subset]
     return driven
 
 
-def _loads(rows: pd.DataFrame, mine: npt.NDArray[np.intp], joint: int) -> npt.NDArray[np.float64]:
+def _previous_loads(rows: pd.DataFrame, subset: npt.NDArray[np.intp], joint: int) -> npt.NDArray[np.float64]:
     names = ("start", "stop", "q1", "q2", "theta", "psi")
-    return mean_load(joint, *(rows[name].to_numpy()[mine] for name in names))
+    return mean_load(joint, *(rows[name].to_numpy()[subset] for name in names))
 
 
-def _seconds(session: npt.NDArray[np.int64], time: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+def _session_seconds(session: npt.NDArray[np.int64], time: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
     began = np.zeros(session.max(initial=0) + 1, np.int64)
     # Rows stand in the order of time: written from the last to the first, the first is what stays.
     began[session[::-1]] = time[::-1]

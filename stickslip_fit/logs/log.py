@@ -1,18 +1,191 @@
-"""A campaign log: what was measured, with its history."""
+"""Log, the measurement log: its traverses, their selection, its summary, and writing it as CSV.
+
+`write_log` picks for each column the first unit in which every value can be written exactly, so that
+reading the file gives the same rows.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import pyarrow as pa
 
-from stickslip_fit._summary import Summarized
-from stickslip_fit.logs.configurations import configurations
-from stickslip_fit.logs.write import write_log
+from stickslip_fit._format import (
+    MISSING,
+    format_configuration,
+    format_direction,
+    format_plain,
+    join_words,
+    joint_name,
+    pluralize,
+)
+from stickslip_fit._io import write_atomically
+from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
+from stickslip_fit._typing import Array
+from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELDS
 from stickslip_fit.machine import Machine
+from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
+
+# Finer than anything that can be set, coarser than what unit conversion rounds off (rad, m).
+_KEY_DECIMALS = 10
+_POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "low", "high"]
+
+
+def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
+    """Count the traverses of each configuration.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Rows of a Log.
+
+    Returns
+    -------
+    DataFrame
+        One row per session, joint and configuration, in that order: session, joint, q1, q2, q3 (NaN for
+        the moving joint), theta, psi, low and high (the stretch traversed, rad or m), ``+`` and ``-``
+        (traverses in each direction), replicates (those that repeat another of the same direction).
+    """
+    table = rows[["session", "joint", "q1", "q2", "q3", "theta", "psi"]].assign(
+        low=np.minimum(rows["start"], rows["stop"]),
+        high=np.maximum(rows["start"], rows["stop"]),
+        forward=(rows["direction"] == "+").astype(np.int64),
+        backward=(rows["direction"] == "-").astype(np.int64),
+    )
+    # Adding zero makes -0.0 and 0.0 one configuration to look at, as they are to the joint.
+    with np.errstate(over="ignore"):
+        table[_POSITION_COLUMNS] = table[_POSITION_COLUMNS].round(_KEY_DECIMALS) + 0.0
+    counts = table.groupby(["session", "joint", *_POSITION_COLUMNS], dropna=False, sort=True)[
+        ["forward", "backward"]
+    ]
+    found = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
+    return found.assign(replicates=(found["+"] - 1).clip(lower=0) + (found["-"] - 1).clip(lower=0))
+
+
+_FIELD_BY_NAME = {field.name: field for field in FIELDS}
+
+
+def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
+    """Write a log as CSV so that reading it gives the same rows.
+
+    Quantities are written in the units people use (deg, mm, °C, ms, g), or in SI where a value has no
+    exact equal there. Optional columns that say nothing are left out; from and to are always written,
+    so that the traverses stay what they were under any machine file.
+
+    Parameters
+    ----------
+    log : Log or DataFrame
+        A Log, or its rows; history is not written, since the reader works it out.
+    path : str or Path
+        Written whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    rows = log if isinstance(log, pd.DataFrame) else log.rows
+    write_atomically(path, format_csv(rows))
+
+
+def format_csv(rows: pd.DataFrame) -> bytes:
+    """Rows of a Log as the bytes of a CSV file."""
+    columns = _cell_columns(rows)
+    header = ",".join(map(_quote, columns))
+    lines = map(",".join, zip(*columns.values(), strict=True))
+    return "\n".join([header, *lines, ""]).encode("utf-8")
+
+
+def _quote(text: str) -> str:
+    """Text as a cell; unlike the csv module, lone carriage returns are quoted too."""
+    return '"' + text.replace('"', '""') + '"' if re.search('[",\r\n]', text) else text
+
+
+def _text_cells(values: pd.Series) -> list[str]:
+    quoted = {text: _quote(text) for text in values.unique()}
+    return [quoted[text] for text in values]
+
+
+def _cell_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
+    """Column name to cells."""
+    columns = {
+        "session": _text_cells(rows["session"]),
+        "time": _time_cells(rows["time"]),
+        "joint": _number_cells(rows["joint"]),
+        "direction": _text_cells(rows["direction"]),
+        "steps": _number_cells(rows["steps"]),
+    }
+    for name in ("q1", "q2", "q3", "theta", "psi"):
+        columns |= _quantity_column(name, rows[name].to_numpy())
+    for kind, subset in (("angle", rows["joint"] != PRISMATIC), ("length", rows["joint"] == PRISMATIC)):
+        for end, inside in (("from", "start"), ("to", "stop")):
+            if subset.any():
+                columns |= _quantity_column(f"{end}_{kind}", rows[inside].where(subset).to_numpy())
+    return columns | _optional_columns(rows)
+
+
+def _optional_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
+    columns: dict[str, list[str]] = {}
+    if (rows["check_every"] != CHECK_EVERY).any():
+        columns["check_every"] = _number_cells(rows["check_every"])
+    if (rows["status"] != "ok").any():
+        columns["status"] = _text_cells(rows["status"])
+    for name in CONDITIONS:
+        if rows[name].notna().any():
+            columns |= _quantity_column(name, rows[name].to_numpy())
+    if (rows["note"] != "").any():
+        columns["note"] = _text_cells(rows["note"])
+    for name in rows.columns:
+        if name.startswith(COVARIATE_PREFIX):
+            columns[name.removeprefix(COVARIATE_PREFIX)] = _number_cells(rows[name])
+        elif name.startswith("text:"):
+            columns[name.removeprefix("text:")] = _text_cells(rows[name])
+    return columns
+
+
+def _quantity_column(name: str, values: Array) -> dict[str, list[str]]:
+    """One column, in the first unit in which every value has an exact equal."""
+    field = _FIELD_BY_NAME[name]
+    candidates = [
+        (spelling, _convert_exactly(values, SUFFIXES[suffix]))
+        for spelling, suffix in zip(field.spellings, field.suffixes, strict=True)
+    ]
+    spelling, written = next((found for found in candidates if found[1][1]), candidates[0])
+    return {spelling: _number_cells(written[0])}
+
+
+def _convert_exactly(values: Array, unit: str) -> tuple[Array, bool]:
+    """Short decimals that read back as `values`, and whether all of them do to the last bit."""
+    # What overflows on the way is no equal of anything, and another unit is tried.
+    with np.errstate(over="ignore", invalid="ignore"):
+        exact = from_si(values, unit)
+        neighbours = (np.nextafter(exact, -np.inf), np.nextafter(exact, np.inf))
+        written, missed = exact, ~np.isnan(values)
+        for candidate in (np.round(exact, 9), np.round(exact, 12), exact, *neighbours):
+            hit = missed & (to_si(candidate, unit) == values)
+            written = np.where(hit, candidate, written)
+            missed &= ~hit
+    return written, not missed.any()
+
+
+def _number_cells(values: pd.Series | Array) -> list[str]:
+    """Shortest decimals that read back as the same numbers; empty for NaN."""
+    return pa.array(values, from_pandas=True).cast(pa.string()).fill_null("").to_pylist()
+
+
+def _time_cells(time: pd.Series) -> list[str]:
+    """ISO 8601, as fine as the finest time needs; with Z where the log has zones."""
+    utc = time.to_numpy(dtype="datetime64[ns]")
+    units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
+    unit = next(unit for unit in units if (utc == utc.astype(f"M8[{unit}]")).all())
+    zone = "" if time.dt.tz is None else "Z"
+    return [text + zone for text in np.datetime_as_string(utc, unit=unit).tolist()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +241,7 @@ class Log(Summarized):
 
     def configurations(self) -> pd.DataFrame:
         """Which configurations the usable rows cover; see `configurations.configurations`."""
-        return configurations(self.usable)
+        return count_configurations(self.usable)
 
     def plot_readings(self) -> npt.NDArray[np.object_]:
         """The mean step size of every usable traverse, in the order in which they were made.
@@ -83,11 +256,169 @@ class Log(Summarized):
         InputError
             If no traverse is usable.
         """
-        from stickslip_fit.report.figures.axes import panels
-        from stickslip_fit.report.figures.readings import plot_readings
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.residuals import plot_readings
 
-        return panels(plot_readings(self))
+        return collect_axes(plot_readings(self))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the log in its file format; see `write.write_log`."""
         write_log(self, path)
+
+
+MAX_ROWS = 10  # of a table; the log itself holds the others
+MAX_FILES = 3
+FEW_VALUES = 4
+POSITIONS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
+NOT_FITTED = ("interrupted", "excluded")
+
+
+@summarize.register
+def summarize_log(log: Log) -> Summary:
+    """The log in two sentences, then its sessions, coverage, conditions, and traverses with a note."""
+    tables = [_session_lines(log), _coverage_lines(log), _column_lines(log), _noted(log)]
+    files = join_words([f"{name} (sha256 {sha[:12]})" for name, sha in log.sources[:MAX_FILES]] or ["memory"])
+    more = len(log.sources) - MAX_FILES
+    return Summary(
+        title=f"Log {file_names([name for name, _ in log.sources])}".strip(),
+        headline=(f"{_facts(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
+        sections=(Section(tables=tuple(table for table in tables if table and table.rows)),),
+        flags=log.notes,
+        provenance=(
+            *((name, f"sha256 {sha}") for name, sha in log.sources),
+            (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
+        ),
+    )
+
+
+def file_names(names: list[str]) -> str:
+    """Files in a title, without their folders; empty for a log that was never in a file."""
+    short = [Path(name).name for name in names[:MAX_FILES]]
+    if len(names) > MAX_FILES:
+        short.append(pluralize(len(names) - MAX_FILES, "more file"))
+    return join_words(short)
+
+
+def latest(sessions: int) -> str:
+    """The note of a table that leaves earlier sessions out."""
+    return f"The latest {MAX_ROWS} of {pluralize(sessions, 'session')}." if sessions > MAX_ROWS else ""
+
+
+def _facts(log: Log) -> str:
+    rows = log.rows
+    counts = f"{pluralize(len(rows), 'traverse')} in {pluralize(len(log.sessions), 'session')}"
+    if rows.empty:
+        return f"{counts}."
+    dates = dict.fromkeys(f"{moment:%Y-%m-%d}" for moment in (rows["time"].min(), rows["time"].max()))
+    joints = join_words([joint_name(joint) for joint in log.joints])
+    states = rows["status"].value_counts()
+    unused = [pluralize(int(states[name]), f"{name} traverse") for name in NOT_FITTED if name in states]
+    use = f"Not fitted, but part of the history: {join_words(unused)}." if unused else "All are usable."
+    return f"{counts} ({' to '.join(dates)}), {joints}. {use}"
+
+
+def _session_lines(log: Log) -> Table:
+    """When each session was and what was driven in it."""
+    kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
+    columns = (
+        *words("session", "first traverse", "last traverse"),
+        *(Column(format_direction(sign), group=f"joint {joint}") for joint, sign in kinds),
+        *(Column(name, group="not fitted") for name in NOT_FITTED),
+    )
+    shown = log.rows[log.rows["session"].isin(log.sessions[-MAX_ROWS:])]
+    body = []
+    for session, rows in shown.groupby("session", sort=False, observed=True):
+        driven = rows.groupby(["joint", "direction"], observed=True).size()
+        body.append(
+            (
+                str(session),
+                f"{rows['time'].iloc[0]:%Y-%m-%d %H:%M}",
+                f"{rows['time'].iloc[-1]:%Y-%m-%d %H:%M}",
+                *(f"{driven.get(kind, 0):,}" for kind in kinds),
+                *(f"{(rows['status'] == name).sum():,}" for name in NOT_FITTED),
+            )
+        )
+    return Table("Sessions and traverses", columns, tuple(body), note=latest(len(log.sessions)))
+
+
+def _coverage_lines(log: Log) -> Table | None:
+    """What was covered: one column for each joint."""
+    covered = [_coverage_of(log, joint) for joint in log.joints]
+    if not covered:
+        return None
+    columns = (Column("covered", text=True), *(Column(joint_name(joint), text=True) for joint in log.joints))
+    body = tuple((name, *(each[name] for each in covered)) for name in covered[0])
+    note = "Configurations: in either direction. Replicates: traverses that repeat another of their session."
+    return Table("Coverage, usable traverses", columns, body, note=note)
+
+
+def _coverage_of(log: Log, joint: int) -> dict[str, str]:
+    rows, places = log.usable, log.configurations()
+    rows, places = rows[rows["joint"] == joint], places[places["joint"] == joint]
+    distinct = places[["q1", "q2", "q3", "theta", "psi", "low", "high"]].drop_duplicates()
+    length = (rows["stop"] - rows["start"]).abs()
+    covered = {
+        "traverses": f"{len(rows):,}",
+        "over the full range": f"{np.isclose(length, log.machine.span(joint), rtol=1e-6).sum():,}",
+        "configurations": f"{len(distinct):,}",
+        "replicates": f"{places['replicates'].sum():,}",
+    }
+    for name, unit in POSITIONS.items():
+        moves = name == f"q{joint}"
+        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = (
+            "moves" if moves else _format_values(rows[name], unit)
+        )
+    return covered
+
+
+def _column_lines(log: Log) -> Table:
+    """Conditions, and the lab's own columns of numbers."""
+    rows = log.rows
+    units = {field.name: SUFFIXES[field.suffixes[0]] for field in FIELDS if field.name in CONDITIONS}
+    given = [name for name in CONDITIONS if rows[name].notna().any()]
+    own = [name for name in rows.columns if name.startswith(COVARIATE_PREFIX)]
+    body = tuple(
+        (
+            f"{name} ({units[name]})" if name in units else name,
+            f"{rows[name].notna().sum():,} of {len(rows):,}",
+            _format_values(rows[name], units.get(name, "1")),
+        )
+        for name in given + own
+    )
+    return Table("Conditions", (Column("column", text=True), *numbers("given", "values")), body)
+
+
+def _noted(log: Log) -> Table | None:
+    """Traverses that the lab wrote a note about or does not have fitted."""
+    rows = log.rows[(log.rows["note"] != "") | (log.rows["status"] != "ok")]
+    names = ("time", "session", "joint", "configuration", "status", "note")
+    body = tuple(
+        (
+            f"{row['time']:%Y-%m-%d %H:%M:%S}",
+            str(row["session"]),
+            f"{row['joint']} {format_direction(row['direction'])}",
+            format_configuration(row, log.machine.span(row["joint"])),
+            str(row["status"]),
+            str(row["note"]),
+        )
+        for _, row in rows.head(MAX_ROWS).iterrows()
+    )
+    left = len(rows) - len(body)
+    note = f"{pluralize(left, 'more traverse')} with a note or not fitted: see the log." if left else ""
+    columns = tuple(Column(name, text=True) for name in names)
+    return Table("Traverses with a note or not fitted", columns, body, note=note, folded=True)
+
+
+def _format_values(values: pd.Series[float], unit: str) -> str:
+    """A few values as they are, many as lowest and highest, with their spacing where it is even."""
+    with np.errstate(over="ignore"):
+        distinct = np.unique(np.round(from_si(values.dropna().to_numpy(float), unit), 3)) + 0.0
+    if not len(distinct):
+        return MISSING
+    if len(distinct) <= FEW_VALUES:
+        return ", ".join(format_plain(value) for value in distinct)
+    ends = f"{format_plain(distinct[0])} to {format_plain(distinct[-1])}"
+    spacing = np.diff(distinct)
+    if np.allclose(spacing, spacing[0], atol=2e-3):
+        return f"{ends} by {format_plain(spacing[0])}"
+    return f"{ends}, {len(distinct):,} values"

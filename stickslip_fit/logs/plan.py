@@ -1,16 +1,27 @@
-"""What shall be measured: the traverses to make, in their order, and how they are timed."""
+"""Plan: the traverses to measure, their order and timing, and the sheet to record them on.
+
+A traverse without from and to covers the whole range of its joint.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-Order = Literal["as-written", "random"]
+from stickslip_fit._io import write_atomically
+from stickslip_fit._typing import Array, BoolArray, Int64Array
+from stickslip_fit.logs._table import IssueMessage
+from stickslip_fit.logs.schema import LogCells
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import JOINTS, PRISMATIC, from_si
+
+TraverseOrder = Literal["as-written", "random"]
 NoiseKind = Literal["gaussian", "t5"]
 
 
@@ -93,7 +104,7 @@ class Plan:
     sessions: tuple[PlannedSession, ...]
     traverses: pd.DataFrame
     replicates: int = 1
-    order: Order = "as-written"
+    order: TraverseOrder = "as-written"
     check_every: int = 5
     timing: Timing = field(default_factory=Timing)
     noise: Noise | None = None
@@ -140,3 +151,162 @@ class Plan:
         visits = self._visits()
         shuffled = np.random.default_rng([self.seed, number]).permutation(visits.max() + 1)
         return np.argsort(shuffled[visits], kind="stable")
+
+
+# Share of a joint's range by which a value may miss its end, for what unit conversion rounds off.
+RANGE_TOL = 1e-9
+_JOINTS_BY_KIND = {"angle": (1, 2), "length": (PRISMATIC,)}
+_UNIT_BY_KIND = {"angle": "deg", "length": "mm"}
+
+
+def read_traverses(
+    cells: LogCells, machine: Machine, joint: Int64Array, forward: Int64Array
+) -> tuple[Array, Array]:
+    """Read from and to, and tell of traverses that cannot be.
+
+    Parameters
+    ----------
+    cells : Cells
+    machine : Machine
+        An empty cell takes the end of its range.
+    joint : array of int, shape (n,)
+        0 where unknown.
+    forward : array of int, shape (n,)
+        1 for `+`, -1 for `-`, 0 where unknown.
+
+    Returns
+    -------
+    start, stop : array, shape (n,)
+        rad or m; NaN where unknown.
+    """
+    low, high = (np.array([np.nan, *ends]) for ends in zip(*map(machine.ranges.get, JOINTS), strict=True))
+    unknown = np.full_like(low, np.nan)
+    # One row of ends for -, unknown and +, side by side, so that each traverse looks up its own.
+    place = (forward + 1) * len(low) + joint
+    start = _read_end(cells, machine, joint, "from", np.concatenate([high, unknown, low])[place])
+    stop = _read_end(cells, machine, joint, "to", np.concatenate([low, unknown, high])[place])
+    _report_bad_length(cells, machine, joint, forward, start, stop)
+    return start, stop
+
+
+def report_outside_range(cells: LogCells, machine: Machine, field: str, joint: int, values: Array) -> None:
+    """Tell of positions beyond the joint's stops."""
+    low, high = machine.ranges[joint]
+    slack = RANGE_TOL * (high - low)
+    if not cells.has(field):
+        return
+    unit = cells.layout.known[field].unit
+    limits = f"{from_si(low, unit):g} to {from_si(high, unit):g} {unit}"
+    message = f"is outside joint {joint}'s range, {limits}; correct it, or the range in the machine file"
+    cells.add_issue(field, (values < low - slack) | (values > high + slack), message)
+
+
+def _read_end(cells: LogCells, machine: Machine, joint: Int64Array, stem: str, default: Array) -> Array:
+    values = default
+    for kind, joints in _JOINTS_BY_KIND.items():
+        field = f"{stem}_{kind}"
+        if not cells.has(field):
+            continue
+        subset, filled = _is_moving_kind(joint, kind), cells.is_filled(field)
+        foreign = ~subset & (joint > 0)
+        cells.add_issue(field, foreign & filled, _wrong_kind_message(joint, stem))
+        given = cells.numbers(field, ignored=foreign)
+        for each in joints:
+            report_outside_range(cells, machine, field, each, np.where(joint == each, given, np.nan))
+        values = np.where(subset & filled, given, values)
+    return values
+
+
+def _wrong_kind_message(joint: Int64Array, stem: str) -> IssueMessage:
+    def message(row: int, value: str) -> str:
+        if joint[row] == PRISMATIC:
+            return f"is an angle, but joint 3 is prismatic; write {stem}_mm, and leave this cell empty"
+        return f"is a length, but joint {joint[row]} is rotary; write {stem}_deg, and leave this cell empty"
+
+    return message
+
+
+def _report_bad_length(
+    cells: LogCells, machine: Machine, joint: Int64Array, forward: Int64Array, start: Array, stop: Array
+) -> None:
+    span = np.array([np.nan, *(machine.span(each) for each in JOINTS)])
+    for kind in _JOINTS_BY_KIND:
+        ends = _end_column_names(cells, kind)
+        if not ends:
+            continue
+        subset, ended = _is_moving_kind(joint, kind), cells.is_filled(f"to_{kind}")
+        length = stop - start
+        # What is NaN is neither still nor astray: it has been told of already.
+        still = subset & (np.abs(length) <= RANGE_TOL * span[joint])
+        nowhere = f"makes a traverse of no length ({ends}); leave both empty for the full range"
+        cells.add_issue(f"to_{kind}", still & ended, nowhere)
+        cells.add_issue(f"from_{kind}", still & ~ended, nowhere)
+        cells.add_issue(
+            "direction", subset & ~still & (forward * length < 0), _wrong_way_message(kind, ends, start, stop)
+        )
+
+
+def _is_moving_kind(joint: Int64Array, kind: str) -> BoolArray:
+    """Where the joint that moves is of this kind."""
+    return joint == PRISMATIC if kind == "length" else (joint > 0) & (joint != PRISMATIC)
+
+
+def _wrong_way_message(kind: str, ends: str, start: Array, stop: Array) -> IssueMessage:
+    unit = _UNIT_BY_KIND[kind]
+
+    def message(row: int, value: str) -> str:
+        first, last = (from_si(float(end[row]), unit) for end in (start, stop))
+        return f"disagrees with {ends}: {first:g} to {last:g} {unit}; correct the one or the other"
+
+    return message
+
+
+def _end_column_names(cells: LogCells, kind: str) -> str:
+    ends = [f"{end}_{kind}" for end in ("from", "to")]
+    return " and ".join(cells.layout.known[end].name for end in ends if cells.has(end))
+
+
+def build_sheet(plan: Plan) -> pd.DataFrame:
+    """The cells of the sheet as text, one row per traverse in the order in which they are to be made."""
+    rows = plan.rows()
+    rotary = rows["joint"] != PRISMATIC
+    ends = {"from": rows["start"], "to": rows["stop"]}
+    blank = pd.Series("", rows.index)
+    return pd.DataFrame(
+        {
+            "session": rows["session"],
+            "time": blank,
+            "joint": rows["joint"],
+            "direction": rows["direction"],
+            "steps": blank,
+            **{f"{name}_deg": _format_cells(rows[name], "deg") for name in ("q1", "q2")},
+            "q3_mm": _format_cells(rows["q3"], "mm"),
+            **{f"{name}_deg": _format_cells(rows[name], "deg") for name in ("theta", "psi")},
+            **{f"{name}_deg": _format_cells(end.where(rotary), "deg") for name, end in ends.items()},
+            **{f"{name}_mm": _format_cells(end.where(~rotary), "mm") for name, end in ends.items()},
+            "check_every": rows["check_every"],
+            "step_period_ms": _format_cells(rows["step_period"], "ms"),
+            "status": blank,
+            "note": blank,
+        }
+    )
+
+
+def write_sheet_csv(plan: Plan, path: str | Path) -> None:
+    """Write the sheet, so that a person fills it in and the reader takes it as a log.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    text = build_sheet(plan).to_csv(index=False, lineterminator="\n")
+    write_atomically(path, text)
+
+
+def _format_cells(values: pd.Series, symbol: str) -> list[str]:
+    """Numbers as a person writes them; empty for the moving joint's own."""
+    return [
+        "" if np.isnan(value) else f"{value + 0.0:.10g}"
+        for value in from_si(values.to_numpy(float), symbol).round(10)
+    ]

@@ -8,14 +8,20 @@ from stickslip_fit.machine.dynamics import (
     joint_forces,
     tip_load,
 )
-from stickslip_fit.machine.kinematics import forward, inverse, jacobian, nearest_solution, reach
-from stickslip_fit.machine.load import full_load, mean_load, published_load, up_in_base
+from stickslip_fit.machine.kinematics import (
+    forward,
+    full_load,
+    inverse,
+    jacobian,
+    mean_load,
+    nearest_solution,
+    published_load,
+    reach,
+    vertical_in_base,
+)
 from stickslip_fit.machine.machine import Link, Machine, load_machine
-from stickslip_fit.units import JOINTS, PRISMATIC
 
 __all__ = [
-    "JOINTS",
-    "PRISMATIC",
     "Link",
     "Machine",
     "coriolis_matrix",
@@ -33,5 +39,5 @@ __all__ = [
     "published_load",
     "reach",
     "tip_load",
-    "up_in_base",
+    "vertical_in_base",
 ]

@@ -1,7 +1,7 @@
-"""The forces of motion, of gravity and at the tip: D(q) qdd + C(q, qd) qd + G(q) = tau.
+"""Inertia, Coriolis and gravity terms of D(q) qdd + C(q, qd) qd + G(q) = tau (thesis A.95 to A.113).
 
-Joints 1, 2 and 3 move the arm in mutually perpendicular directions, so D is diagonal and all of it
-is short. Link conventions are those of mm3a.toml.
+Joints 1, 2 and 3 move the arm in mutually perpendicular directions, so D is diagonal. Link conventions
+are those of mm3a.toml.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine.kinematics import jacobian
-from stickslip_fit.machine.load import Array, full_load
+from stickslip_fit.machine.kinematics import full_load, jacobian
 from stickslip_fit.machine.machine import Machine
 from stickslip_fit.units import JOINTS
 
@@ -82,7 +82,7 @@ def coriolis_matrix(machine: Machine, q: npt.ArrayLike, qdot: npt.ArrayLike) -> 
     q, qdot = np.broadcast_arrays(np.asarray(q, float), np.asarray(qdot, float))
     _, q2, q3 = np.moveaxis(q, -1, 0)
     rate1, rate2, rate3 = np.moveaxis(qdot, -1, 0)
-    base_by_q2, base_by_q3, elbow_by_q3 = _half_inertia_slopes(machine, q2, q3)
+    base_by_q2, base_by_q3, elbow_by_q3 = _half_inertia_derivatives(machine, q2, q3)
     coriolis = np.zeros((*q2.shape, 3, 3))
     coriolis[..., 0, 0] = base_by_q2 * rate2 + base_by_q3 * rate3
     coriolis[..., 0, 1] = base_by_q2 * rate1
@@ -239,7 +239,7 @@ def tip_load(
     return joint_forces(machine, q, tip_force)[..., joint - 1] / scale
 
 
-def _half_inertia_slopes(machine: Machine, q2: Array, q3: Array) -> tuple[Array, Array, Array]:
+def _half_inertia_derivatives(machine: Machine, q2: Array, q3: Array) -> tuple[Array, Array, Array]:
     """Half of dD11/dq2, dD11/dq3 and dD22/dq3; D has no other slopes."""
     _, fore, hand = machine.links
     sine, cosine, out = np.sin(q2), np.cos(q2), _hand_distance(machine, q3)

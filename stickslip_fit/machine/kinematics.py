@@ -1,8 +1,10 @@
-"""Where the tip is, how it moves with the joints, and where the joints stand for a tip position.
+"""Forward and inverse kinematics, Jacobian, and the gravity load on each joint.
 
-Denavit-Hartenberg rows (theta, d, a, alpha): (q1, 0, a1, 90 deg), (q2, 0, 0, -90 deg), (0, l2 + q3, 0, 0).
-The arm stays in the vertical plane that joint 1 turns. In it the tip lies at the radial distance
-a1 - L sin q2 from joint 1's axis and at the height L cos q2, with L = l2 + q3.
+Denavit-Hartenberg rows (theta, d, a, alpha): (q1, 0, a1, 90 deg), (q2, 0, 0, -90 deg), (0, l2 + q3, 0,
+0). With L = l2 + q3 the tip is at the radial distance a1 - L sin q2 from joint 1's axis, at the height
+L cos q2. The base is turned by R = Rx(theta) Ry(psi). The vertical in the base's frame is the third row
+of R; the load of a joint is its component along the direction in which the joint moves the arm (thesis
+A.111 to A.113), as a share of the greatest load possible.
 """
 
 from __future__ import annotations
@@ -12,13 +14,13 @@ from math import atan2, ceil, dist, floor, hypot, remainder, tau
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine.load import Array
 from stickslip_fit.machine.machine import Machine
 from stickslip_fit.units import JOINTS, PRISMATIC, from_si
 
 # A picometre, or a picoradian: far below any step, far above what rounding leaves of a position.
-ROUNDING = 1e-12
+RANGE_TOL = 1e-12
 
 
 def reach(machine: Machine, q2: npt.ArrayLike, q3: npt.ArrayLike) -> Array:
@@ -132,17 +134,17 @@ def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None 
     90.00 deg, 14.04 deg, 5.793 mm
     -90.00 deg, 19.05 deg, 6.933 mm
     """
-    point = _three_numbers(target, "a target", "x, y, z in m")
-    ways = _ways(machine, point, _free_q1(machine, near))
+    point = _check_three_numbers(target, "a target", "x, y, z in m")
+    solutions = _joint_solutions(machine, point, _undetermined_q1(machine, near))
     found = [
         np.array([q1, q2, q3])
-        for way in ways
-        for q1 in _within_range(machine, 1, way[0])
-        for q2 in _within_range(machine, 2, way[1])
-        for q3 in _within_range(machine, PRISMATIC, way[2])
+        for solution in solutions
+        for q1 in _positions_in_range(machine, 1, solution[0])
+        for q2 in _positions_in_range(machine, 2, solution[1])
+        for q3 in _positions_in_range(machine, PRISMATIC, solution[2])
     ]
     if not found:
-        raise InputError(_why_out_of_reach(machine, point, ways))
+        raise InputError(_explain_out_of_reach(machine, point, solutions))
     return found
 
 
@@ -176,86 +178,88 @@ def nearest_solution(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLik
     >>> np.degrees(q).round(6)
     array([  0., -90.,   0.])
     """
-    stand = np.array(_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
+    stand = np.array(_check_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
     spans = np.array([machine.span(joint) for joint in JOINTS])
     return min(inverse(machine, target, stand), key=lambda q: float(np.sum(np.abs(q - stand) / spans)))
 
 
-def _ways(machine: Machine, point: list[float], free_q1: float) -> list[list[float]]:
+def _joint_solutions(machine: Machine, point: list[float], free_q1: float) -> list[list[float]]:
     """Joint positions that put the tip at `point`, whatever the ranges and whole turns aside."""
     x, y, z = point
     radial = hypot(x, y)
-    if radial <= ROUNDING:
-        return [[free_q1, *_elbow_and_hand(machine, 0.0, z)]]
+    if radial <= RANGE_TOL:
+        return [[free_q1, *_solve_arm_plane(machine, 0.0, z)]]
     return [
-        [atan2(y, x), *_elbow_and_hand(machine, radial, z)],
-        [atan2(-y, -x), *_elbow_and_hand(machine, -radial, z)],
+        [atan2(y, x), *_solve_arm_plane(machine, radial, z)],
+        [atan2(-y, -x), *_solve_arm_plane(machine, -radial, z)],
     ]
 
 
-def _elbow_and_hand(machine: Machine, radial: float, height: float) -> tuple[float, float]:
+def _solve_arm_plane(machine: Machine, radial: float, height: float) -> tuple[float, float]:
     """q2 and q3 in the arm's own plane."""
     outward = radial - machine.a1
     return atan2(-outward, height), hypot(outward, height) - machine.l2
 
 
-def _free_q1(machine: Machine, near: npt.ArrayLike | None) -> float:
+def _undetermined_q1(machine: Machine, near: npt.ArrayLike | None) -> float:
     low, high = machine.ranges[1]
     if near is None:
         return (low + high) / 2
-    q1, _, _ = _three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m")
+    q1, _, _ = _check_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m")
     return min(max(q1, low), high)
 
 
-def _within_range(machine: Machine, joint: int, position: float) -> list[float]:
+def _positions_in_range(machine: Machine, joint: int, position: float) -> list[float]:
     """The stands of a joint, within its range, that amount to `position`."""
     low, high = machine.ranges[joint]
     if joint == PRISMATIC:
-        stands = [position] if low - ROUNDING <= position <= high + ROUNDING else []
+        stands = [position] if low - RANGE_TOL <= position <= high + RANGE_TOL else []
     else:
-        fewest = ceil((low - ROUNDING - position) / tau)
-        most = floor((high + ROUNDING - position) / tau)
+        fewest = ceil((low - RANGE_TOL - position) / tau)
+        most = floor((high + RANGE_TOL - position) / tau)
         stands = [position + turns * tau for turns in range(fewest, most + 1)]
     return [min(max(stand, low), high) for stand in stands]
 
 
-def _why_out_of_reach(machine: Machine, point: list[float], ways: list[list[float]]) -> str:
+def _explain_out_of_reach(machine: Machine, point: list[float], solutions: list[list[float]]) -> str:
     """What stops the arm, for the way with the fewest joints stopped, then the one that comes closest."""
-    tips = [_closest(machine, way) for way in ways]
-    overruns = [_overruns(machine, way) for way in ways]
-    best = min(range(len(ways)), key=lambda way: (len(overruns[way]), dist(point, tips[way])))
+    tips = [_tip_at_limits(machine, solution) for solution in solutions]
+    overruns = [_describe_overruns(machine, solution) for solution in solutions]
+    best = min(
+        range(len(solutions)), key=lambda solution: (len(overruns[solution]), dist(point, tips[solution]))
+    )
     missed = from_si(dist(point, tips[best]), "mm")
     return (
-        f"the target {_shown(point)} is out of reach: {' and '.join(overruns[best])}. "
-        f"At its limits the arm has the tip at {_shown(tips[best])}, {missed:.4g} mm away; "
+        f"the target {_format_point(point)} is out of reach: {' and '.join(overruns[best])}. "
+        f"At its limits the arm has the tip at {_format_point(tips[best])}, {missed:.4g} mm away; "
         "choose a target within reach"
     )
 
 
-def _closest(machine: Machine, way: list[float]) -> list[float]:
-    q = [_unwound(machine, joint, way[joint - 1]) for joint in JOINTS]
+def _tip_at_limits(machine: Machine, solution: list[float]) -> list[float]:
+    q = [_unwind(machine, joint, solution[joint - 1]) for joint in JOINTS]
     limits = np.array([machine.ranges[joint] for joint in JOINTS])
     return [float(x) for x in forward(machine, np.clip(q, limits[:, 0], limits[:, 1]))]
 
 
-def _overruns(machine: Machine, way: list[float]) -> list[str]:
+def _describe_overruns(machine: Machine, solution: list[float]) -> list[str]:
     """What to say of each joint that would leave its range."""
-    said = []
+    messages = []
     for joint in JOINTS:
-        position, (low, high) = _unwound(machine, joint, way[joint - 1]), machine.ranges[joint]
-        if low - ROUNDING <= position <= high + ROUNDING:
+        position, (low, high) = _unwind(machine, joint, solution[joint - 1]), machine.ranges[joint]
+        if low - RANGE_TOL <= position <= high + RANGE_TOL:
             continue
         side, limit = ("below its lowest", low) if position < low else ("above its highest", high)
         unit = "mm" if joint == PRISMATIC else "deg"
         at, excess, end = (from_si(x, unit) for x in (position, abs(position - limit), limit))
-        said.append(
+        messages.append(
             f"joint {joint} would have to stand at {at:.6g} {unit}, "
             f"{excess:.4g} {unit} {side}, {end:.6g} {unit}"
         )
-    return said
+    return messages
 
 
-def _unwound(machine: Machine, joint: int, position: float) -> float:
+def _unwind(machine: Machine, joint: int, position: float) -> float:
     """A rotary position in the turn that comes closest to the joint's range."""
     if joint == PRISMATIC:
         return position
@@ -264,14 +268,139 @@ def _unwound(machine: Machine, joint: int, position: float) -> float:
     return middle + remainder(position - middle, tau)
 
 
-def _shown(point: list[float]) -> str:
+def _format_point(point: list[float]) -> str:
     # Rounded to a nanometre, so that no rounding error is shown; + 0.0 turns -0.0 into 0.0.
     x, y, z = (f"{round(from_si(coordinate, 'mm'), 6) + 0.0:.6g}" for coordinate in point)
     return f"({x}, {y}, {z}) mm"
 
 
-def _three_numbers(values: npt.ArrayLike, what: str, meaning: str) -> list[float]:
+def _check_three_numbers(values: npt.ArrayLike, what: str, meaning: str) -> list[float]:
     given = np.asarray(values, float)
     if given.shape != (3,) or not np.all(np.isfinite(given)):
         raise InputError(f"{what} is three finite numbers, {meaning}, not {given.tolist()}")
     return [float(x) for x in given]
+
+
+def vertical_in_base(theta: npt.ArrayLike, psi: npt.ArrayLike) -> Array:
+    """The vertical, seen from the base, for base orientations in rad.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Examples
+    --------
+    >>> vertical_in_base(0.0, 0.0)
+    array([-0.,  0.,  1.])
+    """
+    theta, psi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(psi, float))
+    return np.stack([-np.cos(theta) * np.sin(psi), np.sin(theta), np.cos(theta) * np.cos(psi)], axis=-1)
+
+
+def published_load(
+    joint: int, q1: npt.ArrayLike, q2: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike
+) -> Array:
+    """The load of the published laws: joints 2 and 3 know nothing of q1 (thesis Eq. 4.5, 6.10).
+
+    Parameters
+    ----------
+    joint : {1, 2, 3}
+    q1, q2 : array_like
+        Joint positions, rad; joint 1 ignores q2, joints 2 and 3 ignore q1.
+    theta, psi : array_like
+        Orientation of the base, rad.
+
+    Returns
+    -------
+    array
+        Dimensionless, between -1 and 1; above 0 where moving in `+` lifts the arm.
+
+    Raises
+    ------
+    ValueError
+        For a joint other than 1, 2 or 3.
+
+    Examples
+    --------
+    >>> float(published_load(3, q1=0.0, q2=0.0, theta=0.0, psi=0.0))
+    1.0
+    """
+    if joint == 1:
+        return full_load(1, q1, q2, theta, psi)
+    swing = {2: np.sin, 3: np.cos}.get(joint)
+    if swing is None:
+        raise ValueError(f"joint {joint} is none of 1, 2, 3")
+    zeta = np.asarray(psi, float) - np.asarray(q2, float)
+    return swing(zeta) * np.cos(np.asarray(theta, float))
+
+
+def mean_load(
+    joint: int,
+    start: npt.ArrayLike,
+    stop: npt.ArrayLike,
+    q1: npt.ArrayLike,
+    q2: npt.ArrayLike,
+    theta: npt.ArrayLike,
+    psi: npt.ArrayLike,
+) -> Array:
+    """The published load of a traverse, averaged over the moving joint's positions.
+
+    A rotary joint's load swings as a sine of its position, and the mean of a sine over an interval is
+    its value in the middle times sin(h) / h, h being half the interval. Joint 3's does not change.
+
+    Parameters
+    ----------
+    joint : {1, 2, 3}
+    start, stop : array_like
+        Where the traverse begins and ends, rad or m; equal ends give the load there.
+    q1, q2 : array_like
+        Where the other joints stand, rad; the moving joint's own is ignored and may be NaN.
+    theta, psi : array_like
+        Orientation of the base, rad. All arrays broadcast.
+
+    Returns
+    -------
+    array
+        Dimensionless, between -1 and 1.
+
+    Raises
+    ------
+    ValueError
+        For a joint other than 1, 2 or 3.
+
+    Examples
+    --------
+    >>> lifted_from_level = mean_load(2, -np.pi / 2, 0.0, q1=0.0, q2=np.nan, theta=0.0, psi=0.0)
+    >>> round(float(lifted_from_level), 6)
+    0.63662
+    """
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    middle, half = (start + stop) / 2, (stop - start) / 2
+    if joint == 1:
+        return published_load(1, middle, q2, theta, psi) * np.sinc(half / np.pi)
+    if joint == 2:
+        return published_load(2, q1, middle, theta, psi) * np.sinc(half / np.pi)
+    return published_load(joint, q1, q2, theta, psi) * np.ones_like(half)
+
+
+def full_load(
+    joint: int, q1: npt.ArrayLike, q2: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike
+) -> Array:
+    """The load at any q1 (thesis A.111 to A.113); parameters as in `published_load`.
+
+    Raises
+    ------
+    ValueError
+        For a joint other than 1, 2 or 3.
+    """
+    q1, q2, theta, psi = (np.asarray(angle, float) for angle in (q1, q2, theta, psi))
+    tilt = np.cos(theta) * np.sin(psi)
+    if joint == 1:
+        return tilt * np.sin(q1) + np.sin(theta) * np.cos(q1)
+    upright = np.cos(theta) * np.cos(psi)
+    outward = tilt * np.cos(q1) - np.sin(theta) * np.sin(q1)
+    if joint == 2:
+        return outward * np.cos(q2) - upright * np.sin(q2)
+    if joint == 3:
+        return outward * np.sin(q2) + upright * np.cos(q2)
+    raise ValueError(f"joint {joint} is none of 1, 2, 3")

@@ -1,4 +1,4 @@
-"""The manipulator: its geometry, ranges and masses, read from a small TOML file."""
+"""Geometry, ranges and masses of the manipulator, read from a TOML file (nominal: mm3a.toml)."""
 
 from __future__ import annotations
 

@@ -1,35 +1,46 @@
 """The law in use: steps for a move, the tip after so many steps, when to go back to a stop."""
 
-from stickslip_fit.moves.along import drives_along
-from stickslip_fit.moves.calibrated import Calibrated, calibrated
-from stickslip_fit.moves.command import StepsFor, steps_by_parameters, steps_by_truth, steps_to_command
-from stickslip_fit.moves.open_loop import driven
-from stickslip_fit.moves.path import Paths, straight_path
-from stickslip_fit.moves.position import position_after
-from stickslip_fit.moves.random_paths import random_paths
-from stickslip_fit.moves.steps import Leg, Move, steps_for_move
-from stickslip_fit.moves.truth import Truth
-from stickslip_fit.moves.where import Drive, Whereabouts, steps_until, where_after
+from stickslip_fit.moves.arm import CalibratedArm, calibrated_arm
+from stickslip_fit.moves.dead_reckoning import (
+    DriveCommand,
+    PoseEstimate,
+    dead_reckon,
+    position_after,
+    steps_before_recalibration,
+)
+from stickslip_fit.moves.path import TipPaths, draw_random_paths, straight_path
+from stickslip_fit.moves.planning import (
+    MovePlan,
+    MoveSegment,
+    StepModel,
+    TrueLaws,
+    plan_drives,
+    plan_move,
+    plan_steps,
+    simulate_open_loop,
+    step_model_from_parameters,
+    step_models_from_truth,
+)
 
 __all__ = [
-    "Calibrated",
-    "Drive",
-    "Leg",
-    "Move",
-    "Paths",
-    "StepsFor",
-    "Truth",
-    "Whereabouts",
-    "calibrated",
-    "driven",
-    "drives_along",
+    "CalibratedArm",
+    "DriveCommand",
+    "MovePlan",
+    "MoveSegment",
+    "PoseEstimate",
+    "StepModel",
+    "TipPaths",
+    "TrueLaws",
+    "calibrated_arm",
+    "dead_reckon",
+    "draw_random_paths",
+    "plan_drives",
+    "plan_move",
+    "plan_steps",
     "position_after",
-    "random_paths",
-    "steps_by_parameters",
-    "steps_by_truth",
-    "steps_for_move",
-    "steps_to_command",
-    "steps_until",
+    "simulate_open_loop",
+    "step_model_from_parameters",
+    "step_models_from_truth",
+    "steps_before_recalibration",
     "straight_path",
-    "where_after",
 ]

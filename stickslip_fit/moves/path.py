@@ -1,30 +1,34 @@
-"""Straight moves of the tip, as joints that are driven one after the other make them."""
+"""Straight paths of the tip as sequences of single-joint drives, and random paths in the workspace.
+
+The joints move one after the other, so that the tip leaves the line; more segments keep it closer.
+Random paths start uniformly in the reachable workspace, with directions uniform on the sphere.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import pi
 
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine import JOINTS, Machine, forward, nearest_solution
-from stickslip_fit.machine.load import mean_load
-from stickslip_fit.moves.within_range import check_positions
-from stickslip_fit.units import from_si
+from stickslip_fit.machine import Machine, forward, inverse, jacobian, mean_load, nearest_solution
+from stickslip_fit.moves.arm import check_positions
+from stickslip_fit.units import JOINTS, from_si
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
-
-_SIGNS = np.array(["", "+", "-"], dtype=object)  # of 0, 1 and -1
-SWING = 2.0  # lengths of a move; joints move the tip at right angles to each other, so that it strays by less
-UNIT = 1e-6  # how far a direction's length may be from 1
+_DIRECTION_BY_SIGN = np.array(["", "+", "-"], dtype=object)  # of 0, 1 and -1
+MAX_STRAY_RATIO = (
+    2.0  # lengths of a move; joints move the tip at right angles to each other, so that it strays by less
+)
+UNIT_VECTOR_TOL = 1e-6  # how far a direction's length may be from 1
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PathSegment:
     """One drive, in those of the moves where it goes one way.
 
     Attributes
@@ -45,7 +49,7 @@ class Part:
     drive: int
     joint: int
     direction: str
-    moves: Indices
+    moves: IntArray
     start: Array
     stop: Array
     before_direction: npt.NDArray[np.object_]
@@ -53,13 +57,13 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class TipPaths:
     """Where the joints shall stand before and after each drive of m moves.
 
     Attributes
     ----------
     machine : Machine
-    stands : array, shape (m, k + 1, 3)
+    joint_positions : array, shape (m, k + 1, 3)
         Joint positions, rad, rad, m: where each move starts, then where each of its k drives shall end.
     order : tuple of int, length k
         The joint of each drive. A joint that need not move is not driven.
@@ -72,52 +76,60 @@ class Paths:
     """
 
     machine: Machine
-    stands: Array
+    joint_positions: Array
     order: tuple[int, ...]
     direction: Array
     theta: Array
     psi: Array
-    came: npt.NDArray[np.int64]
+    arrival_direction: npt.NDArray[np.int64]
 
     def __len__(self) -> int:
-        return len(self.stands)
+        return len(self.joint_positions)
 
     @cached_property
     def tips(self) -> Array:
         """The tip before and after each drive, base frame, m, shape (m, k + 1, 3)."""
-        return forward(self.machine, self.stands)
+        return forward(self.machine, self.joint_positions)
 
-    def stray(self) -> Array:
+    def max_deviation(self) -> Array:
         """How far the tip leaves each straight line, at the ends of its drives at most, m, shape (m,).
 
         Joints that move one after the other take the tip round corners; the more legs, the smaller.
         """
-        return split(self.tips - self.tips[:, :1], self.direction[:, None])[1].max(axis=1)
+        return decompose(self.tips - self.tips[:, :1], self.direction[:, None])[1].max(axis=1)
 
     @cached_property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[PathSegment, ...]:
         """All drives, in their order; those that lead nowhere are left out."""
         return tuple(self._parts())
 
-    def _parts(self) -> Iterator[Part]:
-        came, load = self.came.copy(), np.zeros(self.came.shape)
+    def _parts(self) -> Iterator[PathSegment]:
+        arrival_direction, load = self.arrival_direction.copy(), np.zeros(self.arrival_direction.shape)
         for joint in JOINTS:
-            here = self.stands[:, 0, joint - 1]
-            load[:, joint - 1] = np.where(came[:, joint - 1] != 0, self._load(joint, 0, here, here), 0.0)
+            here = self.joint_positions[:, 0, joint - 1]
+            load[:, joint - 1] = np.where(
+                arrival_direction[:, joint - 1] != 0, self._load(joint, 0, here, here), 0.0
+            )
         for drive, joint in enumerate(self.order):
-            start, stop = self.stands[:, drive, joint - 1], self.stands[:, drive + 1, joint - 1]
-            way = np.sign(stop - start).astype(np.int64)
+            start, stop = (
+                self.joint_positions[:, drive, joint - 1],
+                self.joint_positions[:, drive + 1, joint - 1],
+            )
+            signs = np.sign(stop - start).astype(np.int64)
             for sign, direction in ((1, "+"), (-1, "-")):
-                moves = np.flatnonzero(way == sign)
-                ends, before = (start[moves], stop[moves]), _SIGNS[came[moves, joint - 1]]
+                moves = np.flatnonzero(signs == sign)
+                ends, before = (
+                    (start[moves], stop[moves]),
+                    _DIRECTION_BY_SIGN[arrival_direction[moves, joint - 1]],
+                )
                 if len(moves):
-                    yield Part(drive, joint, direction, moves, *ends, before, load[moves, joint - 1])
-            came[:, joint - 1] = np.where(way, way, came[:, joint - 1])
+                    yield PathSegment(drive, joint, direction, moves, *ends, before, load[moves, joint - 1])
+            arrival_direction[:, joint - 1] = np.where(signs, signs, arrival_direction[:, joint - 1])
             own = self._load(joint, drive, start, stop)
-            load[:, joint - 1] = np.where(way, own, load[:, joint - 1])
+            load[:, joint - 1] = np.where(signs, own, load[:, joint - 1])
 
     def _load(self, joint: int, drive: int, start: Array, stop: Array) -> Array:
-        q1, q2 = self.stands[:, drive, 0], self.stands[:, drive, 1]
+        q1, q2 = self.joint_positions[:, drive, 0], self.joint_positions[:, drive, 1]
         return mean_load(joint, start, stop, q1, q2, self.theta, self.psi)
 
 
@@ -126,11 +138,11 @@ def straight_path(
     start: npt.ArrayLike,
     direction: npt.ArrayLike,
     length: float,
-    legs: int = 1,
+    n_segments: int = 1,
     order: Sequence[int] = JOINTS,
     theta: float = 0.0,
     psi: float = 0.0,
-) -> Paths:
+) -> TipPaths:
     """A move of the tip along a straight line, from joints that were not driven before.
 
     Parameters
@@ -142,7 +154,7 @@ def straight_path(
         A vector of length 1, base frame.
     length : float
         m.
-    legs : int, optional
+    n_segments : int, optional
         Equal parts of the line. At the end of each the tip is on the line; within one, every joint that has
         to move is driven once.
     order : sequence of int, optional
@@ -167,32 +179,32 @@ def straight_path(
     >>> path = straight_path(load_machine(), [0.0, -1.2, 0.004], [0.0, 0.0, 1.0], 1e-3, legs=4)
     >>> path.tips[0, ::3, 2].round(6)
     array([0.015038, 0.015288, 0.015538, 0.015788, 0.016038])
-    >>> print(f"off the line by {path.stray()[0] * 1e6:.0f} µm at most")
+    >>> print(f"off the line by {path.max_deviation()[0] * 1e6:.0f} µm at most")
     off the line by 88 µm at most
     """
     towards = np.asarray(direction, float)
-    if towards.shape != (3,) or abs(np.linalg.norm(towards) - 1.0) > UNIT:
+    if towards.shape != (3,) or abs(np.linalg.norm(towards) - 1.0) > UNIT_VECTOR_TOL:
         raise InputError(f"a direction is x, y, z of a vector of length 1, not {towards.tolist()}")
     if sorted(order) != list(JOINTS):
         raise InputError(f"the order names every joint once, such as 1, 2, 3, not {list(order)}")
-    if legs < 1:
-        raise InputError(f"a path has one leg or more, not {legs}")
+    if n_segments < 1:
+        raise InputError(f"a path has one leg or more, not {n_segments}")
     q = np.asarray(start, float)
     check_positions(machine, q, "start")
-    stands = corners(machine, q, towards, length, legs, order)
-    return Paths(
+    joint_positions = path_corners(machine, q, towards, length, n_segments, order)
+    return TipPaths(
         machine=machine,
-        stands=stands[None],
-        order=(*order,) * legs,
+        joint_positions=joint_positions[None],
+        order=(*order,) * n_segments,
         direction=towards[None],
         theta=np.array([theta], float),
         psi=np.array([psi], float),
-        came=np.zeros((1, 3), np.int64),
+        arrival_direction=np.zeros((1, 3), np.int64),
     )
 
 
-def corners(
-    machine: Machine, start: Array, direction: Array, length: float, legs: int, order: Sequence[int]
+def path_corners(
+    machine: Machine, start: Array, direction: Array, length: float, n_segments: int, order: Sequence[int]
 ) -> Array:
     """Where the joints stand before and after each drive along a straight line, shape (3 legs + 1, 3).
 
@@ -202,15 +214,15 @@ def corners(
         If the line leaves the reach of the arm, or the arm would have to swing round to keep to it.
     """
     q, origin = start, forward(machine, start)
-    stands = [q]
-    for leg in range(1, legs + 1):
-        there = nearest_solution(machine, origin + direction * length * leg / legs, q)
+    joint_positions = [q]
+    for leg in range(1, n_segments + 1):
+        there = nearest_solution(machine, origin + direction * length * leg / n_segments, q)
         for joint in order:
             q = np.where(np.arange(3) == joint - 1, there, q)
-            stands.append(q)
-    found = np.array(stands)
-    farthest = split(forward(machine, found) - origin, direction)[1].max()
-    if farthest > SWING * length:
+            joint_positions.append(q)
+    found = np.array(joint_positions)
+    farthest = decompose(forward(machine, found) - origin, direction)[1].max()
+    if farthest > MAX_STRAY_RATIO * length:
         raise InputError(
             "the arm cannot keep to this line: a joint at its stop makes it swing round, which takes the tip "
             f"{from_si(farthest, 'mm'):.3g} mm off; choose another start or direction"
@@ -218,7 +230,97 @@ def corners(
     return found
 
 
-def split(vectors: Array, direction: Array) -> tuple[Array, Array]:
+def decompose(vectors: Array, direction: Array) -> tuple[Array, Array]:
     """Parts of vectors along a direction (signed) and across it (length), (..., 3) -> (...)."""
     along = np.sum(vectors * direction, axis=-1)
     return along, np.linalg.norm(vectors - along[..., None] * direction, axis=-1)
+
+
+PATHS_PER_CHUNK = 256
+MAX_FAILURES = 3000  # for each move found
+
+
+def draw_random_paths(
+    machine: Machine,
+    count: int,
+    seed: int,
+    length: float = 1e-3,
+    n_segments: int = 1,
+    order: Sequence[int] = JOINTS,
+    theta: tuple[float, float] = (-pi / 2, 0.0),
+    psi: tuple[float, float] = (-pi / 2, pi / 2),
+) -> TipPaths:
+    """Straight moves whose starts are uniform over the reachable workspace, and directions over the sphere.
+
+    A start from which the tip cannot go straight so far in its direction is drawn anew, with the direction.
+    Where several stands of the joints lead to a start, each is as likely. Every joint came to its start in
+    `+` or `-`, as likely.
+
+    Parameters
+    ----------
+    machine : Machine
+    count : int
+    seed : int
+    length : float, optional
+        m.
+    n_segments : int, optional
+        See `straight_path`.
+    order : sequence of int, optional
+    theta, psi : (float, float), optional
+        Ranges of the base's angles, rad, uniform; without them those of the reference campaign.
+
+    Raises
+    ------
+    InputError
+        If hardly any move of that length is within reach.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> paths = draw_random_paths(load_machine(), count=100, seed=1)
+    >>> gone = paths.tips[:, -1] - paths.tips[:, 0]
+    >>> bool(np.allclose(np.linalg.norm(gone, axis=1), 1e-3))
+    True
+    """
+    if count < 1:
+        raise InputError(f"draw one move or more, not {count}")
+    rng = np.random.default_rng(seed)
+    joint_positions, directions, failures = [], [], 0
+    for start, direction in _draw_moves(machine, rng):
+        try:
+            joint_positions.append(path_corners(machine, start, direction, length, n_segments, order))
+        except InputError:
+            failures += 1
+            if failures > MAX_FAILURES * (len(joint_positions) + 1):
+                raise InputError(
+                    f"hardly any move of {length * 1e3:.4g} mm is within reach: draw shorter ones"
+                ) from None
+            continue
+        directions.append(direction)
+        if len(joint_positions) == count:
+            break
+    return TipPaths(
+        machine=machine,
+        joint_positions=np.array(joint_positions),
+        order=(*order,) * n_segments,
+        direction=np.array(directions),
+        theta=rng.uniform(*theta, count),
+        psi=rng.uniform(*psi, count),
+        arrival_direction=rng.choice([-1, 1], (count, 3)),
+    )
+
+
+def _draw_moves(machine: Machine, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
+    """Starts, shape (3,), and directions, shape (3,), without end."""
+    low, high = np.array([machine.ranges[joint] for joint in JOINTS]).T
+    farthest = machine.l2 + high[2]
+    largest = (machine.a1 + farthest) * farthest
+    while True:
+        q = rng.uniform(low, high, (PATHS_PER_CHUNK, 3))
+        # The space that the tip has around a stand of the joints.
+        volume = np.abs(np.linalg.det(jacobian(machine, q)))
+        vectors, misfire_draws = rng.standard_normal((PATHS_PER_CHUNK, 3)), rng.random(PATHS_PER_CHUNK)
+        for place in np.flatnonzero(misfire_draws * largest < volume):
+            ways = len(inverse(machine, forward(machine, q[place])))
+            if misfire_draws[place] * largest * ways < volume[place]:
+                yield q[place], vectors[place] / np.linalg.norm(vectors[place])

@@ -1,42 +1,58 @@
 """Calibration strategies compared: how much accuracy a traverse buys."""
 
-from stickslip_fit.strategies.at_hand import earlier_sessions, other_sessions
-from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
-from stickslip_fit.strategies.compare import compare
-from stickslip_fit.strategies.comparison import Comparison
-from stickslip_fit.strategies.designs import AtRandom, DOptimal, IOptimal, Thesis
-from stickslip_fit.strategies.hierarchical import Hierarchical
-from stickslip_fit.strategies.least_squares import LeastSquares
-from stickslip_fit.strategies.numbers import save_numbers
-from stickslip_fit.strategies.task import Predictor, Strategy, Task, Unsuited
-from stickslip_fit.strategies.tip import TipErrors, steps_by, tip_errors
-from stickslip_fit.strategies.usual import causes_strategies, usual_strategies
-from stickslip_fit.strategies.with_causes import WithCauses, from_other_sessions, from_result
+from stickslip_fit.strategies import _summary as _summary  # registers how results are summarized
+from stickslip_fit.strategies.base import (
+    CalibrationTask,
+    NotApplicable,
+    Predictor,
+    Strategy,
+    earlier_sessions,
+    other_sessions,
+)
+from stickslip_fit.strategies.compare import Comparison, compare_strategies, save_comparison
+from stickslip_fit.strategies.designs import (
+    AtRandom,
+    ClosedForm,
+    ConstantStepStrategy,
+    DOptimal,
+    IOptimal,
+    Thesis,
+)
+from stickslip_fit.strategies.library import (
+    Hierarchical,
+    LeastSquares,
+    WithCauses,
+    causes_from_other_sessions,
+    causes_from_result,
+    default_strategies,
+    default_strategies_with_causes,
+)
+from stickslip_fit.strategies.tip_error import TipErrors, compute_tip_errors, steps_from_predictor
 
 __all__ = [
     "AtRandom",
+    "CalibrationTask",
     "ClosedForm",
     "Comparison",
-    "ConstantStep",
+    "ConstantStepStrategy",
     "DOptimal",
     "Hierarchical",
     "IOptimal",
     "LeastSquares",
+    "NotApplicable",
     "Predictor",
     "Strategy",
-    "Task",
     "Thesis",
     "TipErrors",
-    "Unsuited",
     "WithCauses",
-    "causes_strategies",
-    "compare",
+    "causes_from_other_sessions",
+    "causes_from_result",
+    "compare_strategies",
+    "compute_tip_errors",
+    "default_strategies",
+    "default_strategies_with_causes",
     "earlier_sessions",
-    "from_other_sessions",
-    "from_result",
     "other_sessions",
-    "save_numbers",
-    "steps_by",
-    "tip_errors",
-    "usual_strategies",
+    "save_comparison",
+    "steps_from_predictor",
 ]

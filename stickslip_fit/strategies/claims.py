@@ -15,14 +15,14 @@ from stickslip_fit._format import (
     format_value,
     joint_name,
     step_unit,
-    typeset,
+    typeset_text,
 )
 from stickslip_fit._summary import Column, Table, numbers, words
-from stickslip_fit.strategies.closed_form import ClosedForm, ConstantStep
+from stickslip_fit.strategies.designs import ClosedForm, ConstantStepStrategy
 from stickslip_fit.units import PRISMATIC, to_si
 
 if TYPE_CHECKING:
-    from stickslip_fit.strategies.comparison import Comparison
+    from stickslip_fit.strategies.compare import Comparison
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ def claims_table(errors: pd.DataFrame) -> Table:
         Column("worst", group="this log"),
     )
     body = []
-    for joint, mine in errors.groupby("joint"):
+    for joint, subset in errors.groupby("joint"):
         for claim in claims_of(joint):
-            error = _error(mine, claim)
+            error = _error(subset, claim)
             within = float(np.mean(np.abs(error) <= to_si(claim.limit, claim.unit)))
             name = "law" if claim.model == "law" else "constant step"
             worst = error[np.argmax(np.abs(error))]
@@ -166,7 +166,7 @@ def implied_table(found: Comparison, joint: int) -> Table:
     body = []
     for claim in claims_of(joint):
         name, model = (
-            (ClosedForm.name, "law") if claim.model == "law" else (ConstantStep.name, "constant step")
+            (ClosedForm.name, "law") if claim.model == "law" else (ConstantStepStrategy.name, "constant step")
         )
         own = shared[shared["strategy"] == name]
         reached = _reached(accuracy.loc[joint, name], own, claim) if len(own) else (MISSING,) * 3
@@ -174,7 +174,7 @@ def implied_table(found: Comparison, joint: int) -> Table:
             (f"{model} ±{format_plain(claim.limit)} {claim.unit}", implied(claim, unit), name, *reached)
         )
     caption = f"{joint_name(joint).capitalize()}: what the thesis claims, implies, and what is reached"
-    return Table(caption, columns, tuple(body), note=typeset(NOTES[unit]))
+    return Table(caption, columns, tuple(body), note=typeset_text(NOTES[unit]))
 
 
 def within(errors: pd.DataFrame, claim: Claim) -> float:
@@ -197,14 +197,14 @@ def _reached(summed: pd.Series, errors: pd.DataFrame, claim: Claim) -> tuple[str
 def claimed_table(found: Comparison, joint: int) -> Table:
     """For each strategy, the share of traverses that keep to each of the thesis's claims."""
     shared = found.shared
-    mine = shared[shared["joint"] == joint]
+    subset = shared[shared["joint"] == joint]
     columns = [Column(_head(claim), "%", _of_whom(claim)) for claim in claims_of(joint)]
     body = []
     for strategy in found.compared(joint):
-        own = mine[mine["strategy"] == strategy]
+        own = subset[subset["strategy"] == strategy]
         body.append((strategy, *(share(within(own, claim)) for claim in claims_of(joint))))
     caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
-    return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset(NOTE))
+    return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset_text(NOTE))
 
 
 def _head(claim: Claim) -> str:

@@ -1,4 +1,9 @@
-"""Which traverses to calibrate from: the thesis's, any at random, or the best for the law at hand."""
+"""Designs: which traverses to calibrate from: those of the thesis, random, D-optimal, I-optimal.
+
+Optimal designs are found by adding traverses one at a time and exchanging them while the criterion
+improves (V. V. Fedorov, Theory of Optimal Experiments, 1972, Ch. 3). The closed form takes as many
+traverses as the law has parameters (thesis Eqs. 6.2 to 6.4); the constant step takes one (Ch. 7).
+"""
 
 from __future__ import annotations
 
@@ -8,18 +13,140 @@ from typing import ClassVar, Protocol
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
+import pandas as pd
 
-from stickslip_fit.fit.levenberg_marquardt import RANK_TOL
-from stickslip_fit.strategies.closed_form import calibration_traverses
-from stickslip_fit.strategies.exchange import Loss, determinant, exchange, mean_variance
-from stickslip_fit.strategies.task import Task, Unsuited
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.estimation._optimize import RANK_TOL, group_rows
+from stickslip_fit.estimation.closed_form import pick_calibration
+from stickslip_fit.estimation.identifiability import describe_configuration
+from stickslip_fit.laws import StepLaw, constant_law
+from stickslip_fit.strategies.base import (
+    CalibrationTask,
+    NotApplicable,
+    Predictor,
+    make_least_squares_predictor,
+)
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
+Loss = Callable[[Array], Array]
+"""Information matrices, shape (m, p, p), to what is to be small, shape (m,)."""
 
-NOTHING = 1e-9  # share of a traverse's information: what is known before the first
-DRAWS = 100
+IMPROVEMENT_TOL = 1e-9
+
+
+def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
+    """Rows whose information is best, no row twice.
+
+    Parameters
+    ----------
+    jacobian : array, shape (n, p)
+        Slopes of each row's response, over its standard deviation.
+    count : int
+        At most n.
+    loss : callable
+    prior : array, shape (p, p)
+        Information that is there already; positive definite.
+
+    Returns
+    -------
+    array of int, shape (count,)
+        In ascending order.
+    """
+    each = jacobian[:, :, None] * jacobian[:, None, :]
+    chosen: list[int] = []
+    while len(chosen) < count:
+        left = _remaining_rows(len(each), chosen)
+        chosen.append(int(left[np.argmin(loss(prior + each[chosen].sum(axis=0) + each[left]))]))
+    best = float(loss((prior + each[chosen].sum(axis=0))[None])[0])
+    while len(left := _remaining_rows(len(each), chosen)):
+        here = prior + each[chosen].sum(axis=0)
+        swapped = here - each[chosen][:, None] + each[left][None]
+        losses = loss(swapped.reshape(-1, *here.shape))
+        if not losses.min() < best - IMPROVEMENT_TOL * abs(best):
+            break
+        best = float(losses.min())
+        out, into = divmod(int(np.argmin(losses)), len(left))
+        chosen[out] = int(left[into])
+    return np.sort(np.array(chosen, dtype=np.intp))
+
+
+def negative_log_determinant(information: Array) -> Array:
+    """D-optimality: the volume of the parameters' confidence region."""
+    return -np.linalg.slogdet(information)[1]
+
+
+def mean_variance_loss(region: Array) -> Loss:
+    """I-optimality: the variance of a prediction, averaged over the rows of `region`, shape (m, p)."""
+    moment = region.T @ region / len(region)
+
+    def loss(information: Array) -> Array:
+        return np.trace(np.linalg.solve(information, moment[None]), axis1=1, axis2=2)
+
+    return loss
+
+
+def _remaining_rows(rows: int, chosen: list[int]) -> IntArray:
+    return np.setdiff1d(np.arange(rows), chosen)
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """The thesis's configurations: three traverses of joint 3 each way, four of a rotary joint.
+
+    So many traverses leave one solution, the one that the closed form writes down.
+    """
+
+    name: ClassVar[str] = "closed form"
+
+    def choose(self, task: CalibrationTask) -> IntArray:
+        """See `Strategy.choose`."""
+        return pick_calibration_traverses(task, task.law)
+
+    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+        """See `Strategy.calibrate`."""
+        return make_least_squares_predictor(task, task.law, made)
+
+
+@dataclass(frozen=True)
+class ConstantStepStrategy:
+    """One step size everywhere (thesis Ch. 7), from a traverse in the law's first configuration."""
+
+    name: ClassVar[str] = "constant step"
+
+    def choose(self, task: CalibrationTask) -> IntArray:
+        """See `Strategy.choose`."""
+        return pick_calibration_traverses(task, constant_law(task.law))
+
+    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+        """See `Strategy.calibrate`."""
+        return make_least_squares_predictor(task, constant_law(task.law), made)
+
+
+def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:
+    """Positions among the offered traverses of a law's own calibration, one for each parameter.
+
+    The law's calibration is asked of the joint's published features, so that a constant step is measured
+    in a configuration of the law that it stands beside.
+
+    Raises
+    ------
+    Unsuited
+        If the session lacks one, naming it.
+    """
+    wanted = task.law.calibration()[: len(law.parameters)]
+    picked = pick_calibration(task.law, task.offered, group_rows(task.offered), task.machine)[0]
+    picked = picked[: len(wanted)]
+    lacking = [
+        describe_configuration(configuration)
+        for configuration, k in zip(wanted, picked, strict=True)
+        if k < 0
+    ]
+    if lacking:
+        raise NotApplicable(f"the session lacks {'; '.join(lacking)}")
+    return picked
+
+
+PRIOR_INFORMATION = 1e-9  # share of a traverse's information: what is known before the first
+MAX_DRAWS = 100
 
 
 class Design(Protocol):
@@ -30,7 +157,7 @@ class Design(Protocol):
         """An adverb: how they are chosen."""
         ...
 
-    def pick(self, task: Task, count: int, spread: float | None = None) -> Indices:
+    def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
         """Positions of `count` of the offered traverses.
 
         Parameters
@@ -55,10 +182,10 @@ class Thesis:
 
     name: ClassVar[str] = "thesis"
 
-    def pick(self, task: Task, count: int, spread: float | None = None) -> Indices:
+    def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
         """See `Design.pick`."""
-        _check(task, count)
-        first = calibration_traverses(task, task.law)
+        _check_count(task, count)
+        first = pick_calibration_traverses(task, task.law)
         rest = np.setdiff1d(np.arange(len(task.offered)), first)
         return np.concatenate([first, rest])[:count]
 
@@ -74,16 +201,16 @@ class AtRandom:
     seed: int = 0
     name: ClassVar[str] = "random"
 
-    def pick(self, task: Task, count: int, spread: float | None = None) -> Indices:
+    def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
         """See `Design.pick`."""
-        _check(task, count)
+        _check_count(task, count)
         where = f"{task.session} {task.law.joint} {task.direction}"
-        rng, slopes = np.random.default_rng([self.seed, crc32(where.encode())]), _slopes(task)
-        for _ in range(DRAWS):
+        rng, slopes = np.random.default_rng([self.seed, crc32(where.encode())]), _scaled_jacobian(task)
+        for _ in range(MAX_DRAWS):
             drawn = np.sort(rng.choice(len(task.offered), count, replace=False))
             if np.linalg.matrix_rank(slopes[drawn], rtol=RANK_TOL) == slopes.shape[1]:
                 return drawn
-        raise Unsuited(f"no {count} of its configurations were drawn that determine all parameters")
+        raise NotApplicable(f"no {count} of its configurations were drawn that determine all parameters")
 
 
 @dataclass(frozen=True)
@@ -92,9 +219,9 @@ class DOptimal:
 
     name: ClassVar[str] = "D-optimal"
 
-    def pick(self, task: Task, count: int, spread: float | None = None) -> Indices:
+    def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
         """See `Design.pick`."""
-        return _optimal(task, count, spread, lambda region: determinant)
+        return _pick_optimal(task, count, spread, lambda region: negative_log_determinant)
 
 
 @dataclass(frozen=True)
@@ -103,29 +230,31 @@ class IOptimal:
 
     name: ClassVar[str] = "I-optimal"
 
-    def pick(self, task: Task, count: int, spread: float | None = None) -> Indices:
+    def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
         """See `Design.pick`."""
-        return _optimal(task, count, spread, mean_variance)
+        return _pick_optimal(task, count, spread, mean_variance_loss)
 
 
-def _optimal(task: Task, count: int, spread: float | None, criterion: Callable[[Array], Loss]) -> Indices:
-    _check(task, count)
-    slopes = _slopes(task)
-    known = NOTHING if spread is None else (task.repeatability / spread) ** 2
-    return exchange(slopes, count, criterion(slopes), known * np.eye(slopes.shape[1]))
+def _pick_optimal(
+    task: CalibrationTask, count: int, spread: float | None, criterion: Callable[[Array], Loss]
+) -> IntArray:
+    _check_count(task, count)
+    slopes = _scaled_jacobian(task)
+    known = PRIOR_INFORMATION if spread is None else (task.repeatability / spread) ** 2
+    return exchange_rows(slopes, count, criterion(slopes), known * np.eye(slopes.shape[1]))
 
 
-def _slopes(task: Task) -> Array:
+def _scaled_jacobian(task: CalibrationTask) -> Array:
     """Change of each offered traverse's response with each parameter in units of its scale, shape (n, p)."""
     values, scales = task.nominal
     jacobian = task.law.jacobian(task.offered, np.broadcast_to(values, (len(task.offered), len(values))))
     if not np.all(np.isfinite(jacobian)):
-        raise Unsuited("the joint would stall in a traverse that is offered")
+        raise NotApplicable("the joint would stall in a traverse that is offered")
     return jacobian * scales
 
 
-def _check(task: Task, count: int) -> None:
+def _check_count(task: CalibrationTask, count: int) -> None:
     if count > len(task.offered):
-        raise Unsuited(
+        raise NotApplicable(
             f"configurations to calibrate from: {count}; the session has {len(task.offered)} of them to offer"
         )

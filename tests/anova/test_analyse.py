@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova import analyse, every
-from stickslip_fit.anova.holm import holm
-from stickslip_fit.anova.record import COLUMNS
+from stickslip_fit.anova import analyze_variance, choose_all
+from stickslip_fit.anova.analysis import RECORD_COLUMNS
+from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 
@@ -26,7 +26,7 @@ def told(log_of_readings, readings_of):
     """Records of a made-up log, by analysis, direction and session."""
 
     def make(design=DESIGN, shift=lambda *_: 0.0, **how):
-        found = analyse(log_of_readings(readings_of(design, shift, **how)))
+        found = analyze_variance(log_of_readings(readings_of(design, shift, **how)))
         return {(r["analysis"], r["direction"], r["session"]): r for r in found.to_json()}, found
 
     return make
@@ -34,9 +34,7 @@ def told(log_of_readings, readings_of):
 
 def steps_of(found):
     """Step sizes in nm by session, direction and orientation, out of the readings that were used."""
-    rows = pd.concat([each.question.readings for each in found.answers]).drop_duplicates(
-        ["time", "direction"]
-    )
+    rows = pd.concat([each.design.readings for each in found.answers]).drop_duplicates(["time", "direction"])
     rows = rows.assign(nm=12e6 / rows["steps"], theta=np.degrees(rows["theta"]).round())
     return {key: part["nm"].to_numpy() for key, part in rows.groupby(["session", "direction", "theta"])}
 
@@ -91,9 +89,9 @@ def test_a_rotation_that_matters_is_named_by_its_orientations(told):
 def test_a_record_has_the_fields_that_were_agreed_and_json_has_no_nan(told):
     _, found = told()
     for record in found.to_json():
-        assert tuple(record) == COLUMNS
+        assert tuple(record) == RECORD_COLUMNS
     again = json.loads(json.dumps(found.to_json(), allow_nan=False))
-    assert len(again) == len(found.answers) + len(found.refusals)
+    assert len(again) == len(found.answers) + len(found.not_testable)
     assert found.table["p_value"].notna().sum() == len(found.answers)
 
 
@@ -104,7 +102,7 @@ def test_p_values_are_adjusted_for_everything_that_was_asked(told):
     p = [each.p_value for each in found.answers]
     adjusted = multipletests(p, method="holm")[1]
     assert [each.p_holm for each in found.answers] == pytest.approx(adjusted)
-    assert holm(p) == pytest.approx(adjusted)
+    assert adjust_holm(p) == pytest.approx(adjusted)
 
 
 def test_tables_add_up(told):
@@ -113,38 +111,38 @@ def test_tables_add_up(told):
         table = each.table.set_index("term")
         assert table.loc["total", "ss"] == pytest.approx(table["ss"].drop("total").sum(), rel=1e-12)
         assert table.loc["total", "df"] == table["df"].drop("total").sum()
-        assert table.loc["total", "df"] == len(each.question.units) - 1
+        assert table.loc["total", "df"] == len(each.design.units) - 1
 
 
 def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, tmp_path):
     """Turning psi at q2 = -90 loads the joint: that is no rotation about its axis."""
     settings = tuple({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, 0.0, 60.0))
     campaign(settings=settings).to_csv(tmp_path / "log.csv", index=False)
-    found = analyse(read_log(tmp_path / "log.csv"))
-    assert not [each for each in found.answers if each.question.analysis == "normal-force"]
-    (refused,) = [each for each in found.refusals if each.analysis == "normal-force"]
+    found = analyze_variance(read_log(tmp_path / "log.csv"))
+    assert not [each for each in found.answers if each.design.analysis == "normal-force"]
+    (refused,) = [each for each in found.not_testable if each.analysis == "normal-force"]
     assert "rotation about the joint's axis" in refused.reason
 
 
 def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign, tmp_path):
     campaign(replicates=2).to_csv(tmp_path / "log.csv", index=False)
     log = read_log(tmp_path / "log.csv")
-    once = Counter((each.question.analysis, each.question.joint) for each in analyse(log).answers)
+    once = Counter((each.design.analysis, each.design.joint) for each in analyze_variance(log).answers)
     assert {joint: once["day", joint] for joint in (1, 2, 3)} == {1: 2, 2: 2, 3: 2}
-    all_over = analyse(log, joint=2, choose=every)
-    places = {each.question.configuration for each in all_over.answers if each.question.analysis == "day"}
+    all_over = analyze_variance(log, joint=2, choose=choose_all)
+    places = {each.design.configuration for each in all_over.answers if each.design.analysis == "day"}
     covered = log.configurations().query("joint == 2").drop_duplicates(["q1", "q3", "theta", "psi", "low"])
     assert len(places) == len(covered)
 
 
 def test_one_joint_and_one_session_can_be_asked_alone(told, log_of_readings, readings_of):
     log = log_of_readings(readings_of(DESIGN))
-    found = analyse(log, joint=3, session="Tue")
-    assert {each.question.session for each in found.answers} == {"Tue"}
-    assert {each.analysis for each in found.refusals} == {"day"}
+    found = analyze_variance(log, joint=3, session="Tue")
+    assert {each.design.session for each in found.answers} == {"Tue"}
+    assert {each.analysis for each in found.not_testable} == {"day"}
     for wrong in ({"joint": 1}, {"session": "Sunday"}):
         with pytest.raises(InputError, match="no usable traverse of"):
-            analyse(log, **wrong)
+            analyze_variance(log, **wrong)
 
 
 POOR = {
@@ -174,7 +172,7 @@ POOR = {
 def test_what_cannot_be_answered_is_refused_with_the_reason(told, name):
     design, analysis, reason = POOR[name]
     records, found = told(design)
-    refused = [each.reason for each in found.refusals if each.analysis == analysis]
+    refused = [each.reason for each in found.not_testable if each.analysis == analysis]
     assert any(reason in each for each in refused)
     assert reason in " ".join(str(found).split())
     for record in records.values():
@@ -197,7 +195,7 @@ def test_readings_that_repeat_exactly_are_refused(told):
     records, found = told(noise=0.0, shift=lambda d, s, t: 10.0 * DAYS.index(d))
     assert not found.answers
     assert all(record["F"] is None for record in records.values())
-    assert any("no scatter at all" in each.reason for each in found.refusals)
+    assert any("no scatter at all" in each.reason for each in found.not_testable)
 
 
 def test_interrupted_and_excluded_traverses_are_left_out(log_of_readings, readings_of, tmp_path):
@@ -208,14 +206,14 @@ def test_interrupted_and_excluded_traverses_are_left_out(log_of_readings, readin
     clean = log.select(~log.rows.index.isin(spoilt.index[:2]))
     from dataclasses import replace
 
-    ours, theirs = analyse(replace(log, rows=spoilt)), analyse(clean)
+    ours, theirs = analyze_variance(replace(log, rows=spoilt)), analyze_variance(clean)
     assert [each.statistic for each in ours.answers] == [each.statistic for each in theirs.answers]
 
 
 def test_the_order_of_sessions_and_their_names_do_not_matter(log_of_readings, readings_of):
     readings = readings_of(DESIGN, lambda d, s, t: 8.0 * DAYS.index(d))
     strange = {"Mon": "001", "Tue": "NA", "Wed": "$x$ -", "Thu": "ü"}
-    plain = analyse(log_of_readings(readings)).answers
-    renamed = analyse(log_of_readings([(strange[d], *rest) for d, *rest in readings])).answers
+    plain = analyze_variance(log_of_readings(readings)).answers
+    renamed = analyze_variance(log_of_readings([(strange[d], *rest) for d, *rest in readings])).answers
     assert [each.statistic for each in plain] == pytest.approx([each.statistic for each in renamed])
-    assert {strange[level] for level in plain[0].furthest} == set(renamed[0].furthest)
+    assert {strange[level] for level in plain[0].extreme_levels} == set(renamed[0].extreme_levels)

@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova import Question, readings
-from stickslip_fit.anova.comparison import compare, sums_of_squares
-from stickslip_fit.anova.day import day
-from stickslip_fit.anova.direction import direction
-from stickslip_fit.anova.effect import effect_of
-from stickslip_fit.anova.normal_force import normal_force
-from stickslip_fit.anova.power import POWER, noncentrality, power, smallest_difference
-from stickslip_fit.anova.question import READINGS, most_read
+from stickslip_fit.anova import FactorTestDesign, choose_most_informative, step_size_observations
+from stickslip_fit.anova.contrasts import (
+    TARGET_POWER,
+    build_comparison,
+    detectable_difference,
+    f_test_power,
+    largest_difference,
+    smallest_noncentrality,
+    sums_of_squares,
+)
+from stickslip_fit.anova.designs import (
+    WITHIN_SESSION_ERROR,
+    design_day_tests,
+    design_direction_tests,
+    design_normal_force_tests,
+)
 
 LOGS = 10_000
 SAME = 3.3  # standard deviations: one honest study in a thousand is further off
@@ -25,14 +33,18 @@ GAPS = {
     cell: count for cell, count in UNEQUAL.items() if cell not in {("Tue", "+", -30.0), ("Wed", "-", -60.0)}
 }
 DESIGNS = {"balanced": BALANCED, "unequal": UNEQUAL, "missing cells": GAPS}
-ANALYSES = {"day": day, "direction": direction, "normal-force": normal_force}
+ANALYSES = {
+    "day": design_day_tests,
+    "direction": design_direction_tests,
+    "normal-force": design_normal_force_tests,
+}
 
 
 def binomial(rate: float) -> float:
     return SAME * np.sqrt(rate * (1 - rate) / LOGS)
 
 
-def null_logs(question: Question, rng: np.random.Generator, interaction: float) -> np.ndarray:
+def null_logs(question: FactorTestDesign, rng: np.random.Generator, interaction: float) -> np.ndarray:
     """What is compared, in logs where the factor does nothing, shape (LOGS, units).
 
     Sessions differ by ten repeatabilities, and where the question is asked over sessions, levels differ in
@@ -43,7 +55,7 @@ def null_logs(question: Question, rng: np.random.Generator, interaction: float) 
     sessions, session = np.unique(rows["session"].to_numpy(object), return_inverse=True)
     if question.analysis != "day":
         noise += 10.0 * rng.standard_normal((LOGS, len(sessions)))[:, session]
-    if question.error_term == READINGS:
+    if question.error_term == WITHIN_SESSION_ERROR:
         return noise
     cells = rows.groupby(["session", "level"], sort=False).ngroup().to_numpy()
     noise += interaction * rng.standard_normal((LOGS, cells.max() + 1))[:, cells]
@@ -55,15 +67,15 @@ def null_logs(question: Question, rng: np.random.Generator, interaction: float) 
 @pytest.mark.parametrize("analysis", ANALYSES)
 def test_false_alarms_of_ten_thousand_null_logs(log_of_readings, readings_of, analysis, design):
     log = log_of_readings(readings_of(DESIGNS[design]))
-    asked = ANALYSES[analysis](readings(log), log.machine.span(3), most_read)
-    questions = [each for each in asked if isinstance(each, Question)]
+    asked = ANALYSES[analysis](step_size_observations(log), log.machine.span(3), choose_most_informative)
+    questions = [each for each in asked if isinstance(each, FactorTestDesign)]
     assert questions
     rng = np.random.default_rng(3)
     for question in questions:
         for interaction in (0.0, 3.0):
             units = question.units
             values = null_logs(question, rng, interaction)
-            p = sums_of_squares(values, compare(units["level"], units["block"])).p_value
+            p = sums_of_squares(values, build_comparison(units["level"], units["block"])).p_value
             rate = np.mean(p < 0.05)
             assert rate == pytest.approx(0.05, abs=binomial(0.05)), (question.error_term, interaction)
 
@@ -71,41 +83,43 @@ def test_false_alarms_of_ten_thousand_null_logs(log_of_readings, readings_of, an
 @pytest.mark.parametrize("sizes", [(3, 3), (3, 3, 3), (2, 5, 3, 4)])
 def test_power_is_what_its_formula_says(sizes):
     """Of the case that it is for: two levels apart, all others where they help least."""
-    comparison = compare(np.repeat(np.arange(len(sizes)), sizes))
-    difference = smallest_difference(1.0, comparison)
+    comparison = build_comparison(np.repeat(np.arange(len(sizes)), sizes))
+    difference = detectable_difference(1.0, comparison)
     least = np.argsort(sizes, kind="stable")[:2]
     true = np.zeros(len(sizes))
     n, m = np.array(sizes)[least]
     true[least] = difference * np.array([m, -n]) / (n + m)
     noise = np.random.default_rng(5).standard_normal((LOGS, sum(sizes)))
     p = sums_of_squares(true[comparison.level] + noise, comparison).p_value
-    assert np.mean(p < 0.05) == pytest.approx(POWER, abs=binomial(POWER))
-    assert power(noncentrality(difference, 1.0, comparison), comparison.freedom) == pytest.approx(POWER)
+    assert np.mean(p < 0.05) == pytest.approx(TARGET_POWER, abs=binomial(TARGET_POWER))
+    assert f_test_power(smallest_noncentrality(difference, 1.0, comparison), comparison.df) == pytest.approx(
+        TARGET_POWER
+    )
 
 
 def test_power_counts_what_blocks_leave_to_compare():
     """Two pairs of levels that no block connects: two degrees of freedom for four levels."""
-    comparison = compare(np.tile([0, 1, 2, 3], 4), np.tile([0, 0, 1, 1, 2, 2, 3, 3], 2))
-    assert (comparison.connected, comparison.freedom) == (False, (2, 10))
+    comparison = build_comparison(np.tile([0, 1, 2, 3], 4), np.tile([0, 0, 1, 1, 2, 2, 3, 3], 2))
+    assert (comparison.connected, comparison.df) == (False, (2, 10))
     true = np.array([0.0, 1.5, 0.0, 1.0])[comparison.level]
-    expected = power(float(sums_of_squares(true, comparison).between), comparison.freedom)
+    expected = f_test_power(float(sums_of_squares(true, comparison).between), comparison.df)
     noise = np.random.default_rng(7).standard_normal((LOGS, 16))
     p = sums_of_squares(true + noise, comparison).p_value
     assert np.mean(p < 0.05) == pytest.approx(expected, abs=binomial(expected))
 
 
-@pytest.mark.parametrize("freedom", [(1, 1), (1, 4), (3, 8), (20, 1), (60, 400)])
-def test_power_is_a_tail_of_the_noncentral_f_distribution(freedom):
-    critical = stats.f.isf(0.05, *freedom)
+@pytest.mark.parametrize("df", [(1, 1), (1, 4), (3, 8), (20, 1), (60, 400)])
+def test_power_is_a_tail_of_the_noncentral_f_distribution(df):
+    critical = stats.f.isf(0.05, *df)
     for size in (0.5, 5.0, 50.0):
-        assert power(size, freedom) == pytest.approx(stats.ncf.sf(critical, *freedom, size), rel=1e-8)
+        assert f_test_power(size, df) == pytest.approx(stats.ncf.sf(critical, *df, size), rel=1e-8)
 
 
 def test_the_interval_of_the_largest_difference_knows_that_it_was_picked():
     """The same numbers with Student's interval would be right in about 88 of 100 logs."""
-    rng, comparison = np.random.default_rng(6), compare(np.repeat(np.arange(3), 3))
+    rng, comparison = np.random.default_rng(6), build_comparison(np.repeat(np.arange(3), 3))
     right = 0
     for values in rng.standard_normal((2000, 9)):
-        found = effect_of(values, comparison)
+        found = largest_difference(values, comparison)
         right += found.low <= 0.0 <= found.high
     assert right / 2000 == pytest.approx(0.95, abs=SAME * np.sqrt(0.05 * 0.95 / 2000))

@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 from statsmodels.regression.linear_model import OLS
 
-from stickslip_fit.anova.comparison import compare, level_means, sums_of_squares
-from stickslip_fit.anova.effect import effect_of
+from stickslip_fit.anova.contrasts import build_comparison, largest_difference, level_means, sums_of_squares
 
 
 @pytest.fixture
@@ -17,7 +16,7 @@ def rng():
 def test_one_way_is_scipy_s(rng):
     level = np.repeat([0, 1, 2], [3, 5, 2])
     values = 950.0 + rng.standard_normal(10) + level
-    found = sums_of_squares(values, compare(level))
+    found = sums_of_squares(values, build_comparison(level))
     theirs = stats.f_oneway(*(values[level == one] for one in range(3)))
     assert float(found.statistic) == pytest.approx(theirs.statistic, rel=1e-12)
     assert float(found.p_value) == pytest.approx(theirs.pvalue, rel=1e-10)
@@ -25,12 +24,12 @@ def test_one_way_is_scipy_s(rng):
 
 def test_two_levels_within_blocks_are_the_paired_t_test(rng):
     plus, minus = 950.0 + rng.standard_normal((2, 6))
-    comparison = compare(np.repeat(["+", "-"], 6), np.tile(np.arange(6), 2))
+    comparison = build_comparison(np.repeat(["+", "-"], 6), np.tile(np.arange(6), 2))
     values = np.concatenate([plus, minus])
     paired = stats.ttest_rel(plus, minus)
     assert float(sums_of_squares(values, comparison).statistic) == pytest.approx(paired.statistic**2)
     interval = paired.confidence_interval()
-    found = effect_of(values, comparison)
+    found = largest_difference(values, comparison)
     assert sorted(np.abs([found.low, found.high])) == pytest.approx(sorted(np.abs(interval)))
 
 
@@ -45,9 +44,9 @@ def test_missing_cells_are_compared_by_least_squares(rng):
         name: float(np.sum((values - x @ np.linalg.lstsq(x, values, rcond=None)[0]) ** 2))
         for name, x in (("blocks", blocks), ("both", both))
     }
-    comparison = compare(level, block)
+    comparison = build_comparison(level, block)
     found = sums_of_squares(values, comparison)
-    assert found.freedom == (2, 2, 3)
+    assert found.df == (2, 2, 3)
     assert float(found.within) == pytest.approx(rest["both"])
     assert float(found.between) == pytest.approx(rest["blocks"] - rest["both"])
     assert float(found.total) == pytest.approx(np.sum((values - values.mean()) ** 2))
@@ -63,12 +62,12 @@ def test_stacked_sums_of_squares_are_those_of_least_squares_fits(rng, blocks):
     """Of unequal cells, some of them empty, with a level that is in one block only."""
     level, block = np.append(rng.integers(0, 3, 40), 3), rng.integers(0, blocks, 41)
     values = 950.0 + 30.0 * block + rng.standard_normal((5, 41))
-    found = sums_of_squares(values, compare(level, block))
+    found = sums_of_squares(values, build_comparison(level, block))
     by_block = np.eye(blocks)[block]
     both = np.hstack([by_block, np.eye(4)[level][:, 1:]])
     for index, row in enumerate(values - np.median(values)):
         mean, smaller, larger = (OLS(row, design).fit() for design in (np.ones(41), by_block, both))
-        assert found.freedom == (blocks - 1, 3, larger.df_resid)
+        assert found.df == (blocks - 1, 3, larger.df_resid)
         assert found.within[index] == pytest.approx(larger.ssr, rel=1e-10)
         assert found.between[index] == pytest.approx(smaller.ssr - larger.ssr, rel=1e-10)
         assert found.blocks[index] == pytest.approx(mean.ssr - smaller.ssr, rel=1e-10, abs=1e-9)
@@ -76,7 +75,7 @@ def test_stacked_sums_of_squares_are_those_of_least_squares_fits(rng, blocks):
 
 def test_three_levels_get_tukey_s_interval(rng):
     groups = [950.0 + rng.standard_normal(4) + 2 * index for index in range(3)]
-    found = effect_of(np.concatenate(groups), compare(np.repeat([0, 1, 2], 4)))
+    found = largest_difference(np.concatenate(groups), build_comparison(np.repeat([0, 1, 2], 4)))
     theirs = stats.tukey_hsd(*groups)
     interval = theirs.confidence_interval()
     pair = (found.largest, found.smallest)
@@ -86,12 +85,12 @@ def test_three_levels_get_tukey_s_interval(rng):
 
 def test_omega_squared_is_hays(rng):
     values, level = rng.standard_normal(9) + np.repeat([0, 3, 1], 3), np.repeat([0, 1, 2], 3)
-    found = sums_of_squares(values, compare(level))
+    found = sums_of_squares(values, build_comparison(level))
     by_hand = (found.between - 2 * found.variance) / (found.total + found.variance)
     assert float(found.omega_squared) == pytest.approx(float(by_hand))
-    assert float(sums_of_squares(np.tile([1.0, 2.0, 4.0], 3), compare(level)).omega_squared) == 0.0
+    assert float(sums_of_squares(np.tile([1.0, 2.0, 4.0], 3), build_comparison(level)).omega_squared) == 0.0
 
 
 def test_levels_that_blocks_do_not_connect_are_seen():
-    assert not compare([0, 1, 2, 3], [0, 0, 1, 1]).connected
-    assert compare([0, 1, 1, 2], [0, 0, 1, 1]).connected
+    assert not build_comparison([0, 1, 2, 3], [0, 0, 1, 1]).connected
+    assert build_comparison([0, 1, 1, 2], [0, 0, 1, 1]).connected

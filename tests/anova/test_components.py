@@ -8,10 +8,13 @@ import pytest
 from scipy import stats
 from scipy.optimize import minimize
 
-from stickslip_fit.anova.components import cells_of, components
-from stickslip_fit.anova.pivotal import generalized_pivotal_intervals
-from stickslip_fit.anova.question import Refusal
-from stickslip_fit.anova.reml import reml
+from stickslip_fit.anova import NotTestable
+from stickslip_fit.anova.variance_components import (
+    build_cell_statistics,
+    estimate_components,
+    fit_reml,
+    generalized_pivotal_intervals,
+)
 
 SAME = 3.3
 
@@ -64,7 +67,7 @@ def written_out(rows, variances):
 @pytest.mark.parametrize("seed", range(3))
 def test_no_variances_are_likelier_than_ours(counts, truth, seed):
     rows = drawn(np.random.default_rng(seed), counts, *truth)
-    found = reml(cells_of(rows))
+    found = fit_reml(build_cell_statistics(rows))
     ours = np.array([found.day, found.day_direction, found.replicate]) * 1e18
     at_ours = written_out(rows, ours)
     free = [0, 1, 2] if len(counts[0]) > 1 else [0, 2]
@@ -88,7 +91,7 @@ def test_balanced_estimates_are_those_of_the_table():
     error = np.sum((y - cell[:, :, None]) ** 2) / 12
     interaction = 2 * np.sum((cell - session[:, None] - cell.mean(axis=0) + y.mean()) ** 2) / 5
     day = 4 * np.var(session, ddof=1)
-    found = reml(cells_of(rows))
+    found = fit_reml(build_cell_statistics(rows))
     assert found.replicate * 1e18 == pytest.approx(error, rel=1e-5)
     assert found.day_direction * 1e18 == pytest.approx((interaction - error) / 2, rel=1e-5)
     assert found.day * 1e18 == pytest.approx((day - interaction) / 4, rel=1e-5)
@@ -99,7 +102,7 @@ def coverage(logs, counts, truth):
     day, interaction, replicate = truth
     true = np.array([day**2, interaction**2, replicate**2, day**2 + interaction**2])
     for log in range(logs):
-        found = generalized_pivotal_intervals(cells_of(drawn(rng, counts, *truth)))
+        found = generalized_pivotal_intervals(build_cell_statistics(drawn(rng, counts, *truth)))
         bounds = np.array([found.day, found.day_direction, found.replicate, found.total]) * 1e18
         right[log] = (bounds[:, 0] <= true) & (true <= bounds[:, 1])
     return right.mean(axis=0)
@@ -126,14 +129,14 @@ def test_intervals_cover_in_many_logs(name):
 
 
 def test_where_nothing_changes_the_interval_begins_at_zero():
-    found = components(drawn(np.random.default_rng(6), np.full((3, 2), 3), 0.0, 0.0, 1.0))
+    found = estimate_components(drawn(np.random.default_rng(6), np.full((3, 2), 3), 0.0, 0.0, 1.0))
     assert found.day.low == found.day_direction.low == 0.0
     assert found.day.high > 0.0
 
 
 def test_the_difference_between_directions_is_the_paired_t_interval():
     rows = drawn(np.random.default_rng(8), np.full((5, 2), 3), 3.0, 2.0, 1.0)
-    found = components(rows)
+    found = estimate_components(rows)
     mean = rows.groupby(["session", "direction"])["step_size"].mean().unstack()
     paired = stats.ttest_rel(mean["+"], mean["-"])
     assert found.direction == pytest.approx(float((mean["+"] - mean["-"]).mean()))
@@ -142,6 +145,6 @@ def test_the_difference_between_directions_is_the_paired_t_interval():
 
 @pytest.mark.parametrize("counts", [[[3, 3]], [[1, 1], [1, 1], [1, 1]], [[2, 0], [0, 2], [2, 2]]])
 def test_too_little_is_refused_with_what_it_needs(counts):
-    found = components(drawn(np.random.default_rng(7), counts, 1.0, 1.0, 1.0))
-    assert isinstance(found, Refusal)
+    found = estimate_components(drawn(np.random.default_rng(7), counts, 1.0, 1.0, 1.0))
+    assert isinstance(found, NotTestable)
     assert "two sessions" in found.reason

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova import formula, readings
+from stickslip_fit.anova import analyze_formula, step_size_observations
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 
@@ -18,8 +18,8 @@ def log(log_of_readings, readings_of):
 
 
 def test_one_factor_is_the_one_way_analysis(log):
-    (found,) = formula(log, "step_size ~ direction", kind=1)
-    rows = readings(log)
+    (found,) = analyze_formula(log, "step_size ~ direction", kind=1)
+    rows = step_size_observations(log)
     theirs = stats.f_oneway(*(part["step_size"] for _, part in rows.groupby("direction")))
     assert found.table["F"].iloc[0] == pytest.approx(theirs.statistic, rel=1e-9)
     record = found.to_json()[0]
@@ -31,7 +31,7 @@ def test_one_factor_is_the_one_way_analysis(log):
 
 def test_each_joint_has_a_table_of_its_own(campaign, tmp_path):
     campaign().to_csv(tmp_path / "log.csv", index=False)
-    found = formula(read_log(tmp_path / "log.csv"), "np.log(step_size) ~ C(session) * direction")
+    found = analyze_formula(read_log(tmp_path / "log.csv"), "np.log(step_size) ~ C(session) * direction")
     assert [table.joint for table in found] == [1, 2, 3]
     assert all(len(table.to_json()) == 3 for table in found)
 
@@ -42,7 +42,9 @@ def test_the_lab_s_own_columns_go_by_their_own_names(campaign, tmp_path):
     effect = 1 + 1e-3 * (pressure - 1000.0)
     table = table.assign(pressure=pressure, steps=(table["steps"] / effect / 5).round().astype(int) * 5)
     table.to_csv(tmp_path / "log.csv", index=False)
-    (found,) = formula(read_log(tmp_path / "log.csv"), "step_size ~ C(session) * direction + pressure")
+    (found,) = analyze_formula(
+        read_log(tmp_path / "log.csv"), "step_size ~ C(session) * direction + pressure"
+    )
     p = found.table.set_index("term")["p"]
     assert p["pressure"] < 1e-3
 
@@ -64,4 +66,4 @@ def test_the_lab_s_own_columns_go_by_their_own_names(campaign, tmp_path):
 )
 def test_what_a_formula_cannot_do_is_said(log, text, kind, told):
     with pytest.raises(InputError, match=told):
-        formula(log, text, kind=kind)
+        analyze_formula(log, text, kind=kind)

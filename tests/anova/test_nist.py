@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.nist_anova import FILES, NAMES, Certified, by_formula, digits, exact, ours, read
-from stickslip_fit.anova.comparison import compare, sums_of_squares
+from stickslip_fit.anova.contrasts import build_comparison, sums_of_squares
 
 LIMITED = {"AtmWtAg": 10.0, "SmLs04": 9.9, "SmLs05": 9.9, "SmLs06": 9.9} | dict.fromkeys(
     ("SmLs07", "SmLs08", "SmLs09"), 3.9
@@ -46,6 +46,6 @@ def test_integers_with_thirteen_leading_digits_in_common_lose_nothing(problems):
     """As SmLs07, but counted in whole tenths, which doubles hold exactly."""
     problem = next(problem for problem in problems if problem.name == "SmLs07")
     tenths = np.round((problem.values - 1e12) * 10) + 1e13
-    found = sums_of_squares(tenths, compare(problem.group))
+    found = sums_of_squares(tenths, build_comparison(problem.group))
     assert digits(float(found.statistic), problem.certified[0]) >= 14
     assert digits(float(found.within), 100 * problem.certified[2]) >= 14

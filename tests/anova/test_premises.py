@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova.premises import LEVEL, check_assumptions
-from stickslip_fit.anova.scatter import brown_forsythe
+from stickslip_fit.anova.factor_test import ASSUMPTION_LEVEL, brown_forsythe, check_assumptions
 
 LOGS = 250
 
@@ -38,7 +37,9 @@ def test_a_premise_that_holds_is_doubted_as_seldom_as_is_said(design):
     level, block, time = design
     found = rates(lambda rng: 950.0 + 5.0 * block + rng.standard_normal(24), level, block, time)
     for name in ("normal scatter", "equal scatter", "drift within a session"):
-        assert found[name] <= LEVEL + 3.3 * np.sqrt(LEVEL * (1 - LEVEL) / LOGS), name
+        assert found[name] <= ASSUMPTION_LEVEL + 3.3 * np.sqrt(
+            ASSUMPTION_LEVEL * (1 - ASSUMPTION_LEVEL) / LOGS
+        ), name
 
 
 def test_premises_that_fail_are_doubted(design):

@@ -34,7 +34,7 @@ def lines(rows, text, kind):
 def test_unbalanced_factorial_tables_are_exact(kind):
     found = lines(CROSSED, "y ~ a * b", kind)
     assert [line.squares for line in found] == pytest.approx(GOLDEN[kind], rel=1e-12)
-    assert [line.freedom for line in found] == [2, 1, 2, 8]
+    assert [line.df for line in found] == [2, 1, 2, 8]
 
 
 def test_a_large_common_part_changes_no_digit():
@@ -56,7 +56,7 @@ def test_sequential_sums_of_squares_add_up_to_the_total(text):
     )  # fmt: skip
     found = lines(rows, text, 1)
     assert sum(line.squares for line in found) == pytest.approx(np.sum((rows["y"] - rows["y"].mean()) ** 2))
-    assert sum(line.freedom for line in found) == 13
+    assert sum(line.df for line in found) == 13
 
 
 def test_nested_labels_may_start_anew_or_not():
@@ -73,7 +73,7 @@ def test_nested_labels_may_start_anew_or_not():
     means = rows.groupby(["session", "run"])["y"].mean()
     by_hand = 2 * float(((means - means.groupby("session").transform("mean")) ** 2).sum())
     for found in (anew, over):
-        assert [line.freedom for line in found] == [2, 6, 9]
+        assert [line.df for line in found] == [2, 6, 9]
         assert found[1].squares == pytest.approx(by_hand)
         assert found[0].squares == pytest.approx(
             6 * np.sum((rows.groupby("session")["y"].mean() - rows["y"].mean()) ** 2)
@@ -111,5 +111,5 @@ def test_columns_that_others_span_take_no_degree_of_freedom_from_the_residual(te
             df, expected = df - 1, expected - float(left["x"] @ left["y"]) ** 2 / float(left["x"] @ left["x"])
         for kind in (1, 2, 3):
             found = lines(rows, text, kind)[-1]
-            assert found.freedom == df
+            assert found.df == df
             assert found.squares == pytest.approx(expected, rel=1e-9)

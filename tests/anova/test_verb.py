@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stickslip_fit import cli
-from stickslip_fit.anova.record import COLUMNS
+from stickslip_fit.anova.analysis import RECORD_COLUMNS
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "data" / "reference" / "campaign.csv"
@@ -36,7 +36,7 @@ def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):
     assert "Recalibrate each session" in " ".join(out.split())
     assert "Keep separate parameters for each direction" in " ".join(out.split())
     records = json.loads((tmp_path / "anova.json").read_text("utf-8"))
-    assert all(tuple(record) == COLUMNS for record in records)
+    assert all(tuple(record) == RECORD_COLUMNS for record in records)
     assert {record["analysis"] for record in records} == {"day", "direction", "normal-force"}
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.anova import analyse
-from stickslip_fit.anova.analyse import answered
+from stickslip_fit.anova import analyze_variance
+from stickslip_fit.anova.analysis import run_factor_tests
 from tests.thesis.reconstruct import reconstruct
 
 DAYS = {"Mon": 976e-9, "Tue": 951e-9}
@@ -15,7 +15,7 @@ WAYS = {"+": 976e-9, "-": 903e-9}
 
 
 def told(*questions):
-    return " ".join(str(answered(questions)).split())
+    return " ".join(str(run_factor_tests(questions)).split())
 
 
 def test_an_effect_is_one_only_if_it_is_after_everything_that_was_asked():
@@ -29,7 +29,7 @@ def test_an_effect_is_one_only_if_it_is_after_everything_that_was_asked():
 
 def test_what_would_have_shown_goes_with_what_did_not():
     text = told(reconstruct("direction", WAYS, 0.4))
-    (found,) = answered([reconstruct("direction", WAYS, 0.4)]).answers
+    (found,) = run_factor_tests([reconstruct("direction", WAYS, 0.4)]).answers
     seen = f"{found.detectable * 1e9:.1f} nm would most likely have shown"
     assert f"No difference between the directions shows (adjusted p = 0.40); one of {seen}" in text
 
@@ -39,7 +39,7 @@ def test_what_to_do_and_what_it_costs_not_to(log_of_readings, readings_of, name)
     """Days 30 nm apart or alike, directions 40 nm apart or alike."""
     days, apart = ("Mon", "Tue", "Wed", "Thu"), {"day": (30.0, 0.0), "direction": (0.0, 40.0)}[name]
     step, gap = apart
-    found = analyse(
+    found = analyze_variance(
         log_of_readings(
             readings_of(
                 {(d, s, 0.0): 4 for d in days for s in "+-"},
@@ -66,7 +66,7 @@ def test_what_to_do_and_what_it_costs_not_to(log_of_readings, readings_of, name)
 
 def test_a_small_log_does_not_say_that_nothing_matters(log_of_readings, readings_of):
     design = {(d, s, 0.0): 2 for d in ("Mon", "Tue") for s in "+-"}
-    text = " ".join(str(analyse(log_of_readings(readings_of(design)))).split())
+    text = " ".join(str(analyze_variance(log_of_readings(readings_of(design)))).split())
     assert "Whether to recalibrate each session this log is too small to say" in text
 
 
@@ -80,11 +80,13 @@ def test_a_drift_that_could_pass_for_the_normal_force_is_told_with_it(log_of_rea
         for _ in range(2)
         for sign in "+-"
     ]
-    text = " ".join(str(analyse(log_of_readings(readings))).split())
+    text = " ".join(str(analyze_variance(log_of_readings(readings))).split())
     assert "but readings drift, or may, within their session, which alone could do that" in text
 
 
 def test_the_table_of_questions_is_a_data_frame(log_of_readings, readings_of):
-    found = analyse(log_of_readings(readings_of({(d, s, 0.0): 2 for d in ("Mon", "Tue") for s in "+-"})))
+    found = analyze_variance(
+        log_of_readings(readings_of({(d, s, 0.0): 2 for d in ("Mon", "Tue") for s in "+-"}))
+    )
     assert isinstance(found.table, pd.DataFrame)
     assert list(found.table["analysis"].unique()) == ["day", "direction", "normal-force"]

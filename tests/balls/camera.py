@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from tests.balls.problem import bench_of
 
 from stickslip_fit.causes import CauseParameter
-from tests.balls.bench import bench_of
 from tests.balls.cause import Array, FallCause
 from tests.balls.causes import AIR, MIDDLE
 from tests.balls.fall import Rows
@@ -52,8 +52,8 @@ class Slant(FallCause):
 def bend(frames: pd.DataFrame) -> float:
     """By how much the scale changes over each metre of height, 1/m."""
     known = frames[frames["ball"].isin(KNOWN)]
-    bench, _ = bench_of(known.assign(session=known["ball"] + known["session"]), [])
-    return float(bench.fitted([KnownDrag(), Slant()], np.zeros(1)).values[0])
+    problem, _ = bench_of(known.assign(session=known["ball"] + known["session"]), [])
+    return float(problem.fit_extended([KnownDrag(), Slant()], np.zeros(1)).values[0])
 
 
 def straightened(frames: pd.DataFrame, bend: float) -> pd.DataFrame:

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.diagnose.laid_out.refit import refit
-from stickslip_fit.diagnose.laid_out.study import Part
+from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended
 from tests.balls.cause import Array, FallCause
 from tests.balls.fall import Fall, Rows
 
@@ -26,8 +25,8 @@ class Drag(FallCause):
     def trials(self, rows: pd.DataFrame) -> list[tuple[FallCause, Array]]:
         drop, height = pd.factorize(rows["session"])[0].astype(np.intp), rows["height"].to_numpy(float)
         start = np.column_stack([height[np.unique(drop, return_index=True)[1]][drop], np.zeros(len(rows))])
-        part = Part(Fall(), np.arange(len(rows)), drop, start)
-        found = refit(rows, [part], height, np.ones(len(rows)), [self], np.array(self.scale))
+        part = LawBlock(Fall(), np.arange(len(rows)), drop, start)
+        found = fit_extended(rows, [part], height, np.ones(len(rows)), [self], np.array(self.scale))
         return [(self, np.maximum(found.values, self.tried)[None])]
 
     def changes(self, law: Fall, rows: Rows, values: Array, trials: Array) -> Array:

@@ -7,13 +7,12 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
+from tests.balls.problem import bench_of, later_half_of_the_last_drop
 
-from stickslip_fit.diagnose.diagnose import judge
-from stickslip_fit.diagnose.diagnosis import Diagnosis, Gain
-from stickslip_fit.diagnose.worth.gain import gain
-from stickslip_fit.diagnose.worth.with_gain import seek
+from stickslip_fit.diagnosis import Diagnosis, Gain
+from stickslip_fit.diagnosis.gain import estimate_gain, select_in_fold
+from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.units import Interval
-from tests.balls.bench import bench_of, later_half_of_the_last_drop
 from tests.balls.camera import bend, straightened
 from tests.balls.causes import AIR
 from tests.balls.fall import G
@@ -38,10 +37,12 @@ class Judged:
 
 def judged(rows: pd.DataFrame) -> Judged:
     """Diagnose the drops of one ball."""
-    found = judge(*bench_of(rows), alpha=ALPHA)
-    splits = later_half_of_the_last_drop(found.search.bench.rows)
-    again = partial(seek, alpha=ALPHA)
-    return Judged(found, gain(found.search, found.findings, splits, again, alpha=ALPHA, workers=1)[0])
+    found = diagnose_problem(*bench_of(rows), alpha=ALPHA)
+    splits = later_half_of_the_last_drop(found.search.problem.rows)
+    again = partial(select_in_fold, alpha=ALPHA)
+    return Judged(
+        found, estimate_gain(found.search, found.findings, splits, again, alpha=ALPHA, workers=1)[0]
+    )
 
 
 def drag_coefficient(k: float, rows: pd.DataFrame) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from tests.balls.problem import bench_of
 
-from tests.balls.bench import bench_of
 from tests.balls.camera import bend, straightened
 from tests.balls.causes import AnotherG
 from tests.balls.fall import G
@@ -66,8 +66,8 @@ def by_scipy(rows):
 def test_the_camera_errs(filmed):
     """Nothing falls faster than in free fall, but the bowling ball's first drop seems to."""
     rows = filmed["bowling-ball"]
-    bench, _ = bench_of(rows[rows["session"] == "drop 1"], [])
-    found = bench.fitted([AnotherG()], np.zeros(1))
+    problem, _ = bench_of(rows[rows["session"] == "drop 1"], [])
+    found = problem.fit_extended([AnotherG()], np.zeros(1))
     assert found.values[0] > 3 * np.sqrt(found.covariance[0, 0])
 
 

@@ -7,13 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.stats import binom
+from tests.balls.problem import bench_of, later_half_of_the_last_drop
 
-from stickslip_fit.diagnose.diagnose import judge
-from stickslip_fit.diagnose.sizes.findings import findings
-from stickslip_fit.diagnose.worth.gain import gain
-from stickslip_fit.diagnose.worth.held_out import errors
-from stickslip_fit.diagnose.worth.with_gain import seek
-from tests.balls.bench import bench_of, later_half_of_the_last_drop
+from stickslip_fit.diagnosis.cross_validation import compute_held_out_errors
+from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.gain import estimate_gain, select_in_fold
+from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from tests.balls.causes import LinearDrag, QuadraticDrag
 from tests.balls.fall import Fall, G
 from tests.balls.simulated import FRAME, NUMBER, RELEASED, drops, fall
@@ -39,8 +38,8 @@ def filmed(acceleration, seed):
     return drops(falls, np.random.default_rng(seed))
 
 
-def searched(rows, alpha=ALPHA):
-    return seek(bench_of(rows)[0], np.random.default_rng(0), alpha)
+def selection(rows, alpha=ALPHA):
+    return select_in_fold(bench_of(rows)[0], np.random.default_rng(0), alpha)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +59,7 @@ def test_falls_are_integrated_as_by_scipy(cause, acceleration, size):
 
 
 def false_alarms(number, alpha):
-    return sum(searched(filmed(free, seed), alpha).p_value < alpha for seed in range(number))
+    return sum(selection(filmed(free, seed), alpha).p_value < alpha for seed in range(number))
 
 
 def test_free_fall_is_nothing_wrong():
@@ -79,19 +78,19 @@ def test_drag_is_named_with_its_size(name, acceleration, size):
     covered = 0
     for seed in range(6):
         rows = filmed(acceleration, seed)
-        search = searched(rows)
-        (found,) = findings(search, bench_of(rows)[0], ALPHA)
+        search = selection(rows)
+        (found,) = size_findings(search, bench_of(rows)[0], ALPHA)
         assert (found.cause, found.equivalent) == (name, ())
         covered += found.parameters[0].size.low < size < found.parameters[0].size.high
     assert covered >= binom.ppf(0.001, 6, 0.95)
 
 
 def test_another_g_the_cameras_scale_and_buoyancy_cannot_be_told_apart():
-    found = judge(*bench_of(filmed(lambda _: -1.05 * G, 1)), alpha=ALPHA)
+    found = diagnose_problem(*bench_of(filmed(lambda _: -1.05 * G, 1)), alpha=ALPHA)
     (finding,) = found.findings
     assert found.verdict == "cannot tell apart"
     assert {finding.cause, *finding.equivalent} == DEGENERATE
-    assert {frozenset(pair) for pair in found.alike} == {
+    assert {frozenset(pair) for pair in found.aliased_causes} == {
         frozenset(("another-g", "camera-scale")),
         frozenset(("another-g", "buoyancy")),
         frozenset(("buoyancy", "camera-scale")),
@@ -100,7 +99,7 @@ def test_another_g_the_cameras_scale_and_buoyancy_cannot_be_told_apart():
 
 def test_what_release_absorbs_and_what_was_not_written_down_is_untestable():
     rows = filmed(quadratic, 2).assign(weight=np.nan)
-    found = judge(*bench_of(rows), alpha=ALPHA)
+    found = diagnose_problem(*bench_of(rows), alpha=ALPHA)
     assert set(found.untestable) == {"clock-offset", "buoyancy"}
     assert "recalibrated" in found.untestable["clock-offset"]
     assert "written down" in found.untestable["buoyancy"]
@@ -109,16 +108,18 @@ def test_what_release_absorbs_and_what_was_not_written_down_is_untestable():
 def test_a_camera_that_sways_is_no_cause_of_the_library():
     rows = filmed(free, 3)
     swaying = 0.15 * np.sin(2 * np.pi * rows["seconds"] / 0.9 + (rows["session"] == "drop 2"))
-    found = searched(rows.assign(height=rows["height"] + swaying)).found
+    found = selection(rows.assign(height=rows["height"] + swaying)).found
     assert [each.cause for each in found] == ["unknown"]
 
 
 def test_a_drop_held_out_is_predicted_to_within_the_noise():
     rows = filmed(quadratic, 4)
-    search = searched(rows)
-    named = findings(search, bench_of(rows)[0], ALPHA)
+    search = selection(rows)
+    named = size_findings(search, bench_of(rows)[0], ALPHA)
     splits = later_half_of_the_last_drop(rows)
-    worth, _ = gain(search, named, splits, partial(seek, alpha=ALPHA), alpha=ALPHA, workers=1)
+    worth, _ = estimate_gain(
+        search, named, splits, partial(select_in_fold, alpha=ALPHA), alpha=ALPHA, workers=1
+    )
     assert worth.baseline > 20 * worth.noise_floor
     assert worth.extended < 2 * worth.noise_floor
 
@@ -126,10 +127,13 @@ def test_a_drop_held_out_is_predicted_to_within_the_noise():
 def test_what_is_held_out_takes_no_part():
     """A metre more in it is a metre further off."""
     rows = filmed(quadratic, 5)
-    bench = bench_of(rows)[0]
+    problem = bench_of(rows)[0]
     (split,) = later_half_of_the_last_drop(rows)
-    named = findings(searched(rows), bench, ALPHA)
+    named = size_findings(selection(rows), problem, ALPHA)
     higher = rows["height"] + np.isin(np.arange(len(rows)), split.held)
     other = bench_of(rows.assign(height=higher))[0]
-    before, after = (errors(each, split, named, partial(seek, alpha=ALPHA), (0,)) for each in (bench, other))
+    before, after = (
+        compute_held_out_errors(each, split, named, partial(select_in_fold, alpha=ALPHA), (0,))
+        for each in (problem, other)
+    )
     assert after == pytest.approx(before + 1.0, abs=1e-4)

@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from stickslip_fit.fit import closed_form, constant_step, least_squares
+from stickslip_fit.estimation import fit_closed_form, fit_constant_step, fit_least_squares
 from stickslip_fit.logs import read_log
-from stickslip_fit.report import report_html
+from stickslip_fit.reporting import report_html
 
 pytestmark = pytest.mark.nightly
 
@@ -61,8 +61,8 @@ def reported(table, path):
     """Where the report of a table is."""
     table.to_csv(path, index=False)
     log = read_log(path)
-    calibration = closed_form(log)
-    page = report_html(log, calibration, constant_step(log, calibration), least_squares(log))
+    calibration = fit_closed_form(log)
+    page = report_html(log, calibration, fit_constant_step(log, calibration), fit_least_squares(log))
     written = path.with_name("report.html")
     written.write_text(page, encoding="utf-8")
     return written
@@ -149,18 +149,18 @@ def test_the_keyboard_goes_from_traverse_to_traverse(example, rows):
 
 def test_a_click_follows_the_session_everywhere(example, rows):
     chosen_joint(example, 3)
-    mine = rows[rows["session"] == DAY]
+    subset = rows[rows["session"] == DAY]
     example.locator("#order").scroll_into_view_if_needed()
     example.locator("#session").select_option(label=DAY)
     spot = example.locator("#order .chosen path.minus").get_attribute("d").split("h0")[40]
     example.locator("#session").select_option(label="none")
     x, y = map(float, spot.removeprefix("M").split())
     example.locator("#order").click(position={"x": x, "y": y})
-    assert [dots(example, chart, ".chosen path") for chart in CHARTS] == [(mine["joint"] == 3).sum()] * 3
+    assert [dots(example, chart, ".chosen path") for chart in CHARTS] == [(subset["joint"] == 3).sum()] * 3
     for joint in (1, 2, 3):
         drawn = example.locator(f"#departures-{joint} [data-traverses] use.chosen").count()
         quantities = example.locator(f"#departures-{joint} [data-traverses]").count() / 2
-        assert drawn == quantities * (mine["joint"] == joint).sum()
+        assert drawn == quantities * (subset["joint"] == joint).sum()
     marked = example.locator("tr.chosen").evaluate_all("all => all.map(row => row.textContent)")
     assert len(marked) > 10
     assert all(DAY in text for text in marked)

@@ -6,10 +6,9 @@ import wave
 
 import numpy as np
 
-from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.sound import sound_of
-from stickslip_fit.capture.source import Samples
-from stickslip_fit.capture.tune import tune
+from stickslip_fit.capture.emulator.acoustics import Acoustics, synthesize_sound
+from stickslip_fit.capture.protocols import Samples
+from stickslip_fit.capture.tuning import choose_tuning
 
 STEPS, SECONDS = 5, 0.05
 
@@ -17,13 +16,13 @@ STEPS, SECONDS = 5, 0.05
 def steps(acoustics, checks, pushing, seed, began=0.0):
     """So many checks of a joint that moves, or pushes against its stop."""
     way = np.full(STEPS * checks, pushing)
-    return sound_of(acoustics, began, np.ones(len(way)), way, np.random.default_rng(seed))
+    return synthesize_sound(acoustics, began, np.ones(len(way)), way, np.random.default_rng(seed))
 
 
 def tuned(acoustics, seed=1):
     """Five seconds of each."""
     listens = (steps(acoustics, 100, pushing, (seed, pushing)) for pushing in (False, True))
-    return tune(*listens, acoustics.rate, SECONDS)
+    return choose_tuning(*listens, acoustics.rate, SECONDS)
 
 
 class Played:

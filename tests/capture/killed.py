@@ -16,10 +16,9 @@ import time
 import warnings
 from pathlib import Path
 
-from stickslip_fit.capture.campaign import journal_of
-from stickslip_fit.capture.journal import read_journal
-from stickslip_fit.capture.ledger import BROKEN_OFF, Ledger
-from stickslip_fit.capture.person import Answer, Reading, Work
+from stickslip_fit.capture.campaign import journal_path
+from stickslip_fit.capture.journal import INTERRUPTED_NOTE, JournalReplay, read_journal
+from stickslip_fit.capture.operator import OperatorReply, PlannedDrive, TraverseReading
 from stickslip_fit.logs.plan import Plan
 from tests.capture.played import SHORT, Capture, Joints, Player, plan_of
 
@@ -65,21 +64,21 @@ class Acknowledging(Player):
         self.truth = joints.truth
         self.pipe = pipe
 
-    def begins(self, work: Work) -> None:
+    def begins(self, work: PlannedDrive) -> None:
         super().begins(work)
         self.truth.made = 0
 
-    def reading(self, reading: Reading) -> Answer:
+    def reading(self, reading: TraverseReading) -> OperatorReply:
         number = int(reading.work.title.split(" ")[0]) - 1
         os.write(self.pipe, ACKNOWLEDGED.pack(number, reading.steps, self.truth.made))
-        return Answer()
+        return OperatorReply()
 
 
 def capture(folder: Path, plan: Plan, truth: Truth, pipe: int) -> None:
     """Begin, or go on, until killed or done."""
     campaign = Capture(folder, plan, Witnessed(truth))
     campaign.player = Acknowledging(campaign.joints, pipe)
-    campaign.run(again=journal_of(campaign.log).exists())
+    campaign.run(again=journal_path(campaign.log).exists())
 
 
 def run_and_kill(folder: Path, plan: Plan, truth: Truth, after: float | None) -> Acknowledged:
@@ -119,17 +118,17 @@ def judge(folder: Path, acknowledged: Acknowledged, truth: Truth, before: int) -
     assert len(kept) <= len(acknowledged) + 1, "a reading that nobody was shown"
     assert all(steps == made for _, steps, made in acknowledged), "counted wrong"
     acknowledged += [(planned, steps, steps) for planned, steps in kept[len(acknowledged) :]]
-    if len(ledger.drives) == before or ledger.drives[-1].notes != (BROKEN_OFF,):
+    if len(ledger.drives) == before or ledger.drives[-1].notes != (INTERRUPTED_NOTE,):
         return 0
     broken = ledger.drives[-1]
     assert 0 <= broken.steps - truth.made <= 5, f"{broken.steps} recorded, {truth.made} driven"
     return broken.steps
 
 
-def ledger_of(folder: Path) -> Ledger:
-    ledger = Ledger()
-    if journal_of(folder / "log.csv").exists():
-        read_journal(journal_of(folder / "log.csv"), ledger.take)
+def ledger_of(folder: Path) -> JournalReplay:
+    ledger = JournalReplay()
+    if journal_path(folder / "log.csv").exists():
+        read_journal(journal_path(folder / "log.csv"), ledger.take)
     return ledger
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit.capture.campaign import Campaign, begin, resume
-from stickslip_fit.capture.clock import VirtualClock
-from stickslip_fit.capture.ear import Heard
-from stickslip_fit.capture.person import Answer, Reading, Setting, Work
+from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journal
+from stickslip_fit.capture.operator import OperatorReply, PlannedDrive, RigSetting, TraverseReading
+from stickslip_fit.capture.protocols import Detection, VirtualClock
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.plan import Plan
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 
 MACHINE = load_machine()
@@ -99,9 +98,9 @@ class Joints:
     def begin(self) -> None:
         self._free = False
 
-    def check(self, seconds: float) -> Heard:
+    def check(self, seconds: float) -> Detection:
         assert seconds > 0
-        return Heard(self._blocked and self._free and not self.deaf, 12.0 * self._blocked, self.fault)
+        return Detection(self._blocked and self._free and not self.deaf, 12.0 * self._blocked, self.fault)
 
     def close(self) -> None:
         pass
@@ -110,12 +109,12 @@ class Joints:
 class Player:
     """The person: sets what is asked for, and answers as they were told to."""
 
-    def __init__(self, joints: Joints, answers: Iterable[Answer] = ()) -> None:
+    def __init__(self, joints: Joints, answers: Iterable[OperatorReply] = ()) -> None:
         self.joints = joints
         self.answers = iter(answers)  # to readings and to trouble, in order; then everything is fine
-        self.asked: list[Setting] = []
+        self.asked: list[RigSetting] = []
         self.brought: list[tuple[int, float]] = []
-        self.told: list[Reading] = []
+        self.told: list[TraverseReading] = []
         self.troubles: list[str] = []
         self.key_at: int | None = None
         self.key_in = ""  # the drive, by the beginning of its title, in which the key is pressed
@@ -125,26 +124,26 @@ class Player:
     def tell(self, text: str) -> None:
         pass
 
-    def begin_session(self, label: str) -> Answer:
-        return Answer()
+    def begin_session(self, label: str) -> OperatorReply:
+        return OperatorReply()
 
-    def set_up(self, wanted: Setting, before: Setting | None) -> Answer:
+    def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
         self.asked.append(wanted)
         self.joints.stops = dict(MACHINE.ranges)
         for joint, low, high in wanted.stops:
             self.joints.stops[joint] = (low, high)
             self.joints.position[joint] = (low + high) / 2
-        return Answer()
+        return OperatorReply()
 
-    def bring(self, joint: int, position: float) -> Answer:
+    def bring(self, joint: int, position: float) -> OperatorReply:
         self.brought.append((joint, position))
         self.joints.position[joint] = position
-        return Answer()
+        return OperatorReply()
 
-    def begins(self, work: Work) -> None:
+    def begins(self, work: PlannedDrive) -> None:
         self._steps, self._title = 0, work.title
 
-    def progress(self, work: Work, steps: int, heard: Heard) -> None:
+    def progress(self, work: PlannedDrive, steps: int, heard: Detection) -> None:
         self._steps = steps
 
     def stop_wanted(self) -> bool:
@@ -153,13 +152,13 @@ class Player:
             return True
         return False
 
-    def reading(self, reading: Reading) -> Answer:
+    def reading(self, reading: TraverseReading) -> OperatorReply:
         self.told.append(reading)
-        return next(self.answers, Answer())
+        return next(self.answers, OperatorReply())
 
-    def trouble(self, work: Work, why: str) -> Answer:
+    def trouble(self, work: PlannedDrive, why: str) -> OperatorReply:
         self.troubles.append(why)
-        return next(self.answers, Answer())
+        return next(self.answers, OperatorReply())
 
 
 @dataclass
@@ -197,12 +196,12 @@ class Capture:
     def rows(self) -> pd.DataFrame:
         return read_log(self.log, machine=MACHINE).rows
 
-    def answer(self, *answers: Answer) -> None:
+    def answer(self, *answers: OperatorReply) -> None:
         self.player.answers = iter(answers)
 
     def run(self, again: bool = False) -> bool:
-        journal, ledger = resume(self.log) if again else begin(self.log)
+        journal, ledger = resume_journal(self.log) if again else begin_journal(self.log)
         with journal:
-            rig, person = self.joints.rig, self.player
-            where = (self.plan, MACHINE, self.log, journal, ledger, rig, person)
+            rig, operator = self.joints.rig, self.player
+            where = (self.plan, MACHINE, self.log, journal, ledger, rig, operator)
             return Campaign(*where, self.predictor, self.counting, conditions=self.conditions).run()

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from stickslip_fit.capture.clock import VirtualClock
-from stickslip_fit.capture.line import Line
+from stickslip_fit.capture.nanocontrol import LineTransport
+from stickslip_fit.capture.protocols import VirtualClock
 
 Pairs = list[tuple[bytes | None, bytes | None]]
 
@@ -54,7 +54,7 @@ def conversation(make: Any, end: str, pairs: Pairs, at_once: int = 4096) -> Iter
     """A controller made from a line that speaks these pairs; nothing may be left over at the end."""
     clock = VirtualClock()
     wire = ScriptedWire(pairs, clock, at_once)
-    yield make(Line(wire, clock, end))
+    yield make(LineTransport(wire, clock, end))
     assert not wire.pairs, f"never sent: {wire.pairs}"
     assert not wire.written, f"half a command: {wire.written!r}"
     assert not wire.unread, f"never read: {wire.unread!r}"

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from stickslip_fit.capture.anc300 import AXES, Anc300, open_anc300
-from stickslip_fit.capture.controller import ControllerError, Unplugged
+from stickslip_fit.capture.devices import AXES, Anc300, open_anc300
+from stickslip_fit.capture.protocols import ConnectionLost, ControllerError
 from stickslip_fit.errors import InputError
 
 pytest.importorskip("pymeasure", reason="pymeasure is not installed")
@@ -67,7 +67,7 @@ def test_a_lost_connection_is_unplugged():
         def first(self):
             raise VisaIOError(StatusCode.error_connection_lost)
 
-    with pytest.raises(Unplugged, match=r"joint 1, \+5 steps.*--resume"):
+    with pytest.raises(ConnectionLost, match=r"joint 1, \+5 steps.*--resume"):
         Anc300(Gone()).step(1, 5)
 
 

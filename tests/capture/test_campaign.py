@@ -12,14 +12,16 @@ from tempfile import TemporaryDirectory, mkdtemp
 import numpy as np
 import pytest
 
-from stickslip_fit.capture.campaign import begin
-from stickslip_fit.capture.controller import ControllerError, Unplugged
-from stickslip_fit.capture.person import Answer, Choice
+from stickslip_fit.capture.campaign import begin_journal
+from stickslip_fit.capture.operator import OperatorChoice, OperatorReply
+from stickslip_fit.capture.protocols import ConnectionLost, ControllerError
 from stickslip_fit.errors import InputError
 from tests.capture.played import SHORT, STEP, Capture, Joints, Player, plan_of
 from tests.capture.test_journal import disk_of
 
-REPEAT, SKIP, QUIT = (Answer(choice) for choice in (Choice.REPEAT, Choice.SKIP, Choice.QUIT))
+REPEAT, SKIP, QUIT = (
+    OperatorReply(choice) for choice in (OperatorChoice.REPEAT, OperatorChoice.SKIP, OperatorChoice.QUIT)
+)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +120,7 @@ def test_without_counting_the_person_brings_joints_to_such_positions(short):
 
 def test_a_doubtful_reading_is_marked_and_made_again(short):
     short.predictor.off = 0.9
-    short.answer(Answer(), REPEAT, Answer(Choice.REPEAT, "door slammed"))
+    short.answer(OperatorReply(), REPEAT, OperatorReply(OperatorChoice.REPEAT, "door slammed"))
     short.run()
     assert_whole(short)
     assert "11" in short.player.told[0].departure
@@ -169,7 +171,7 @@ def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_
 
 
 def test_quit_and_resumed_it_goes_on_with_the_next_traverse(short):
-    short.answer(Answer(), Answer(), Answer(Choice.QUIT, "lunch"))
+    short.answer(OperatorReply(), OperatorReply(), OperatorReply(OperatorChoice.QUIT, "lunch"))
     assert not short.run()
     assert (short.rows["status"] == "ok").sum() == 3
     assert short.rows["note"].iloc[-1] == "lunch"
@@ -222,12 +224,12 @@ def test_unplugged_in_mid_move_it_says_so_and_goes_on_later(short, commands):
         def step(self, joint, steps):
             self.left -= 1
             if self.left == 0:
-                raise Unplugged(f"joint {joint}: the connection is lost")
+                raise ConnectionLost(f"joint {joint}: the connection is lost")
             super().step(joint, steps)
 
     short.joints = Frail()
     short.__post_init__()
-    with pytest.raises(Unplugged, match="lost; see to the controller, then go on with --resume"):
+    with pytest.raises(ConnectionLost, match="lost; see to the controller, then go on with --resume"):
         short.run()
     driven = sum(short.joints.made.values())
     assert driven <= short.rows["steps"].sum() <= driven + 5
@@ -281,13 +283,13 @@ def test_a_log_that_was_not_captured_is_not_written_over(short):
 
 
 def test_a_journal_left_by_a_capture_that_never_began_is_in_nobodys_way(short):
-    begin(short.log)[0].close()
+    begin_journal(short.log)[0].close()
     assert short.run()
     assert_whole(short)
 
 
 def test_a_log_changed_by_hand_is_put_aside_before_it_is_written_again(short):
-    short.answer(Answer(), QUIT)
+    short.answer(OperatorReply(), QUIT)
     short.run()
     written = short.log.read_text()
     short.log.write_text(written + "by hand\n")
@@ -303,10 +305,10 @@ def test_a_log_changed_by_hand_is_put_aside_before_it_is_written_again(short):
 def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of_the_session(folder):
     capture = Capture(folder, plan_of(folder, SHORT.replace("03-05]", "03-05, 2012-03-06]")))
     capture.conditions = {"supply": 80.0}
-    warm = Answer(conditions={"temperature": 295.65, "covariate:pressure_hPa": 1013.0})
-    odd = Answer(conditions={"temperature": 297.15})
+    warm = OperatorReply(conditions={"temperature": 295.65, "covariate:pressure_hPa": 1013.0})
+    odd = OperatorReply(conditions={"temperature": 297.15})
     capture.predictor.off = 0.9
-    capture.answer(Answer(), warm, Answer(), odd)
+    capture.answer(OperatorReply(), warm, OperatorReply(), odd)
     capture.run()
     assert_whole(capture)
     kept = capture.rows[capture.rows["status"] == "ok"]
@@ -319,7 +321,7 @@ def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of
 
 
 def test_two_captures_at_once_are_refused(short):
-    with begin(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
+    with begin_journal(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
         short.run(again=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stickslip_fit.capture.conditions import conditions_of, conditions_text
+from stickslip_fit.capture.operator import format_conditions, parse_conditions
 from stickslip_fit.errors import InputError
 
 
@@ -21,12 +21,12 @@ from stickslip_fit.errors import InputError
     ],
 )
 def test_conditions_are_read_in_the_units_of_a_log(typed, meant):
-    assert conditions_of(typed) == pytest.approx(meant)
+    assert parse_conditions(typed) == pytest.approx(meant)
 
 
 def test_conditions_are_written_as_they_would_be_typed():
     typed = "temperature_C=22.5 humidity_pct=41 supply_V=80 payload_g=0.5 pressure_hPa=1013"
-    assert conditions_text(conditions_of(typed)) == typed
+    assert format_conditions(parse_conditions(typed)) == typed
 
 
 @pytest.mark.parametrize(
@@ -44,4 +44,4 @@ def test_conditions_are_written_as_they_would_be_typed():
 )
 def test_what_is_no_condition_is_refused(typed, said):
     with pytest.raises(InputError, match=said):
-        conditions_of(f"supply_V=80 {typed}")
+        parse_conditions(f"supply_V=80 {typed}")

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import stickslip_fit.capture
-from stickslip_fit.capture.campaign import Campaign, begin, resume
-from stickslip_fit.capture.clock import VirtualClock
-from stickslip_fit.capture.emulator.emulator import emulate
-from stickslip_fit.capture.emulator.person import EmulatedPerson
-from stickslip_fit.capture.person import Answer, Choice
+from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journal
+from stickslip_fit.capture.emulator.rig import EmulatedOperator, emulate_rig
+from stickslip_fit.capture.operator import OperatorChoice, OperatorReply
+from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.capture.traverse import Rig
-from stickslip_fit.laws import seen_count
+from stickslip_fit.laws import observed_count
 from stickslip_fit.logs import read_log
-from stickslip_fit.simulate import expected_counts
+from stickslip_fit.simulation import expected_counts
 from tests.capture.truths import MACHINE, plan_of, truth_of
 
 HIDDEN = """
@@ -43,13 +42,13 @@ class Willing:
         pass
 
     def begin_session(self, label):
-        return Answer()
+        return OperatorReply()
 
     def set_up(self, wanted, before):
-        return Answer()
+        return OperatorReply()
 
     def bring(self, joint, position):
-        return Answer()
+        return OperatorReply()
 
     def begins(self, work):
         pass
@@ -61,7 +60,7 @@ class Willing:
         return False
 
     def reading(self, reading):
-        return Answer()
+        return OperatorReply()
 
     def trouble(self, work, why):
         pytest.fail(why)
@@ -75,19 +74,19 @@ class Leaving(Willing):
 
     def reading(self, reading):
         self.left -= 1
-        return Answer() if self.left else Answer(Choice.QUIT)
+        return OperatorReply() if self.left else OperatorReply(OperatorChoice.QUIT)
 
 
-def part(path, truth, plan, person, opened=begin):
+def part(path, truth, plan, operator, opened=begin_journal):
     """A campaign at a rig switched on for it; whether it is complete."""
     journal, ledger = opened(path)
     with journal:
         began = ledger.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
-        rig = emulate(truth, clock=VirtualClock(began))
+        rig = emulate_rig(truth, clock=VirtualClock(began))
         rig.hands.remember(ledger.rows(), rig.clock.today(), rig.clock.now())
         parts = Rig(rig.controller(pytest.fail), rig.perfect_ear(), rig.clock)
-        person = EmulatedPerson(person, rig.hands, rig.clock, plan)
-        complete = Campaign(plan, MACHINE, path, journal, ledger, parts, person).run()
+        operator = EmulatedOperator(operator, rig.hands, rig.clock, plan)
+        complete = Campaign(plan, MACHINE, path, journal, ledger, parts, operator).run()
         return complete, rig
 
 
@@ -98,7 +97,7 @@ def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
     path = tmp_path / "log.csv"
     if lunch:
         assert not part(path, truth, plan, Leaving(lunch))[0]
-    complete, rig = part(path, truth, plan, Willing(), resume if lunch else begin)
+    complete, rig = part(path, truth, plan, Willing(), resume_journal if lunch else begin_journal)
     assert complete
     log = read_log(path, machine=MACHINE)
     assert log.sessions == tuple(session.label for session in plan.sessions)
@@ -107,7 +106,7 @@ def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
     for joint in log.joints:
         rows = log.usable[log.usable["joint"] == joint]
         values, _ = truth.laws.of_rows(rows, joint)
-        expected = seen_count(expected_counts(truth.laws.laws[joint], rows, values), rows["check_every"])
+        expected = observed_count(expected_counts(truth.laws.laws[joint], rows, values), rows["check_every"])
         assert rows["steps"].to_numpy() == pytest.approx(expected, abs=5)
         assert np.mean(rows["steps"].to_numpy() == expected) > 0.8
     for joint in log.joints:

@@ -8,19 +8,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.capture.clock import VirtualClock
 from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.emulator import Emulator, emulate
+from stickslip_fit.capture.emulator.rig import EmulatedRig, emulate_rig
+from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise
-from stickslip_fit.simulate import expected_counts, simulate
+from stickslip_fit.simulation import expected_counts, simulate
 from tests.capture.truths import MACHINE, plan_of, truth_of
 
 MISSED = 10_000
 
 
-def driven(rig: Emulator, rows: pd.DataFrame) -> np.ndarray:
+def driven(rig: EmulatedRig, rows: pd.DataFrame) -> np.ndarray:
     """Make a log's traverses at their times, as its person and its driver did; the counts."""
     controller, ear, hands = rig.controller(pytest.fail), rig.perfect_ear(), rig.hands
     began, session, counts = rows["time"].iloc[0], None, []
@@ -66,13 +66,13 @@ def test_without_noise_it_counts_exactly_what_simulate_counts(name, tmp_path):
     assert name == "nothing" or name in {cause.name for cause in library()}
     truth = truth_of(tmp_path, hidden(name))
     rows = simulate(plan_of(tmp_path, replicates=1), truth.laws, MACHINE).rows
-    assert np.array_equal(driven(emulate(truth), rows), rows["steps"])
+    assert np.array_equal(driven(emulate_rig(truth), rows), rows["steps"])
 
 
 def test_a_traverse_follows_the_one_before_it_and_not_its_own_beginning(tmp_path):
     """Two in a row differ by the steps lost in turning round, however they were commanded."""
     truth = truth_of(tmp_path, hidden("reversal-loss"))
-    rig = emulate(truth)
+    rig = emulate_rig(truth)
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
     first = counted(rig, controller, ear, 3, "+")
     back = counted(rig, controller, ear, 3, "-")
@@ -87,7 +87,7 @@ def test_a_traverse_follows_the_one_before_it_and_not_its_own_beginning(tmp_path
 def test_with_noise_the_counts_spread_about_simulates(kind, tmp_path):
     truth = truth_of(tmp_path, noise=0.02)
     truth = replace(truth, noise=replace(truth.noise, kind=kind))
-    rig = emulate(truth)
+    rig = emulate_rig(truth)
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
     found = []
     for number in range(400):
@@ -103,7 +103,7 @@ def test_with_noise_the_counts_spread_about_simulates(kind, tmp_path):
 
 def test_days_differ_as_the_law_file_says_and_stay_themselves(tmp_path):
     truth = truth_of(tmp_path, day_to_day=3.0)
-    rig = emulate(truth)
+    rig = emulate_rig(truth)
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
 
     def count(day):
@@ -117,7 +117,7 @@ def test_days_differ_as_the_law_file_says_and_stay_themselves(tmp_path):
 
 
 def test_a_joint_at_its_stop_stays_there_while_the_steps_go_on(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     controller = rig.controller(pytest.fail)
     controller.step(3, 20_000)
     assert rig.hands.position(3) == MACHINE.ranges[3][1]
@@ -131,7 +131,7 @@ def test_a_joint_at_its_stop_stays_there_while_the_steps_go_on(tmp_path):
 
 def test_positions_and_counts_agree_on_where_a_traverse_ends(tmp_path):
     """Whatever a day, noise and lost steps make of it; the arm is level, and all steps are alike."""
-    rig = emulate(truth_of(tmp_path, hidden("reversal-loss"), day_to_day=3.0, noise=0.05))
+    rig = emulate_rig(truth_of(tmp_path, hidden("reversal-loss"), day_to_day=3.0, noise=0.05))
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
     for number in range(6):
         way, stop = (1, 0.012) if number % 2 == 0 else (-1, 0.0)
@@ -145,7 +145,7 @@ def test_positions_and_counts_agree_on_where_a_traverse_ends(tmp_path):
 
 
 def test_stops_can_be_put_closer_and_taken_away(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
     whole = counted(rig, controller, ear, 3, "+")
     rig.hands.set_stops(3, 0.003, 0.006)
@@ -162,14 +162,14 @@ def test_stops_can_be_put_closer_and_taken_away(tmp_path):
     [({"q3": 0.013}, "beyond joint 3's stops"), ({"zeta": 0.1}, "'zeta' cannot be set; choose among q1")],
 )
 def test_hands_cannot_do_what_is_impossible(quantities, message, tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     with pytest.raises(InputError, match=message):
         rig.hands.set(**quantities)
 
 
 @pytest.mark.parametrize(("dialect", "on_the_way"), [("new", 0.0), ("old", 0.010)])
 def test_time_passes_as_the_steps_do(dialect, on_the_way, tmp_path):
-    rig = emulate(truth_of(tmp_path), dialect, period=0.004)
+    rig = emulate_rig(truth_of(tmp_path), dialect, period=0.004)
     controller = rig.controller(pytest.fail)
     controller.step(3, 5)
     assert rig.clock.now() == pytest.approx(0.020 + on_the_way)
@@ -180,48 +180,48 @@ def test_time_passes_as_the_steps_do(dialect, on_the_way, tmp_path):
 
 
 def test_a_move_stopped_half_way_has_made_half_its_steps(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     rig.unit.take(b"coarse C 1000\r")
     rig.clock.sleep(5.001)
-    assert rig.unit.give() == b""
+    assert rig.unit.send() == b""
     rig.unit.take(b"stop\r")
-    assert rig.unit.give() == b"e\tstopped\ro\tstop\r"
+    assert rig.unit.send() == b"e\tstopped\ro\tstop\r"
     assert rig.unit.counted["C"] == rig.hands.driven(3) == 500
     rig.unit.take(b"stopnack\r")
-    assert rig.unit.give() == b""
+    assert rig.unit.send() == b""
     rig.unit.take(b"coarse C ?\rcoarsereset C\rcoarse ?\r")
-    assert rig.unit.give() == b"o\t500\ro\tcoarsereset\ro\t0 0 0 0\r"
+    assert rig.unit.send() == b"o\t500\ro\tcoarsereset\ro\t0 0 0 0\r"
 
 
 def test_a_stop_right_behind_a_move_stops_it(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     rig.unit.take(b"coarse C 1000\rstop\r")
-    assert rig.unit.give() == b"e\tstopped\ro\tstop\r"
+    assert rig.unit.send() == b"e\tstopped\ro\tstop\r"
     assert rig.unit.due() is None
 
 
 def test_commands_wait_for_each_other_and_may_come_in_pieces(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     for byte in b"coarse C 100\rcoarse B -100\r":
         rig.unit.take(bytes([byte]))
     rig.clock.sleep(1.5)
-    assert rig.unit.give() == b"o\tcoarse\r"
+    assert rig.unit.send() == b"o\tcoarse\r"
     rig.clock.sleep(0.5)
-    assert rig.unit.give() == b"o\tcoarse\r"
+    assert rig.unit.send() == b"o\tcoarse\r"
     assert rig.unit.counted == {"A": 0, "B": -100, "C": 100, "D": 0}
 
 
 @pytest.mark.parametrize("command", ["coarse E 5", "coarse C 70000", "coarse C five", "fly"])
 def test_the_new_dialect_refuses_what_it_cannot_do(command, tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     rig.unit.take(command.encode() + b"\r")
-    assert rig.unit.give().startswith(b"e\t")
+    assert rig.unit.send().startswith(b"e\t")
     assert rig.unit.due() is None
 
 
 def test_it_can_speak_unasked(tmp_path):
     told = []
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     rig.unit.inform("voltage breakdown")
     rig.controller(told.append).step(3, 5)
     assert told == ["voltage breakdown"]
@@ -236,7 +236,7 @@ def in_band(sound, acoustics):
 
 def test_the_microphone_hears_the_stop_as_loud_as_it_is_said_to_be(tmp_path):
     """Its power in the stop's band, over that of a joint that moves, is the signal-to-noise ratio plus 1."""
-    rig, acoustics = emulate(truth_of(tmp_path)), Acoustics(snr_db=10.0)
+    rig, acoustics = emulate_rig(truth_of(tmp_path)), Acoustics(snr_db=10.0)
     controller, microphone = rig.controller(pytest.fail), rig.microphone(acoustics)
     power = []
     for joint_at_stop in (False, True):
@@ -249,7 +249,7 @@ def test_the_microphone_hears_the_stop_as_loud_as_it_is_said_to_be(tmp_path):
 
 
 def test_the_microphone_hears_the_stop_at_the_very_step_that_meets_it(tmp_path):
-    rig, acoustics = emulate(truth_of(tmp_path)), Acoustics(snr_db=30.0)
+    rig, acoustics = emulate_rig(truth_of(tmp_path)), Acoustics(snr_db=30.0)
     controller, microphone = rig.controller(pytest.fail), rig.microphone(acoustics)
     count = counted(rig, controller, rig.perfect_ear(), 3, "+", 1)
     rig.hands.set(q3=0.0)
@@ -262,7 +262,7 @@ def test_the_microphone_hears_the_stop_at_the_very_step_that_meets_it(tmp_path):
 
 
 def test_the_microphone_waits_for_what_it_has_not_heard(tmp_path):
-    rig = emulate(truth_of(tmp_path))
+    rig = emulate_rig(truth_of(tmp_path))
     microphone = rig.microphone(Acoustics())
     assert len(microphone.read(1.0).values) == 48_000
     assert rig.clock.now() == pytest.approx(1.0)
@@ -270,14 +270,14 @@ def test_the_microphone_waits_for_what_it_has_not_heard(tmp_path):
 
 def test_a_virtual_clock_is_one_for_all(tmp_path):
     clock = VirtualClock()
-    rig = emulate(truth_of(tmp_path), clock=clock)
+    rig = emulate_rig(truth_of(tmp_path), clock=clock)
     rig.controller(pytest.fail).step(3, 100)
     assert clock.now() == rig.clock.now() == pytest.approx(1.0)
 
 
 def test_noise_needs_no_joint_that_has_none(tmp_path):
     truth = replace(truth_of(tmp_path), noise=Noise({(3, "+"): 0.01}))
-    rig = emulate(truth)
+    rig = emulate_rig(truth)
     controller, ear = rig.controller(pytest.fail), rig.perfect_ear()
     out = [counted(rig, controller, ear, 3, way) for way in "+-+-+"]
     assert len({*out[::2]}) > 1

@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from stickslip_fit.capture.controller import ControllerError, Unplugged
-from stickslip_fit.capture.emulator.process import emulator_process
-from stickslip_fit.capture.open_controller import open_controller
+from stickslip_fit.capture.devices import open_controller
+from stickslip_fit.capture.emulator.rig import start_emulator
+from stickslip_fit.capture.protocols import ConnectionLost, ControllerError
 from stickslip_fit.errors import InputError
 from tests.capture.truths import LAWS
 
@@ -28,7 +28,7 @@ def law(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig(law):
-    with emulator_process(law, *FAST) as rig:
+    with start_emulator(law, *FAST) as rig:
         yield rig
 
 
@@ -42,7 +42,7 @@ def controller(rig):
 
 @pytest.mark.parametrize("dialect", ["new", "old"])
 def test_a_rig_is_driven_until_its_cable_is_pulled(dialect, law):
-    with emulator_process(law, *FAST, "--dialect", dialect) as rig:
+    with start_emulator(law, *FAST, "--dialect", dialect) as rig:
         controller = open_controller(rig.port, dialect, pytest.fail, step_period=0.001)
         assert "emulated" in controller.version()
         began = time.monotonic()
@@ -52,7 +52,7 @@ def test_a_rig_is_driven_until_its_cable_is_pulled(dialect, law):
         assert rig.position(3) == pytest.approx(100 * STEP)
         threading.Timer(0.2, rig.close).start()
         began = time.monotonic()
-        with pytest.raises(Unplugged, match="--resume"):
+        with pytest.raises(ConnectionLost, match="--resume"):
             controller.step(3, 5000)
         assert time.monotonic() - began < 2.0
         controller.close()
@@ -74,7 +74,7 @@ def test_hands_are_told_what_they_cannot_do(order, rig):
 
 
 def test_a_faulty_law_file_is_told(tmp_path):
-    with pytest.raises(InputError, match=r"missing\.toml"), emulator_process(tmp_path / "missing.toml"):
+    with pytest.raises(InputError, match=r"missing\.toml"), start_emulator(tmp_path / "missing.toml"):
         pass
 
 

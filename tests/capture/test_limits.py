@@ -7,9 +7,15 @@ import pytest
 from scipy import stats
 
 from benchmarks.ear import Fixed, Running, rehearse
-from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.powers import powers_of
-from stickslip_fit.capture.limits import CHECKS, FALSE_STOPS, exceeded, limits_for, pair_chance, pair_limit
+from stickslip_fit.capture.emulator.acoustics import Acoustics, compute_powers
+from stickslip_fit.capture.tuning import (
+    CHECKS_PER_TRAVERSE,
+    FALSE_STOPS_PER_TRAVERSE,
+    compute_limits,
+    pair_chance,
+    pair_limit,
+    power_quantile,
+)
 from tests.capture.hearing import steps, tuned
 
 
@@ -24,28 +30,28 @@ def tuning(at_zero):
     return tuned(at_zero)
 
 
-@pytest.mark.parametrize(("freedom", "rise"), [(190.0, 1.0), (40.0, 1.0), (190.0, 1.3)])
-def test_the_chance_of_a_pair_is_that_of_pairs_drawn_at_random(freedom, rise):
-    limit, least = 1.0 + 2.2 * np.sqrt(1 / freedom), exceeded(0.2, freedom)
-    pairs = rise * stats.chi2.rvs(freedom, size=(2, 400_000), random_state=7) / freedom
+@pytest.mark.parametrize(("df", "rise"), [(190.0, 1.0), (40.0, 1.0), (190.0, 1.3)])
+def test_the_chance_of_a_pair_is_that_of_pairs_drawn_at_random(df, rise):
+    limit, least = 1.0 + 2.2 * np.sqrt(1 / df), power_quantile(0.2, df)
+    pairs = rise * stats.chi2.rvs(df, size=(2, 400_000), random_state=7) / df
     counted = np.minimum(pairs, 2 * limit - least).sum(axis=0) >= 2 * limit
-    assert counted.mean() == pytest.approx(pair_chance(limit, least, freedom, rise), rel=0.04)
+    assert counted.mean() == pytest.approx(pair_chance(limit, least, df, rise), rel=0.04)
 
 
 def test_the_limit_has_the_chance_that_it_is_made_for():
-    for freedom in (20.0, 200.0):
-        least = exceeded(0.01, freedom)
-        assert pair_chance(pair_limit(freedom), least, freedom) == pytest.approx(
-            FALSE_STOPS / CHECKS, rel=1e-3
+    for df in (20.0, 200.0):
+        least = power_quantile(0.01, df)
+        assert pair_chance(pair_limit(df), least, df) == pytest.approx(
+            FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, rel=1e-3
         )
-        assert stats.chi2.sf(least * freedom, freedom) == pytest.approx(0.01)
+        assert stats.chi2.sf(least * df, df) == pytest.approx(0.01)
 
 
 def test_limits_narrow_as_a_baseline_is_learnt_and_widen_where_the_stop_is_loud():
-    close, loud = limits_for(190.0, 380.0, 2.0, 1.0), limits_for(190.0, 380.0, 20.0, 1.0)
-    assert np.all(np.diff(close.pair[1:]) < 0)
-    assert loud.pair[-1] == pytest.approx(np.sqrt(20.0))
-    assert np.all(close.cap < 2 * close.pair)
+    close, loud = compute_limits(190.0, 380.0, 2.0, 1.0), compute_limits(190.0, 380.0, 20.0, 1.0)
+    assert np.all(np.diff(close.pair_threshold[1:]) < 0)
+    assert loud.pair_threshold[-1] == pytest.approx(np.sqrt(20.0))
+    assert np.all(close.max_rise < 2 * close.pair_threshold)
 
 
 @pytest.mark.parametrize("pushing", [False, True])
@@ -53,7 +59,7 @@ def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(at_zero, 
     number = 3000
     sound = steps(at_zero, number, pushing, 11)
     of_sound = tuning.powers(sound.reshape(number, -1))
-    powers, rng = powers_of(at_zero, tuning), np.random.default_rng(2)
+    powers, rng = compute_powers(at_zero, tuning), np.random.default_rng(2)
     parts = (powers.band_at_stop, powers.reference_at_stop) if pushing else (powers.band, powers.reference)
     for heard, part in zip(of_sound, parts, strict=True):
         drawn = part.draw(100_000, rng)
@@ -65,7 +71,7 @@ def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(at_zero, 
 
 
 def operating_point(acoustics, tuning, traverses, stops, drift_db, seed):
-    rng, powers = np.random.default_rng(seed), powers_of(acoustics, tuning)
+    rng, powers = np.random.default_rng(seed), compute_powers(acoustics, tuning)
     imagined = rehearse(Running(tuning.limits), powers, traverses, rng, drift_db=drift_db).imagined
     late = rehearse(Running(tuning.limits), powers, stops, rng, checks=80, drift_db=drift_db).late
     return imagined, late
@@ -90,14 +96,14 @@ def test_stops_are_found_and_not_imagined_at_0_db_for_any_tuning(at_zero, drift_
 
 
 def test_a_plain_threshold_imagines_stops_once_the_gain_drifts(at_zero, tuning):
-    fixed = Fixed(exceeded(FALSE_STOPS / CHECKS, tuning.freedom))
+    fixed = Fixed(power_quantile(FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, tuning.df))
     rng = np.random.default_rng(1)
-    assert rehearse(fixed, powers_of(at_zero, tuning), 300, rng, drift_db=6.0).imagined > 0.9
+    assert rehearse(fixed, compute_powers(at_zero, tuning), 300, rng, drift_db=6.0).imagined > 0.9
 
 
 def test_what_the_tuning_expects_to_miss_is_missed():
     acoustics = Acoustics(snr_db=-2.0)
     tuning = tuned(acoustics)
     rng = np.random.default_rng(3)
-    late = rehearse(Running(tuning.limits), powers_of(acoustics, tuning), 20_000, rng, checks=80).late
+    late = rehearse(Running(tuning.limits), compute_powers(acoustics, tuning), 20_000, rng, checks=80).late
     assert late == pytest.approx(tuning.missed, rel=0.4)

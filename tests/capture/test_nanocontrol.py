@@ -6,12 +6,10 @@ from functools import partial
 
 import pytest
 
-from stickslip_fit.capture import nanocontrol, nanocontrol_old
-from stickslip_fit.capture.clock import VirtualClock
-from stickslip_fit.capture.controller import ControllerError, Unplugged
-from stickslip_fit.capture.line import Line
-from stickslip_fit.capture.nanocontrol import NanoControl
-from stickslip_fit.capture.nanocontrol_old import OldNanoControl
+from stickslip_fit.capture import nanocontrol
+from stickslip_fit.capture import nanocontrol as nanocontrol_old
+from stickslip_fit.capture.nanocontrol import LineTransport, NanoControl, OldNanoControl
+from stickslip_fit.capture.protocols import ConnectionLost, ControllerError, VirtualClock
 from stickslip_fit.errors import InputError
 from tests.capture.scripted import conversation
 
@@ -25,12 +23,12 @@ def told():
 
 @pytest.fixture
 def new(told):
-    return partial(conversation, lambda line: NanoControl(line, told.append), nanocontrol.END)
+    return partial(conversation, lambda line: NanoControl(line, told.append), nanocontrol.NEW_TERMINATOR)
 
 
 @pytest.fixture
 def old():
-    return partial(conversation, OldNanoControl, nanocontrol_old.END)
+    return partial(conversation, OldNanoControl, nanocontrol_old.OLD_TERMINATOR)
 
 
 def test_every_joint_has_its_channel_and_every_direction_its_sign(new):
@@ -110,7 +108,7 @@ def test_silence_is_waited_out_for_longer_than_the_move_takes():
         def close(self):
             pass
 
-    controller = NanoControl(Line(Silent(), clock, nanocontrol.END), print)
+    controller = NanoControl(LineTransport(Silent(), clock, nanocontrol.NEW_TERMINATOR), print)
     with pytest.raises(ControllerError, match=r"joint 2, command 'coarse B 12000': nothing came"):
         controller.step(2, 12_000)
     assert 120 < clock.now() < 240
@@ -178,8 +176,8 @@ def test_a_lost_connection_is_unplugged(failing):
         raise OSError(5, "Input/output error")
 
     wire = type("Gone", (), {"write": lambda *_: None, "read": lambda *_: b"", failing: fail})()
-    controller = NanoControl(Line(wire, VirtualClock(), nanocontrol.END), print)
-    with pytest.raises(Unplugged, match=r"Input/output error.*--resume"):
+    controller = NanoControl(LineTransport(wire, VirtualClock(), nanocontrol.NEW_TERMINATOR), print)
+    with pytest.raises(ConnectionLost, match=r"Input/output error.*--resume"):
         controller.step(3, 5)
 
 

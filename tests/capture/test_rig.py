@@ -8,21 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from stickslip_fit.capture.campaign import Campaign, begin, resume
-from stickslip_fit.capture.clock import RealClock
-from stickslip_fit.capture.controller import Unplugged
-from stickslip_fit.capture.detector import Detector
+from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journal
+from stickslip_fit.capture.devices import open_controller
 from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.emulator import emulate
-from stickslip_fit.capture.emulator.process import emulator_process
-from stickslip_fit.capture.emulator.truth import Truth
-from stickslip_fit.capture.open_controller import open_controller
-from stickslip_fit.capture.person import Answer
+from stickslip_fit.capture.emulator.manipulator import HiddenLaws
+from stickslip_fit.capture.emulator.rig import emulate_rig, start_emulator
+from stickslip_fit.capture.end_stop import SequentialDetector
+from stickslip_fit.capture.operator import OperatorReply
+from stickslip_fit.capture.protocols import ConnectionLost, RealClock
 from stickslip_fit.capture.traverse import Rig
-from stickslip_fit.cli.capturing import tune_by_hand, tune_emulated
+from stickslip_fit.cli.capture import tune_by_hand, tune_emulated
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
-from stickslip_fit.simulate import read_law_values
+from stickslip_fit.simulation import read_law_values
 from tests.capture.played import MACHINE, Joints, Player, plan_of
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
@@ -50,12 +48,12 @@ class AtProcess(Player):
 
     def begin_session(self, label):
         self.rig.begin_session(label)
-        return Answer()
+        return OperatorReply()
 
     def set_up(self, wanted, before):
         for stops in wanted.stops:
             self.rig.set_stops(*stops)
-        return Answer()
+        return OperatorReply()
 
     def progress(self, work, steps, heard):
         if work.title.startswith("2 of 2") and steps >= self.pull_at:
@@ -66,7 +64,7 @@ class AtProcess(Player):
 def rig_at_work():
     """A rig in a process of its own, and its controller."""
     options = ("--step-period-ms", str(PERIOD_MS), "--snr-db", "20", "--repeatability-pct", "0")
-    with emulator_process(LAW, *options) as rig:
+    with start_emulator(LAW, *options) as rig:
         controller = open_controller(rig.port, "new", pytest.fail, PERIOD_MS / 1000)
         yield rig, controller
         controller.close()
@@ -74,24 +72,24 @@ def rig_at_work():
 
 def capture(folder, journal, ledger, rig, controller, tuning, pull_at=math.inf):
     """Capture the plan at a rig, which is unplugged at `pull_at`."""
-    ear, person = Detector(rig, tuning), AtProcess(rig, pull_at)
+    ear, operator = SequentialDetector(rig, tuning), AtProcess(rig, pull_at)
     where = (plan_of(folder, PLAN), MACHINE, folder / "log.csv", journal, ledger)
     with journal:
-        return Campaign(*where, Rig(controller, ear, RealClock()), person).run()
+        return Campaign(*where, Rig(controller, ear, RealClock()), operator).run()
 
 
 def test_unplugged_in_mid_traverse_it_loses_nothing_and_goes_on_later(tmp_path):
     with rig_at_work() as (rig, controller):
         tuning = tune_emulated(controller, rig, RealClock(), 10)
-        with pytest.raises(Unplugged, match="go on with --resume"):
-            capture(tmp_path, *begin(tmp_path / "log.csv"), rig, controller, tuning, pull_at=200)
+        with pytest.raises(ConnectionLost, match="go on with --resume"):
+            capture(tmp_path, *begin_journal(tmp_path / "log.csv"), rig, controller, tuning, pull_at=200)
     rows = read_log(tmp_path / "log.csv").rows
     first = rows[rows["status"] == "ok"]
     assert first["direction"].tolist() == ["+"]
     assert rows["status"].iloc[-1] == "interrupted"
     assert 200 < rows["steps"].iloc[-1] <= 220
     with rig_at_work() as (rig, controller):
-        assert capture(tmp_path, *resume(tmp_path / "log.csv"), rig, controller, tuning)
+        assert capture(tmp_path, *resume_journal(tmp_path / "log.csv"), rig, controller, tuning)
     rows = read_log(tmp_path / "log.csv").rows
     made = rows[rows["status"] == "ok"]
     assert made["direction"].tolist() == ["+", "-"]
@@ -115,7 +113,7 @@ class EarsOfTheirOwn:
 
 
 def test_the_ear_is_tuned_with_a_person_who_hears_the_stop():
-    emulator = emulate(Truth(read_law_values(LAW, MACHINE), MACHINE))
+    emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
     keys = EarsOfTheirOwn(emulator.hands)
     tuning = tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.hands))
@@ -124,7 +122,7 @@ def test_the_ear_is_tuned_with_a_person_who_hears_the_stop():
 
 
 def test_a_stop_that_nobody_hears_ends_the_tuning(monkeypatch):
-    emulator = emulate(Truth(read_law_values(LAW, MACHINE), MACHINE))
+    emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
     keys = EarsOfTheirOwn(emulator.hands)
     monkeypatch.setattr(keys, "pressed", lambda: False)

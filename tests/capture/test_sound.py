@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.sound import sound_of
+from stickslip_fit.capture.emulator.acoustics import Acoustics, synthesize_sound
 from tests.capture.hearing import steps
 
 
@@ -34,7 +33,7 @@ def test_steps_click_at_the_step_rate_and_only_when_they_are_made():
     acoustics = Acoustics(clicks=0.1, room=1e-4, hum=0.0)
     rng = np.random.default_rng(1)
     half = np.arange(200) < 100
-    sound = sound_of(acoustics, 0.0, half, np.zeros(200), rng)
+    sound = synthesize_sound(acoustics, 0.0, half, np.zeros(200), rng)
     loud, quiet = np.split(sound, 2)
     assert quiet.std() < 2e-4 < loud.std() / 100
     lines = np.abs(np.fft.rfft(loud)) ** 2
@@ -45,8 +44,8 @@ def test_steps_click_at_the_step_rate_and_only_when_they_are_made():
 def test_bangs_and_speech_are_the_same_however_the_time_is_cut():
     calm = Acoustics(room=1e-9, clicks=1e-9, hum=0.0, bangs=2.0, speech=0.5, seed=4)
     rng = np.random.default_rng(1)
-    whole = sound_of(calm, 3.0, np.zeros(400), np.zeros(400), rng)
-    cut = [sound_of(calm, 3.0 + 0.05 * k, np.zeros(5), np.zeros(5), rng) for k in range(80)]
+    whole = synthesize_sound(calm, 3.0, np.zeros(400), np.zeros(400), rng)
+    cut = [synthesize_sound(calm, 3.0 + 0.05 * k, np.zeros(5), np.zeros(5), rng) for k in range(80)]
     assert np.abs(whole).max() > 0.01
     np.testing.assert_allclose(np.concatenate(cut), whole, atol=1e-7)
 

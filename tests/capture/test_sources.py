@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stickslip_fit.capture import microphone
-from stickslip_fit.capture.microphone import Microphone
-from stickslip_fit.capture.wav import read_wav
+from stickslip_fit.capture import audio as microphone
+from stickslip_fit.capture.audio import Microphone, read_wav
 from stickslip_fit.errors import InputError
 from tests.capture.hearing import write_wav
 
@@ -69,7 +68,7 @@ def test_a_microphone_waits_for_what_is_still_on_its_way(stream):
 
 
 def test_a_microphone_that_is_gone_gives_nothing(stream, monkeypatch):
-    monkeypatch.setattr(microphone, "PATIENCE", 0.02)
+    monkeypatch.setattr(microphone, "READ_TIMEOUT", 0.02)
     stream._stream.push(np.arange(100))
     stream._stream.time = 0.2
     assert len(stream.read(0.05).values) == 0
@@ -81,7 +80,7 @@ def test_an_overflow_is_told_once_and_old_sound_is_dropped(stream):
         stream._stream.push(np.zeros(RATE))
     stream._stream.time = 10.0
     assert [stream.read(0.05).overflowed for _ in range(2)] == [True, False]
-    assert sum(map(len, stream._blocks)) <= (microphone.KEPT + 1) * RATE
+    assert sum(map(len, stream._blocks)) <= (microphone.BUFFER_SECONDS + 1) * RATE
     stream.close()
     assert stream._stream.closed
 

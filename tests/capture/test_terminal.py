@@ -14,20 +14,28 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from stickslip_fit.capture import keys as keyboard
-from stickslip_fit.capture import terminal
-from stickslip_fit.capture.expected import Expected
-from stickslip_fit.capture.keys import Keys
-from stickslip_fit.capture.person import Answer, Choice, Reading, Setting, Work
-from stickslip_fit.capture.terminal import Terminal, Unattended, setting_text
+from stickslip_fit.capture import operator as keyboard
+from stickslip_fit.capture import operator as terminal
+from stickslip_fit.capture.operator import (
+    ExpectedCount,
+    Keyboard,
+    OperatorChoice,
+    OperatorReply,
+    PlannedDrive,
+    RigSetting,
+    TerminalOperator,
+    TraverseReading,
+    UnattendedOperator,
+    format_setting,
+)
 
-WORK = Work(
+WORK = PlannedDrive(
     pd.Series({"joint": 3, "direction": "+", "start": 0.0, "stop": 0.012}),
     "1 of 2: joint 3",
-    Expected(12300.0, 12200.0, 12400.0),
+    ExpectedCount(12300.0, 12200.0, 12400.0),
 )
-GOOD = Reading(WORK, 12305, 0.012 / 12302.5, "")
-ODD = Reading(WORK, 13005, 0.012 / 13002.5, "5.7 % more steps than predicted (12,300)")
+GOOD = TraverseReading(WORK, 12305, 0.012 / 12302.5, "")
+ODD = TraverseReading(WORK, 13005, 0.012 / 13002.5, "5.7 % more steps than predicted (12,300)")
 
 
 @pytest.fixture
@@ -69,104 +77,110 @@ def window(monkeypatch):
 ANSWERS = pytest.mark.parametrize(
     ("typed", "meant"),
     [
-        ("\n", Answer()),
-        ("r", Answer(Choice.REPEAT)),
-        ("\r", Answer()),
-        ("nshut\r\r", Answer(note="shut")),
-        ("S", Answer(Choice.SKIP)),
-        ("q", Answer(Choice.QUIT)),
-        ("x7r", Answer(Choice.REPEAT)),
-        ("p\n", Answer()),
-        ("nTür zuu\x7f\n\n", Answer(note="Tür zu")),
-        ("nloud\nr", Answer(Choice.REPEAT, "loud")),
-        ("ctemperature_C=22.5 payload_g=2\n\n", Answer(conditions={"temperature": 295.65, "payload": 0.002})),
-        ("ctemperature=22.5\nccold\nchumidity_pct = 40\nr", Answer(Choice.REPEAT, "", {"humidity": 0.4})),
+        ("\n", OperatorReply()),
+        ("r", OperatorReply(OperatorChoice.REPEAT)),
+        ("\r", OperatorReply()),
+        ("nshut\r\r", OperatorReply(note="shut")),
+        ("S", OperatorReply(OperatorChoice.SKIP)),
+        ("q", OperatorReply(OperatorChoice.QUIT)),
+        ("x7r", OperatorReply(OperatorChoice.REPEAT)),
+        ("p\n", OperatorReply()),
+        ("nTür zuu\x7f\n\n", OperatorReply(note="Tür zu")),
+        ("nloud\nr", OperatorReply(OperatorChoice.REPEAT, "loud")),
+        (
+            "ctemperature_C=22.5 payload_g=2\n\n",
+            OperatorReply(conditions={"temperature": 295.65, "payload": 0.002}),
+        ),
+        (
+            "ctemperature=22.5\nccold\nchumidity_pct = 40\nr",
+            OperatorReply(OperatorChoice.REPEAT, "", {"humidity": 0.4}),
+        ),
     ],
 )
 
 
 @ANSWERS
 def test_a_doubtful_reading_is_answered(hand, typed, meant):
-    with Keys() as keys:
+    with Keyboard() as keys:
         hand(typed)
-        assert Terminal(keys).reading(ODD) == meant
+        assert TerminalOperator(keys).reading(ODD) == meant
 
 
 @ANSWERS
 def test_a_doubtful_reading_is_answered_in_a_console_window(window, typed, meant):
-    with Keys() as keys:
+    with Keyboard() as keys:
         window.typed += typed.replace("\x7f", "\b").replace("\n", "\r")
-        assert Terminal(keys).reading(ODD) == meant
+        assert TerminalOperator(keys).reading(ODD) == meant
 
 
 def test_an_arrow_is_no_answer_and_no_text(hand):
-    with Keys() as keys:
+    with Keyboard() as keys:
         hand("\x1b[Cn\x1b[1;5Cloud\x1bOR\ns")  # the first ends in a letter that is a choice
-        assert Terminal(keys).reading(ODD) == Answer(Choice.SKIP, "loud")
+        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.SKIP, "loud")
 
 
 def test_an_arrow_is_no_answer_and_no_text_in_a_console_window(window):
-    with Keys() as keys:
+    with Keyboard() as keys:
         window.typed += ["\xe0", "C", "\x00", "r", "n", "\xe0", "K", "a", "\r", "s"]
-        assert Terminal(keys).reading(ODD) == Answer(Choice.SKIP, "a")
+        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.SKIP, "a")
         window.typed.append("\xe0")  # the à of a keyboard that has one: nothing waits behind it
         assert keys.key() == "à"
 
 
 def test_a_good_reading_is_shown_with_the_law_beside_it_and_not_waited_for(hand, capsys):
-    with Keys() as keys:
-        assert Terminal(keys).reading(GOOD) == Answer()
+    with Keyboard() as keys:
+        assert TerminalOperator(keys).reading(GOOD) == OperatorReply()
     assert capsys.readouterr().out.strip() == "12,305 steps, 975.41 nm a step; the law says 12,300, 975.61 nm"
 
 
 def test_where_nobody_answers_a_doubtful_reading_is_kept(hand, monkeypatch):
-    monkeypatch.setattr(terminal, "DOUBT", 0.01)
-    with Keys() as keys:
-        assert Terminal(keys).reading(ODD) == Answer()
+    monkeypatch.setattr(terminal, "DOUBT_SECONDS", 0.01)
+    with Keyboard() as keys:
+        assert TerminalOperator(keys).reading(ODD) == OperatorReply()
 
 
 def test_where_nobody_answers_at_a_console_window_a_doubtful_reading_is_kept(window, monkeypatch):
     ticks = count()
     monkeypatch.setattr(keyboard, "monotonic", lambda: float(next(ticks)))
     monkeypatch.setattr(keyboard, "sleep", lambda seconds: None)
-    with Keys() as keys:
-        assert Terminal(keys).reading(ODD) == Answer()
-    assert next(ticks) == pytest.approx(terminal.DOUBT + 2, abs=1)
+    with Keyboard() as keys:
+        assert TerminalOperator(keys).reading(ODD) == OperatorReply()
+    assert next(ticks) == pytest.approx(terminal.DOUBT_SECONDS + 2, abs=1)
 
 
 def test_once_somebody_has_answered_there_is_no_hurry(hand, monkeypatch):
-    monkeypatch.setattr(terminal, "DOUBT", 0.2)
-    with Keys() as keys:
+    monkeypatch.setattr(terminal, "DOUBT_SECONDS", 0.2)
+    with Keyboard() as keys:
         hand("pr")
-        assert Terminal(keys).reading(ODD) == Answer(Choice.REPEAT)
+        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.REPEAT)
 
 
 def test_repeat_is_no_answer_to_a_setting(hand):
-    with Keys() as keys:
+    with Keyboard() as keys:
         hand("rs")
-        assert Terminal(keys).set_up(Setting(0.0, 0.0), None) == Answer(Choice.SKIP)
+        assert TerminalOperator(keys).set_up(RigSetting(0.0, 0.0), None) == OperatorReply(OperatorChoice.SKIP)
 
 
 def test_any_key_stops_a_drive_once(hand):
-    with Keys() as keys:
-        person = Terminal(keys)
-        assert not person.stop_wanted()
+    with Keyboard() as keys:
+        operator = TerminalOperator(keys)
+        assert not operator.stop_wanted()
         hand("\x1b[A")  # an arrow key is three bytes
-        assert person.stop_wanted()
-        assert not person.stop_wanted()
+        assert operator.stop_wanted()
+        assert not operator.stop_wanted()
 
 
 def test_any_key_stops_a_drive_once_in_a_console_window(window):
-    with Keys() as keys:
-        person = Terminal(keys)
-        assert not person.stop_wanted()
+    with Keyboard() as keys:
+        operator = TerminalOperator(keys)
+        assert not operator.stop_wanted()
         window.typed += ["\xe0", "H"]
-        assert person.stop_wanted()
-        assert not person.stop_wanted()
+        assert operator.stop_wanted()
+        assert not operator.stop_wanted()
 
 
 def test_control_c_ends_it_in_a_console_window(window):
-    with Keys() as keys:
+    with Keyboard() as keys:
         window.typed.append("\x03")
         with pytest.raises(KeyboardInterrupt):
             keys.key()
@@ -175,7 +189,7 @@ def test_control_c_ends_it_in_a_console_window(window):
 def test_a_key_that_comes_late_is_waited_for(window, monkeypatch):
     monkeypatch.setattr(keyboard, "POLL", 0.001)
     window.looks = 20
-    with Keys() as keys:
+    with Keyboard() as keys:
         window.typed.append("R")
         assert keys.key(30.0) == "r"
     assert window.looks < 0
@@ -198,23 +212,23 @@ for module in walk_packages(capture.__path__, "stickslip_fit.capture."):
 
 def test_the_terminal_is_left_as_it_was(hand):
     before = termios.tcgetattr(sys.stdin)
-    with Keys():
+    with Keyboard():
         assert termios.tcgetattr(sys.stdin) != before
     assert termios.tcgetattr(sys.stdin) == before
 
 
 def test_only_what_changes_is_asked_for():
-    before = Setting(0.0, 0.5, ((2, -1.0, 0.0),))
-    assert setting_text(Setting(0.5, 0.5, before.stops), before) == "Set theta to 28.6 deg."
-    assert setting_text(Setting(0.0, 0.5), before) == "Take the stops of joint 2 away."
+    before = RigSetting(0.0, 0.5, ((2, -1.0, 0.0),))
+    assert format_setting(RigSetting(0.5, 0.5, before.stops), before) == "Set theta to 28.6 deg."
+    assert format_setting(RigSetting(0.0, 0.5), before) == "Take the stops of joint 2 away."
 
 
 def test_where_nobody_is_there_a_drive_that_keeps_failing_ends_it():
-    nobody = Unattended()
+    nobody = UnattendedOperator()
     answers = [nobody.trouble(WORK, "deaf").choice for _ in range(3)]
-    assert answers == [Choice.GO_ON, Choice.GO_ON, Choice.QUIT]
-    nobody = Unattended()
+    assert answers == [OperatorChoice.GO_ON, OperatorChoice.GO_ON, OperatorChoice.QUIT]
+    nobody = UnattendedOperator()
     nobody.trouble(WORK, "deaf")
     nobody.trouble(WORK, "deaf")
     nobody.reading(GOOD)
-    assert nobody.trouble(WORK, "deaf").choice is Choice.GO_ON
+    assert nobody.trouble(WORK, "deaf").choice is OperatorChoice.GO_ON

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from stickslip_fit.capture.clock import VirtualClock
-from stickslip_fit.capture.ear import Heard
-from stickslip_fit.capture.traverse import Rig, Way, drive_steps, drive_to_stop
+from stickslip_fit.capture.protocols import Detection, VirtualClock
+from stickslip_fit.capture.traverse import DriveTarget, Rig, drive_steps, drive_to_stop
 
-WAY = Way(3, "-", 5, most_steps=1000, most_seconds=1e9)
+WAY = DriveTarget(3, "-", 5, max_steps=1000, max_seconds=1e9)
 
 
 @dataclass
@@ -40,7 +39,7 @@ class Ear:
     def check(self, seconds):
         self.checks += 1
         there = self.checks == self.at
-        return Heard(there, 10.0, self.fault if there else "", self.late if there else 0)
+        return Detection(there, 10.0, self.fault if there else "", self.late if there else 0)
 
 
 class Watch:

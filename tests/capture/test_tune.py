@@ -9,8 +9,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.tune import tune
-from stickslip_fit.capture.tuning import load_tuning, save_tuning
+from stickslip_fit.capture.tuning import choose_tuning, load_tuning, save_tuning
 from stickslip_fit.errors import InputError
 from tests.capture.hearing import SECONDS, steps, tuned
 
@@ -39,14 +38,14 @@ def test_the_band_proposed_is_where_the_day_has_its_peak(peak, width):
 def test_degrees_of_freedom_are_twice_band_times_length_less_the_window():
     found = tuned(Acoustics(0.0))
     assert found.width == 2000
-    assert found.freedom == pytest.approx(2 * 2000 * SECONDS * 0.95, rel=0.02)
+    assert found.df == pytest.approx(2 * 2000 * SECONDS * 0.95, rel=0.02)
 
 
 def test_a_sound_that_scatters_more_than_noise_is_believed():
     rng = np.random.default_rng(2)
     moving, at_stop = (steps(Acoustics(6.0), 100, pushing, 4) for pushing in (False, True))
     uneven = at_stop * np.repeat(np.exp(0.3 * rng.standard_normal(100)), 2400).astype(np.float32)
-    assert tune(moving, uneven, 48000, SECONDS).stop_freedom < 20
+    assert choose_tuning(moving, uneven, 48000, SECONDS).stop_df < 20
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,7 @@ def test_a_bang_while_listening_changes_nothing_much():
     acoustics = Acoustics(3.0, 5200.0, 900.0)
     moving, at_stop = (steps(acoustics, 100, pushing, (1, pushing)) for pushing in (False, True))
     moving[90000:93000] += np.random.default_rng(1).normal(0, 0.2, 3000).astype(np.float32)
-    found = tune(moving, at_stop, 48000, SECONDS)
+    found = choose_tuning(moving, at_stop, 48000, SECONDS)
     assert abs(found.frequency - 5200) <= 300
     assert found.rise == pytest.approx(true_rise(acoustics, found), rel=0.06)
 
@@ -78,7 +77,7 @@ def test_a_bang_while_listening_changes_nothing_much():
 def test_a_listen_that_is_no_good_is_refused(change, said):
     moving, at_stop = (steps(Acoustics(3.0), 30, pushing, 4) for pushing in (False, True))
     with pytest.raises(InputError, match=said):
-        tune(moving, change(at_stop), 48000, SECONDS)
+        choose_tuning(moving, change(at_stop), 48000, SECONDS)
 
 
 def test_a_tuning_comes_back_from_its_file(tuning, tmp_path):
@@ -87,7 +86,7 @@ def test_a_tuning_comes_back_from_its_file(tuning, tmp_path):
     assert back.conclusion == tuning.conclusion
     sound = steps(Acoustics(3.0), 10, True, 3).reshape(10, -1)
     np.testing.assert_allclose(back.powers(sound), tuning.powers(sound), rtol=1e-4)
-    np.testing.assert_array_equal(back.limits.pair, tuning.limits.pair)
+    np.testing.assert_array_equal(back.limits.pair_threshold, tuning.limits.pair_threshold)
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stickslip_fit.capture.emulator.truth import Truth
+from stickslip_fit.capture.emulator.manipulator import HiddenLaws
 from stickslip_fit.logs.plan import Noise, Plan
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values
+from stickslip_fit.simulation import read_law_values
 
 MACHINE = load_machine()
 LAWS = """
@@ -59,12 +59,12 @@ q3_mm = [0, 12]
 """
 
 
-def truth_of(folder: Path, more: str = "", day_to_day: float = 0.0, noise: float = 0.0) -> Truth:
+def truth_of(folder: Path, more: str = "", day_to_day: float = 0.0, noise: float = 0.0) -> HiddenLaws:
     """Laws of joints 2 and 3, their steps ten times as large as usual, with [[cause]] tables."""
     path = folder / "law.toml"
     path.write_text(LAWS.format(day_to_day=day_to_day) + more, encoding="utf-8")
     spread = {(joint, direction): noise for joint in (2, 3) for direction in "+-"}
-    return Truth(read_law_values(path, MACHINE), MACHINE, Noise(spread), seed=1)
+    return HiddenLaws(read_law_values(path, MACHINE), MACHINE, Noise(spread), seed=1)
 
 
 def plan_of(folder: Path, replicates: int = 2) -> Plan:

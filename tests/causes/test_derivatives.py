@@ -110,11 +110,11 @@ def test_a_law_says_which_columns_it_needs_and_asks_for_those_that_nothing_can_s
 
 
 def test_means_and_ranges_come_from_the_log():
-    bound = {each: NAMED[each].cause.bound(ROWS, MACHINE) for each in ("temperature curved", "step-rate")}
+    bound = {each: NAMED[each].cause.bind(ROWS, MACHINE) for each in ("temperature curved", "step-rate")}
     assert bound["temperature curved"].mean == pytest.approx(ROWS["temperature"].mean())
     assert bound["temperature curved"].half == pytest.approx(5.5)
     assert bound["step-rate"].median == pytest.approx(0.010)
-    column = NAMED["covariate:pressure"].cause.bound(ROWS, MACHINE)
+    column = NAMED["covariate:pressure"].cause.bind(ROWS, MACHINE)
     assert (column.low, column.high) == (985.0, 1030.0)
-    cable = NAMED["cable-torque"].cause.bound(ROWS, MACHINE)
+    cable = NAMED["cable-torque"].cause.bind(ROWS, MACHINE)
     assert dict(cable.middle) == pytest.approx({1: 0.0, 2: -np.pi / 2})

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import covariates, extend, library
-from stickslip_fit.causes.base import ExtendedLaw
+from stickslip_fit.causes import ExtendedLaw, covariates, extend, library
 from stickslip_fit.laws import StepLaw
 from tests.causes.by_hand import ROWS, steps
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
@@ -16,13 +15,13 @@ def counted(causes, sizes, rows=ROWS):
     """Counts of all rows by the package, joint by joint."""
     counts = np.empty(len(rows))
     for joint in rows["joint"].unique():
-        mine = (rows["joint"] == joint).to_numpy()
+        subset = (rows["joint"] == joint).to_numpy()
         law: StepLaw = LAWS[joint]
         for cause in causes:
             law = extend(law, cause)
-        values = own_values(rows[mine])
+        values = own_values(rows[subset])
         values = np.concatenate([values, np.tile(np.concatenate(sizes), (len(values), 1))], axis=1)
-        counts[mine] = law.counts(rows[mine], values)[0]
+        counts[subset] = law.counts(rows[subset], values)[0]
     return counts
 
 
@@ -102,7 +101,7 @@ def test_an_empty_cell_does_nothing(label, column):
 
 
 def test_an_empty_payload_is_the_mean_one():
-    cause = NAMED["payload-change recorded"].cause.bound(ROWS, MACHINE)
+    cause = NAMED["payload-change recorded"].cause.bind(ROWS, MACHINE)
     mean = ROWS["payload"].mean()
     assert mean > 0
     found = counted([cause], [(10.0,)], ROWS.assign(payload=np.nan))

@@ -25,8 +25,8 @@ from stickslip_fit.causes import (
     WornSpot,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit import Result, least_squares, load_result, save_result
-from stickslip_fit.fit.result import EVERYWHERE
+from stickslip_fit.estimation import Result, fit_least_squares, load_result, save_result
+from stickslip_fit.estimation.result import ALL_JOINTS
 from stickslip_fit.logs import Log, read_log
 
 A, TAU, LATE = 0.04, 1500.0, 200.0
@@ -55,12 +55,12 @@ def warm(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> Log:
 
 @pytest.fixture(scope="module")
 def result(warm: Log) -> Result:
-    return least_squares(warm, causes=(WARM_UP, LATENCY))
+    return fit_least_squares(warm, causes=(WARM_UP, LATENCY))
 
 
 def causes_of(result: Result) -> pd.DataFrame:
     table = result.parameters
-    return table[table["joint"] == EVERYWHERE].set_index("name")
+    return table[table["joint"] == ALL_JOINTS].set_index("name")
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_the_causes_are_found_at_their_size(name, truth, result):
 
 
 def test_the_published_parameters_are_right_again_and_the_repeatability_too(warm, result):
-    baseline = least_squares(warm)
+    baseline = fit_least_squares(warm)
     for fit in result.joints.values():
         assert [each.value for each in fit.repeatability.values()] == pytest.approx([0.0027] * 2, rel=0.25)
     assert baseline.joints[3].repeatability["+"].value > 2 * result.joints[3].repeatability["+"].value
@@ -86,11 +86,11 @@ def test_the_published_parameters_are_right_again_and_the_repeatability_too(warm
 
 def test_a_cause_is_listed_once_for_the_whole_campaign(result):
     table = result.parameters
-    mine = table[table["name"].str.contains(".", regex=False)]
-    assert list(mine["name"]) == ["thermal-warm-up.A", "thermal-warm-up.tau", "end-stop-latency.L"]
-    assert set(mine["joint"]) == {EVERYWHERE}
-    assert set(mine["direction"]) == {""}
-    assert mine["session"].isna().all()
+    subset = table[table["name"].str.contains(".", regex=False)]
+    assert list(subset["name"]) == ["thermal-warm-up.A", "thermal-warm-up.tau", "end-stop-latency.L"]
+    assert set(subset["joint"]) == {ALL_JOINTS}
+    assert set(subset["direction"]) == {""}
+    assert subset["session"].isna().all()
     text = str(result)
     assert text.count("thermal-warm-up.A") == 1
     assert re.search(r"thermal-warm-up\.A +(3\.9|4\.0)\d ± 0\.1\d %", text)
@@ -112,19 +112,19 @@ def test_the_covariance_is_that_of_all_parameters_at_once(warm, result):
     rows, shared = warm.usable, 3
     blocks, weight, columns = [], np.empty(len(rows)), 0
     for joint, fit in result.joints.items():
-        mine = np.flatnonzero(rows["joint"] == joint)
-        some = rows.iloc[mine]
-        group, own = fit.group_of(some), fit.values.shape[1] - shared
+        subset = np.flatnonzero(rows["joint"] == joint)
+        some = rows.iloc[subset]
+        group, own = fit.group_index(some), fit.values.shape[1] - shared
         slopes = fit.law.jacobian(some, fit.values[group])
         ways = [fit.repeatability[way].value for way in some["direction"]]
-        weight[mine] = 1 / (np.array(ways) ** 2 + fit.law.response(some)[1])
-        blocks.append((fit, mine, group, slopes, columns, own))
+        weight[subset] = 1 / (np.array(ways) ** 2 + fit.law.response(some)[1])
+        blocks.append((fit, subset, group, slopes, columns, own))
         columns += len(fit.groups) * own
     dense = np.zeros((len(rows), columns + shared))
-    for _, mine, group, slopes, first, own in blocks:
+    for _, subset, group, slopes, first, own in blocks:
         for k in range(own):
-            dense[mine, first + group * own + k] = slopes[:, k]
-        dense[mine, columns:] = slopes[:, own:]
+            dense[subset, first + group * own + k] = slopes[:, k]
+        dense[subset, columns:] = slopes[:, own:]
     size = np.abs(dense).max(axis=0)
     scaled = dense / size
     covariance = np.linalg.inv(scaled.T @ (weight[:, None] * scaled)) / np.outer(size, size)
@@ -150,7 +150,7 @@ def test_it_is_the_least_of_all_sums_of_squares(warm, result):
             moved[:, -3:] = values
             ways = np.array([fit.repeatability[way].value for way in some["direction"]])
             y, rounding = fit.law.response(some)
-            left = y - fit.law.predict(some, moved[fit.group_of(some)])
+            left = y - fit.law.predict(some, moved[fit.group_index(some)])
             total += float(np.sum(left**2 / (ways**2 + rounding)))
         return total
 
@@ -190,7 +190,7 @@ def knocked(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> tuple[Lo
 
 def test_a_knock_is_found_in_its_session_at_its_moment(knocked):
     log, at = knocked
-    table = causes_of(least_squares(log, causes=(SessionJump(),)))
+    table = causes_of(fit_least_squares(log, causes=(SessionJump(),)))
     size = table.loc["session-jump.A[2012-03-06]"]
     assert abs(size["estimate"] - 0.02) < 3.5 * size["standard_error"]
     moment = table.loc["session-jump.moment[2012-03-06]"]
@@ -204,7 +204,7 @@ def test_a_knock_is_found_in_its_session_at_its_moment(knocked):
 
 def test_a_version_of_its_own_keeps_its_session(knocked):
     log, _ = knocked
-    table = causes_of(least_squares(log, causes=(SessionJump(session="2012-03-05"),)))
+    table = causes_of(fit_least_squares(log, causes=(SessionJump(session="2012-03-05"),)))
     assert [name.split("[")[1] for name in table.index] == ["2012-03-05]"] * 2
     size = table.loc["session-jump.A[2012-03-05]"]
     assert abs(size["estimate"]) < 0.004
@@ -222,27 +222,27 @@ def test_a_version_of_its_own_keeps_its_session(knocked):
 )
 def test_what_cannot_be_fitted_is_refused(causes, options, reason, warm):
     with pytest.raises(InputError, match=reason):
-        least_squares(warm, causes=causes, **options)
+        fit_least_squares(warm, causes=causes, **options)
 
 
 def test_a_bound_holds_a_cause_s_parameter_back(warm):
     bounds = {"thermal-warm-up.tau": (60.0, 900.0)}
-    found = least_squares(warm, causes=(WARM_UP, LATENCY), bounds=bounds)
+    found = fit_least_squares(warm, causes=(WARM_UP, LATENCY), bounds=bounds)
     tau = causes_of(found).loc["thermal-warm-up.tau"]
     assert tau["estimate"] == 900.0
     assert tau["flags"] == ("at_bound",)
     assert (tau["low"], tau["high"] > 60.0) == (pytest.approx(tau["low"]), True)
-    assert "held back by its bound at 15" in " ".join(remark.message for remark in found.remarks)
+    assert "held back by its bound at 15" in " ".join(flag.message for flag in found.flags)
 
 
 def test_parameters_per_joint_and_direction_have_rows_of_their_own(warm):
-    table = causes_of(least_squares(warm, causes=(LoadNonlinearity(),)))
+    table = causes_of(fit_least_squares(warm, causes=(LoadNonlinearity(),)))
     assert list(table.index) == [f"load-nonlinearity.k[{joint}{way}]" for joint in (1, 2, 3) for way in "+-"]
 
 
 def test_where_nothing_is_hidden_no_effect_is_found(campaign, tmp_path):
     log = log_of(campaign(), tmp_path / "log.csv")
-    table = causes_of(least_squares(log, causes=(PsiOffset(), Drift())))
+    table = causes_of(fit_least_squares(log, causes=(PsiOffset(), Drift())))
     assert np.all(np.abs(table["estimate"]) < 3.5 * table["standard_error"])
 
 
@@ -270,7 +270,7 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
     table = campaign(check_every=1)
     table["steps"] = np.round(table["steps"] / (1 + 0.01 * (-1.0) ** (seconds(table) // 60))).astype(int)
     log = log_of(table, tmp_path / "log.csv")
-    found = least_squares(log, causes=(Humming(),))
+    found = fit_least_squares(log, causes=(Humming(),))
     row = causes_of(found).loc["humming.k"]
     assert abs(row["estimate"] - 0.01) < 3.5 * row["standard_error"]
     save_result(found, tmp_path / "fit.json")
@@ -282,8 +282,8 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
 
 def test_a_search_comes_to_rest_though_the_time_constant_of_nothing_is_next_to_unknown():
     log = read_log(Path(__file__).parents[2] / "data" / "reference" / "campaign.csv")
-    found = least_squares(log, causes=(WARM_UP, LATENCY))
-    assert not [remark for remark in found.remarks if remark.flag == "not_converged"]
+    found = fit_least_squares(log, causes=(WARM_UP, LATENCY))
+    assert not [flag for flag in found.flags if flag.flag == "not_converged"]
     table = causes_of(found)
     assert table.loc["thermal-warm-up.tau", "standard_error"] > table.loc["thermal-warm-up.tau", "estimate"]
     assert (

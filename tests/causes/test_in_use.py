@@ -19,12 +19,12 @@ from stickslip_fit.causes import (
     extend,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit import least_squares
-from stickslip_fit.fit.predict import predict_plan
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.moves import Drive, calibrated, steps_for_move, where_after
-from stickslip_fit.simulate import LawValues, read_law_values, simulate, step_through
+from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
+from stickslip_fit.moves.prediction import predict_plan
+from stickslip_fit.simulation import LawValues, read_law_values, simulate, step_through
 
 MACHINE = load_machine()
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
@@ -101,7 +101,7 @@ def test_what_is_left_to_chance_is_as_it_was_without_causes(plan, truth):
 
 def test_what_was_simulated_is_found_again(plan, truth):
     hidden = with_causes(truth, (ThermalWarmUp(), (0.05, 1200.0)), (EndStopLatency(), (120.0,)))
-    result = least_squares(simulate(plan, hidden, MACHINE), causes=(ThermalWarmUp(), EndStopLatency()))
+    result = fit_least_squares(simulate(plan, hidden, MACHINE), causes=(ThermalWarmUp(), EndStopLatency()))
     table = result.parameters.set_index("name")["estimate"]
     assert table["thermal-warm-up.A"] == pytest.approx(0.05, rel=0.01)
     assert table["thermal-warm-up.tau"] == pytest.approx(1200, rel=0.02)
@@ -117,15 +117,15 @@ def arm_log(plan, truth):
 
 @pytest.fixture(scope="module")
 def result(arm_log):
-    return least_squares(arm_log, causes=(ThermalWarmUp(), EndStopLatency()))
+    return fit_least_squares(arm_log, causes=(ThermalWarmUp(), EndStopLatency()))
 
 
 START, TARGET = np.radians([0.0, -90.0, 0.0]), np.array([0.2, -1.0, 0.006])
 
 
 def test_a_move_takes_the_published_law_s_steps_less_what_warmth_saves_and_none_for_the_stop(result):
-    cold, hot = (calibrated(result, conditions={"session_seconds": t}) for t in (0.0, 1e6))
-    moves = [steps_for_move(arm, START, TARGET).legs for arm in (cold, hot)]
+    cold, hot = (calibrated_arm(result, conditions={"session_seconds": t}) for t in (0.0, 1e6))
+    moves = [plan_move(arm, START, TARGET).segments for arm in (cold, hot)]
     q = START.copy()
     for before, after in zip(*moves, strict=True):
         assert before.steps / after.steps == pytest.approx(1.05, rel=2e-3)
@@ -137,22 +137,24 @@ def test_a_move_takes_the_published_law_s_steps_less_what_warmth_saves_and_none_
 
 
 def test_stepping_through_a_traverse_gives_its_count(result):
-    arm = calibrated(result, conditions={"session_seconds": 900.0})
+    arm = calibrated_arm(result, conditions={"session_seconds": 900.0})
     law, values, _, _ = arm.law(2, "-")
     row = arm.drive(np.radians([0.0, -90.0, 0.0]), 2, np.radians(-100.0))
     assert abs(int(step_through(law, row, values)[0]) - law.counts(row, values)[0][0]) <= 1
 
 
 def test_following_the_steps_of_a_move_leads_to_its_target(result):
-    arm = calibrated(result, conditions={"session_seconds": 900.0})
-    drives = [Drive(leg.joint, leg.direction, leg.steps) for leg in steps_for_move(arm, START, TARGET).legs]
-    found = where_after(arm, START, drives)
+    arm = calibrated_arm(result, conditions={"session_seconds": 900.0})
+    drives = [
+        DriveCommand(leg.joint, leg.direction, leg.steps) for leg in plan_move(arm, START, TARGET).segments
+    ]
+    found = dead_reckon(arm, START, drives)
     np.testing.assert_allclose(found.q, TARGET, atol=1e-4)
 
 
 def test_a_law_that_knows_the_clock_asks_for_the_time(result):
     with pytest.raises(InputError, match="time since the session's first traverse"):
-        steps_for_move(calibrated(result), START, TARGET)
+        plan_move(calibrated_arm(result), START, TARGET)
 
 
 def test_a_plan_is_predicted_with_the_clock_that_it_will_have(plan, result, arm_log):

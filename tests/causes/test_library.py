@@ -47,9 +47,9 @@ def named(name, rows):
 def changes(version, trials, rows):
     found = np.zeros((len(rows), len(trials)))
     for joint in version.joints:
-        mine = (rows["joint"] == joint).to_numpy()
-        values = own_values(rows[mine])
-        found[mine] = version.changes(LAWS[joint], rows[mine], values, trials)
+        subset = (rows["joint"] == joint).to_numpy()
+        values = own_values(rows[subset])
+        found[subset] = version.changes(LAWS[joint], rows[subset], values, trials)
     return found
 
 
@@ -71,7 +71,7 @@ def test_nothing_is_missing_in_a_log_that_has_everything(name, log):
 @pytest.mark.parametrize("name", [name for name in ALL if name != "end-stop-misfire"])
 def test_trials_move_some_count_by_an_amount_that_a_lab_may_meet(name, log):
     rows = log.rows
-    versions = named(name, rows).bound(rows, MACHINE).trials(rows)
+    versions = named(name, rows).bind(rows, MACHINE).trials(rows)
     assert versions
     for version, trials in versions:
         assert trials.shape[1] == len(version.parameters) == len(version.scale)
@@ -86,7 +86,7 @@ def test_trials_move_some_count_by_an_amount_that_a_lab_may_meet(name, log):
 
 @pytest.mark.parametrize("name", [name for name in ALL if name != "end-stop-misfire"])
 def test_largest_plausible_sizes_are_no_less_than_a_trial_and_leave_the_joints_running(name, log):
-    cause = named(name, log.rows).bound(log.rows, MACHINE)
+    cause = named(name, log.rows).bind(log.rows, MACHINE)
     if cause.largest():
         found = changes(cause, np.array(cause.largest()), log.rows)
         ((version, trials), *_) = cause.trials(log.rows)
@@ -103,7 +103,7 @@ def test_all_trials_of_a_log_take_a_fraction_of_a_second(log):
 
     rows, begin = log.rows, perf_counter()
     for cause in (*library(), *covariates(rows)):
-        for version, trials in cause.bound(rows, MACHINE).trials(rows):
+        for version, trials in cause.bind(rows, MACHINE).trials(rows):
             changes(version, trials, rows)
     assert perf_counter() - begin < 3.0
 

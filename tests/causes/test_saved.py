@@ -25,7 +25,7 @@ def test_a_cause_bound_to_a_log_comes_back_the_same(label):
     case = NAMED[label]
     joint = case.cause.joints[-1]
     rows = ROWS[ROWS["joint"] == joint]
-    law = extend(LAWS[joint], case.cause.bound(rows, MACHINE))
+    law = extend(LAWS[joint], case.cause.bind(rows, MACHINE))
     back = through_json(law)
     assert back.causes == law.causes
     assert back.parameters == law.parameters

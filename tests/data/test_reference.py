@@ -6,9 +6,9 @@ import pytest
 
 from stickslip_fit.laws import published_law
 from stickslip_fit.logs import read_log, write_log
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values, simulate
+from stickslip_fit.simulation import read_law_values, simulate
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from stickslip_fit.cli.app import app
+from stickslip_fit.cli import app
 
 ROOT = Path(__file__).parents[2]
 # Hardware, other machines, recordings: options are parsed, nothing is run.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from stickslip_fit.logs import write_log
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values, simulate
+from stickslip_fit.simulation import read_law_values, simulate
 from tests.docs.commands import ROOT
 from tests.docs.fences import fences
 

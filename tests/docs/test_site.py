@@ -11,7 +11,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 import pytest
 
 from stickslip_fit.causes import library
-from stickslip_fit.logs.columns import FIELDS
+from stickslip_fit.logs.schema import FIELDS
 from tests.docs.commands import all_options
 from tests.docs.site import built_site
 

@@ -88,8 +88,8 @@ def _places(plan: Plan, seed: int) -> tuple[Place, ...]:
         rows = np.flatnonzero(plan.joint == joint)
         forward = plan.forward[rows]
         values = draw_truth(joint, plan.session[rows], forward, stream(seed, f"truth {joint}"))
-        mine = {name: column[rows] for name, column in positions.items()}
-        places.append(place(joint, rows, mine, values, forward.astype(float)))
+        subset = {name: column[rows] for name, column in positions.items()}
+        places.append(place(joint, rows, subset, values, forward.astype(float)))
     return tuple(places)
 
 
@@ -104,15 +104,15 @@ def _seconds(plan: Plan, counts: Array, rng: np.random.Generator) -> Ints:
 def _before(plan: Plan) -> Ints:
     before = np.full(len(plan.joint), -1)
     for joint in (1, 2, 3):
-        mine = np.flatnonzero(plan.joint == joint)
-        same = plan.session[mine[1:]] == plan.session[mine[:-1]]
-        before[mine[1:][same]] = mine[:-1][same]
+        subset = np.flatnonzero(plan.joint == joint)
+        same = plan.session[subset[1:]] == plan.session[subset[:-1]]
+        before[subset[1:][same]] = subset[:-1][same]
     return before
 
 
 def _steps_before(joint: Ints, counts: Array) -> Array:
     driven = np.zeros(len(joint))
     for each in (1, 2, 3):
-        mine = joint == each
-        driven[mine] = np.cumsum(counts[mine]) - counts[mine]
+        subset = joint == each
+        driven[subset] = np.cumsum(counts[subset]) - counts[subset]
     return driven

@@ -66,7 +66,7 @@ def _wander(session: Ints, hours: Array, knot: float, rng: np.random.Generator) 
     """Something that drifts about within each session, from one knot to the next, unit variance at a knot."""
     wandered = np.zeros(len(hours))
     for each in range(int(session.max()) + 1):
-        mine = session == each
-        knots = rng.standard_normal(int(hours[mine].max() / knot) + 2)
-        wandered[mine] = np.interp(hours[mine], knot * np.arange(len(knots)), knots)
+        subset = session == each
+        knots = rng.standard_normal(int(hours[subset].max() / knot) + 2)
+        wandered[subset] = np.interp(hours[subset], knot * np.arange(len(knots)), knots)
     return wandered

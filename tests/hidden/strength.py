@@ -81,9 +81,9 @@ def recalibrations(campaign: Campaign, weights: Array) -> Array:
         jacobian = _jacobian(place) * weights[place.rows, None]
         group = 2 * campaign.plan.session[place.rows] + (campaign.plan.forward[place.rows] > 0)
         for each in np.unique(group):
-            mine = np.flatnonzero(group == each)
-            block = np.zeros((len(campaign), min(len(mine), jacobian.shape[1])))
-            block[place.rows[mine]] = _span(jacobian[mine])
+            subset = np.flatnonzero(group == each)
+            block = np.zeros((len(campaign), min(len(subset), jacobian.shape[1])))
+            block[place.rows[subset]] = _span(jacobian[subset])
             directions.append(block)
     return np.concatenate(directions, axis=1)
 

@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from stickslip_fit.diagnose.diagnose import decide
-from stickslip_fit.diagnose.diagnosis import Diagnosis
+from stickslip_fit.diagnosis import Diagnosis
+from stickslip_fit.diagnosis.pipeline import find_causes
 from stickslip_fit.logs import read_log
 from tests.hidden.catalogue import OUTSIDE
 from tests.hidden.generate import Hidden, UnreachableError, hide, testable
@@ -89,7 +89,7 @@ def score(case: Case, hidden: Hidden) -> Score:
         path = Path(folder) / "log.csv"
         hidden.write(path)
         began = time.perf_counter()
-        found = decide(read_log(path), seed=case.seed)
+        found = find_causes(read_log(path), seed=case.seed)
     effects = hidden.truth["effects"]
     truth = tuple("unknown" if each["name"] in OUTSIDE else each["cause"] for each in effects)
     brier, silence = _brier(found, truth)
@@ -142,23 +142,23 @@ def main() -> None:
 def report(kind: str, scores: list[Score]) -> None:
     """A line for each strength."""
     for strength in dict.fromkeys(each.case.strength for each in scores):
-        mine = [each for each in scores if each.case.strength == strength]
-        n = len(mine)
-        alarm = sum(bool(each.found) for each in mine)
-        first = sum(bool(each.found) and each.found[0] in each.truth for each in mine)
+        subset = [each for each in scores if each.case.strength == strength]
+        n = len(subset)
+        alarm = sum(bool(each.found) for each in subset)
+        first = sum(bool(each.found) and each.found[0] in each.truth for each in subset)
         in_set = sum(
-            bool(each.found) and bool({each.found[0], *each.equivalent} & set(each.truth)) for each in mine
+            bool(each.found) and bool({each.found[0], *each.equivalent} & set(each.truth)) for each in subset
         )
-        both = sum(set(each.truth) <= set(each.found) for each in mine)
-        more = sum(len(each.found) > len(each.truth) for each in mine)
-        rivals = np.mean([len(each.equivalent) for each in mine])
-        known = [each.inside for each in mine if each.inside is not None]
+        both = sum(set(each.truth) <= set(each.found) for each in subset)
+        more = sum(len(each.found) > len(each.truth) for each in subset)
+        rivals = np.mean([len(each.equivalent) for each in subset])
+        known = [each.inside for each in subset if each.inside is not None]
         print(
             f"{kind:8s} {strength:5.1f}  n {n:4d}  alarm {alarm / n:.3f}  named {first / n:.3f}  "
             f"in set {in_set / n:.3f}  all {both / n:.3f}  more {more / n:.3f}  rivals {rivals:.2f}  "
-            f"Brier {np.mean([each.brier for each in mine]):.3f}  "
+            f"Brier {np.mean([each.brier for each in subset]):.3f}  "
             f"interval {np.mean(known) if known else np.nan:.3f}  "
-            f"s {np.mean([each.seconds for each in mine]):.2f}",
+            f"s {np.mean([each.seconds for each in subset]):.2f}",
             flush=True,
         )
 

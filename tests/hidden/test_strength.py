@@ -20,13 +20,13 @@ def _left_by_refitting(campaign: Campaign, log_counts: Array, weights: Array) ->
     group, left = 2 * campaign.plan.session + (campaign.plan.forward > 0), 0.0
     for place in campaign.places:
         for each in np.unique(group[place.rows]):
-            mine = group[place.rows] == each
+            subset = group[place.rows] == each
 
-            def residual(shares, place=place, mine=mine):
+            def residual(shares, place=place, subset=subset):
                 named = zip(place.values.items(), shares, strict=True)
                 moved = replace(place, values={name: value * (1 + share) for (name, value), share in named})
-                rows = place.rows[mine]
-                return (log_counts[rows] - np.log(moved.counts(moved.step_size()))[mine]) * weights[rows]
+                rows = place.rows[subset]
+                return (log_counts[rows] - np.log(moved.counts(moved.step_size()))[subset]) * weights[rows]
 
             left += 2 * least_squares(residual, np.zeros(len(place.values)), xtol=1e-12, ftol=1e-12).cost
     return float(np.sqrt(left))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import Base, BaseAtOneReach, ConstantStep, Elbow, Prismatic, StepLaw, seen_count
-from stickslip_fit.laws.quadrature import integrate
+from stickslip_fit.laws import Base, BaseAtOneReach, ConstantStep, Elbow, Prismatic, StepLaw, observed_count
+from stickslip_fit.laws.integration import integrate
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import step_through
+from stickslip_fit.simulation import step_through
 
 MACHINE = load_machine()
 LAWS = {
@@ -187,5 +187,5 @@ def test_a_joint_that_comes_to_a_halt_has_no_count_and_cannot_be_stepped(name):
 
 def test_the_stop_is_noticed_at_the_first_check_after_it():
     stepped = np.array([12_295, 12_296, 12_300, 12_301, 3])
-    assert list(seen_count(stepped, 5)) == [12_295, 12_300, 12_300, 12_305, 5]
-    assert list(seen_count(stepped, 1)) == list(stepped)
+    assert list(observed_count(stepped, 5)) == [12_295, 12_300, 12_300, 12_305, 5]
+    assert list(observed_count(stepped, 1)) == list(stepped)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import strategies as st
 
-from stickslip_fit.errors import InputError, Problem
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs import Log, read_log
 
 GOOD = """\
@@ -79,10 +79,10 @@ def read(tmp_path: Path) -> Callable[[Sheet | str | bytes], Log]:
 
 
 @pytest.fixture
-def problems(read: Callable[[Sheet | str | bytes], Log]) -> Callable[[Sheet | str | bytes], list[Problem]]:
+def problems(read: Callable[[Sheet | str | bytes], Log]) -> Callable[[Sheet | str | bytes], list[InputIssue]]:
     """All that is said about a log that must be refused."""
 
-    def finder(content: Sheet | str | bytes) -> list[Problem]:
+    def finder(content: Sheet | str | bytes) -> list[InputIssue]:
         with pytest.raises(InputError) as refused:
             read(content)
         found = list(refused.value.problems)
@@ -157,9 +157,9 @@ def good_drafts(draw) -> Draft:
         last = draw(st.sampled_from(["", str(high - 1)]))
         if direction == "-":
             first, last = last, first
-        mine = "mm" if joint == 3 else "deg"
+        subset = "mm" if joint == 3 else "deg"
         row |= {f"{end}_{unit}": "" for unit in ("deg", "mm") for end in ("from", "to")}
-        row |= {f"from_{mine}": first, f"to_{mine}": last, "check_every": every}
+        row |= {f"from_{subset}": first, f"to_{subset}": last, "check_every": every}
         row |= {
             "status": draw(st.sampled_from(["", "ok", "interrupted", "excluded"])),
             "temperature_C": draw(st.just("") | grid(-40, 60)),

@@ -12,8 +12,8 @@ import pyarrow as pa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stickslip_fit.logs.parse import parse_numbers, parse_times
-from stickslip_fit.logs.records import Records
+from stickslip_fit.logs._csv import CsvRecords
+from stickslip_fit.logs._table import parse_numbers, parse_times
 
 quick = settings(max_examples=30, deadline=None)
 thorough = settings(quick, max_examples=150)
@@ -44,7 +44,7 @@ def test_numbers_are_plain_decimals_and_nothing_else(cells):
 def test_times_are_what_python_reads_and_never_a_date_alone(cells):
     found = parse_times(pa.array(cells))
     for cell, value, zoned, empty, bad in zip(
-        cells, found.values, found.zoned, found.empty, found.bad, strict=True
+        cells, found.values, found.has_zone, found.empty, found.bad, strict=True
     ):
         if bad or empty:
             continue
@@ -63,13 +63,13 @@ def test_times_are_what_python_reads_and_never_a_date_alone(cells):
 def test_every_iso_time_is_read(when, zone):
     found = parse_times(pa.array([when.isoformat() + zone, "2012-03-05 09:41"]))
     assert not found.bad.any()
-    assert found.zoned.tolist() == [bool(zone), False]
+    assert found.has_zone.tolist() == [bool(zone), False]
 
 
 @given(st.text('ab,"\n\r', max_size=40), st.integers(1, 4))
 @thorough
 def test_records_are_those_of_the_csv_module(content, width):
-    records = Records(content.encode(), start=0, first_line=1, width=width)
+    records = CsvRecords(content.encode(), start=0, first_line=1, width=width)
     expected, ragged = [], []
     stream = io.StringIO(content, newline="")
     reader = csv.reader(stream)

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import quad
 
 from stickslip_fit.logs import add_history, read_log
-from stickslip_fit.logs.history import previous
+from stickslip_fit.logs.history import previous_rows
 
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
@@ -133,4 +133,4 @@ def test_traverses_of_one_moment_are_ordered_by_joint_and_session_however_the_fi
 
 
 def test_the_row_before_is_that_of_the_same_group():
-    assert previous(np.array([3, 1, 1, 3, 3])).tolist() == [-1, -1, 1, 0, 3]
+    assert previous_rows(np.array([3, 1, 1, 3, 3])).tolist() == [-1, -1, 1, 0, 3]

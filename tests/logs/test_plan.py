@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 
 SESSIONS = "[sessions]\ndates = [2012-03-05, 2012-03-06]\n"

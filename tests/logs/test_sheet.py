@@ -8,8 +8,8 @@ import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
-from stickslip_fit.logs.read_plan import read_plan
-from stickslip_fit.logs.sheet import write_sheet_csv
+from stickslip_fit.logs.plan import write_sheet_csv
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 
 PLAN = """

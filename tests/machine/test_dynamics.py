@@ -17,7 +17,7 @@ from stickslip_fit.machine import (
     inertia_matrix,
     joint_forces,
     tip_load,
-    up_in_base,
+    vertical_in_base,
 )
 
 Q = sp.symbols("q1:4")
@@ -177,7 +177,7 @@ def with_mass_at_tip(arm, mass):
 
 def test_a_weight_on_the_tip_bears_like_one_more_mass(arm, states):
     q, _, theta, psi = states
-    weight = -0.002 * 9.80665 * up_in_base(theta, psi)
+    weight = -0.002 * 9.80665 * vertical_in_base(theta, psi)
     more = gravity_forces(with_mass_at_tip(arm, 0.002), q, theta, psi) - gravity_forces(arm, q, theta, psi)
     assert joint_forces(arm, q, weight) == pytest.approx(more, rel=1e-10, abs=1e-17)
 
@@ -185,7 +185,7 @@ def test_a_weight_on_the_tip_bears_like_one_more_mass(arm, states):
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_a_tip_load_adds_to_the_gravity_load(arm, states, joint):
     q, _, theta, psi = states
-    weight = -0.002 * 9.80665 * up_in_base(theta, psi)
+    weight = -0.002 * 9.80665 * vertical_in_base(theta, psi)
     total = gravity_forces(with_mass_at_tip(arm, 0.002), q, theta, psi)[:, joint - 1]
     load = full_load(joint, q[:, 0], q[:, 1], theta, psi) + tip_load(arm, joint, q, weight)
     assert load * gravity_scale(arm, q)[:, joint - 1] == pytest.approx(total, rel=1e-10, abs=1e-15)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from stickslip_fit.machine import forward, full_load, mean_load, published_load, up_in_base
+from stickslip_fit.machine import forward, full_load, mean_load, published_load, vertical_in_base
 
 
 def base(theta, psi):
@@ -16,7 +16,7 @@ def base(theta, psi):
 def test_up_is_the_world_s_vertical_turned_back(states):
     _, _, theta, psi = states
     expected = base(theta, psi).inv().apply([0.0, 0.0, 1.0])
-    assert up_in_base(theta, psi) == pytest.approx(expected, abs=1e-15)
+    assert vertical_in_base(theta, psi) == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3])

@@ -4,18 +4,24 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit import least_squares
+from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import forward, load_machine
-from stickslip_fit.moves import Drive, calibrated, steps_for_move, steps_until, where_after
-from stickslip_fit.moves.calibrated import CERTAIN
+from stickslip_fit.moves import (
+    DriveCommand,
+    calibrated_arm,
+    dead_reckon,
+    plan_move,
+    steps_before_recalibration,
+)
+from stickslip_fit.moves.arm import Z_95
 
 
 @pytest.fixture(scope="module")
 def arm(campaign, tmp_path_factory):
     path = tmp_path_factory.mktemp("moves") / "campaign.csv"
     campaign().to_csv(path, index=False)
-    return calibrated(least_squares(read_log(path)))
+    return calibrated_arm(fit_least_squares(read_log(path)))
 
 
 def stepped(arm, q, joint, way, steps):
@@ -31,9 +37,9 @@ def stepped(arm, q, joint, way, steps):
 
 def test_the_latest_session_is_taken_unless_another_is_named(arm):
     assert arm.session == "2012-03-06"
-    assert calibrated(arm.result, "2012-03-05").session == "2012-03-05"
+    assert calibrated_arm(arm.result, "2012-03-05").session == "2012-03-05"
     with pytest.raises(InputError, match="'1999' is not in this result; it has 2012-03-05, 2012-03-06"):
-        calibrated(arm.result, "1999")
+        calibrated_arm(arm.result, "1999")
 
 
 @pytest.mark.parametrize(
@@ -41,7 +47,7 @@ def test_the_latest_session_is_taken_unless_another_is_named(arm):
     [((0.0, 0.3, 0.004), 2, "-", 3000), ((0.2, -1.5, 0.0), 3, "+", 2500), ((1.0, -1.5, 0.006), 1, "+", 2000)],
 )
 def test_where_agrees_with_literal_steps(arm, q, joint, way, steps):
-    found = where_after(arm, np.array(q), [Drive(joint, way, steps)])
+    found = dead_reckon(arm, np.array(q), [DriveCommand(joint, way, steps)])
     step = abs(stepped(arm, q, joint, way, 1) - q[joint - 1])
     assert found.q[joint - 1] == pytest.approx(stepped(arm, q, joint, way, steps), abs=step)
     assert found.tip == pytest.approx(forward(load_machine(), found.q))
@@ -49,9 +55,11 @@ def test_where_agrees_with_literal_steps(arm, q, joint, way, steps):
 
 def test_a_move_there_and_where_it_ends_agree(arm):
     start, target = np.array([-0.4, -2.2, 0.001]), np.array([0.5, -1.0, 0.009])
-    move = steps_for_move(arm, start, target, order=(3, 1, 2))
-    assert [leg.joint for leg in move.legs] == [3, 1, 2]
-    found = where_after(arm, start, [Drive(leg.joint, leg.direction, leg.steps) for leg in move.legs])
+    move = plan_move(arm, start, target, order=(3, 1, 2))
+    assert [leg.joint for leg in move.segments] == [3, 1, 2]
+    found = dead_reckon(
+        arm, start, [DriveCommand(leg.joint, leg.direction, leg.steps) for leg in move.segments]
+    )
     one_step = np.array([1e-4, 1.3e-4, 1.1e-6])
     assert np.all(np.abs(found.q - target) < one_step)
     assert move.tip == pytest.approx(forward(load_machine(), target))
@@ -61,11 +69,11 @@ def test_the_tip_error_is_that_of_many_moves(arm):
     """Draw laws from the fit's own uncertainty and repeatability, make the move, look at the tips."""
     rng = np.random.default_rng(3)
     start, target = np.array([0.0, -2.0, 0.0]), np.array([0.3, -1.2, 0.008])
-    move = steps_for_move(arm, start, target)
+    move = plan_move(arm, start, target)
     tips = []
     for _ in range(300):
         q = start.copy()
-        for leg in move.legs:
+        for leg in move.segments:
             law, values, covariance, repeatability = arm.law(leg.joint, leg.direction)
             drawn = rng.multivariate_normal(values, covariance, method="svd")
             there = np.array(q)
@@ -80,8 +88,8 @@ def test_the_tip_error_is_that_of_many_moves(arm):
 
 def test_errors_of_a_law_add_up_over_drives_and_noise_does_not(arm):
     start = np.array([0.0, -1.5, 0.0])
-    one = where_after(arm, start, [Drive(3, "+", 8000)])
-    many = where_after(arm, start, [Drive(3, "+", 1000)] * 8)
+    one = dead_reckon(arm, start, [DriveCommand(3, "+", 8000)])
+    many = dead_reckon(arm, start, [DriveCommand(3, "+", 1000)] * 8)
     assert many.q[2] == pytest.approx(one.q[2], abs=1e-10)
     _, _, _, repeatability = arm.law(3, "+")
     gone = one.q[2]
@@ -91,8 +99,10 @@ def test_errors_of_a_law_add_up_over_drives_and_noise_does_not(arm):
 
 def test_a_stop_makes_the_position_known_again(arm):
     start = np.array([0.0, -1.5, 0.0])
-    found = where_after(arm, start, [Drive(3, "+", 5000), Drive(3, "-", 20000), Drive(3, "+", 1000)])
-    direct = where_after(arm, start, [Drive(3, "+", 1000)])
+    found = dead_reckon(
+        arm, start, [DriveCommand(3, "+", 5000), DriveCommand(3, "-", 20000), DriveCommand(3, "+", 1000)]
+    )
+    direct = dead_reckon(arm, start, [DriveCommand(3, "+", 1000)])
     assert found.q == pytest.approx(direct.q)
     assert found.q_error == pytest.approx(direct.q_error)
     assert 3 not in found.at_stop
@@ -101,34 +111,38 @@ def test_a_stop_makes_the_position_known_again(arm):
 def test_a_drive_that_may_or_may_not_reach_the_stop_is_refused(arm):
     start = np.array([0.0, -np.pi / 2, 0.0])
     with pytest.raises(InputError, match="may or may not reach its stop"):
-        where_after(arm, start, [Drive(3, "+", 12295)])
+        dead_reckon(arm, start, [DriveCommand(3, "+", 12295)])
 
 
 def test_when_to_go_back_to_a_stop(arm):
-    at = where_after(arm, np.array([0.0, -1.5, 0.0]), [Drive(3, "+", 3000)])
-    tolerance = 1.5 * CERTAIN * at.tip_error
-    further = steps_until(arm, at, 3, "+", tolerance)
+    at = dead_reckon(arm, np.array([0.0, -1.5, 0.0]), [DriveCommand(3, "+", 3000)])
+    tolerance = 1.5 * Z_95 * at.tip_error
+    further = steps_before_recalibration(arm, at, 3, "+", tolerance)
     assert further is not None
     before, after = (
-        where_after(arm, np.array([0.0, -1.5, 0.0]), [Drive(3, "+", 3000), Drive(3, "+", further + extra)])
+        dead_reckon(
+            arm,
+            np.array([0.0, -1.5, 0.0]),
+            [DriveCommand(3, "+", 3000), DriveCommand(3, "+", further + extra)],
+        )
         for extra in (-400, 400)
     )
-    assert CERTAIN * before.tip_error < tolerance * 1.05
-    assert CERTAIN * after.tip_error > tolerance * 0.8
-    assert steps_until(arm, at, 3, "+", 0.5 * CERTAIN * at.tip_error) == 0
-    assert steps_until(arm, at, 3, "+", 1.0) is None
+    assert Z_95 * before.tip_error < tolerance * 1.05
+    assert Z_95 * after.tip_error > tolerance * 0.8
+    assert steps_before_recalibration(arm, at, 3, "+", 0.5 * Z_95 * at.tip_error) == 0
+    assert steps_before_recalibration(arm, at, 3, "+", 1.0) is None
 
 
 def test_positions_outside_the_range_are_refused(arm):
     with pytest.raises(InputError, match=r"target q3 = 15.00 mm is outside its range, 0.00 mm to 12.00 mm"):
-        steps_for_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.015]))
+        plan_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.015]))
 
 
 def test_a_law_that_is_not_known_is_not_used(campaign, tmp_path):
     table = campaign(settings=({"joint": 3, "q2_deg": -90.0},))
     table.to_csv(tmp_path / "log.csv", index=False)
-    arm = calibrated(least_squares(read_log(tmp_path / "log.csv")))
+    arm = calibrated_arm(fit_least_squares(read_log(tmp_path / "log.csv")))
     with pytest.raises(InputError, match="b and c cannot be known"):
-        steps_for_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.006]))
+        plan_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.006]))
     with pytest.raises(InputError, match="joint 2 has no calibration"):
-        steps_for_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -0.5, 0.0]))
+        plan_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -0.5, 0.0]))

@@ -5,30 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import (
-    ExtendedLaw,
-    library,
-)
+from stickslip_fit.causes import ExtendedLaw, library
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit import least_squares
-from stickslip_fit.fit.known_causes import HeldLaw
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import Base, Elbow, Prismatic
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import (
-    Truth,
-    calibrated,
-    driven,
-    drives_along,
+    TrueLaws,
+    calibrated_arm,
+    dead_reckon,
+    draw_random_paths,
+    plan_drives,
+    plan_steps,
     position_after,
-    random_paths,
-    steps_by_parameters,
-    steps_by_truth,
-    steps_to_command,
+    simulate_open_loop,
+    step_model_from_parameters,
+    step_models_from_truth,
     straight_path,
-    where_after,
 )
-from stickslip_fit.simulate import step_through
+from stickslip_fit.simulation import step_through
 from tests.conftest import CALIBRATION
 from tests.conftest import Truth as ByHand
 
@@ -55,21 +52,21 @@ def truth(*names, sessions=("Monday",), **given):
     sizes = [SIZES[cause.name].get(each.name, 1e-7) for cause in causes for each in cause.parameters]
     laws = {joint: ExtendedLaw(law, causes) if causes else law for joint, law in LAWS.items()}
     values = {group: np.append(own, sizes) for group, own in VALUES.items()}
-    return Truth(sessions, laws, values, conditions={"session_seconds": 600.0}, **given)
+    return TrueLaws(sessions, laws, values, conditions={"session_seconds": 600.0}, **given)
 
 
 def commanded(paths, true):
-    return steps_to_command(paths, steps_by_truth(true), true.sessions, true.conditions)
+    return plan_steps(paths, step_models_from_truth(true), true.sessions, true.conditions)
 
 
 def test_the_joints_end_where_literal_steps_take_them():
     """Against the tests' own laws in deg and mm, one step after another."""
-    paths, true = random_paths(MACHINE, 12, seed=8, legs=2), truth()
+    paths, true = draw_random_paths(MACHINE, 12, seed=8, n_segments=2), truth()
     steps = commanded(paths, true)
-    found = driven(paths, true, steps)[0]
+    found = simulate_open_loop(paths, true, steps)[0]
     scale, base = np.array([np.degrees(1), np.degrees(1), 1e3]), np.degrees([paths.theta, paths.psi]).T
     for move in range(len(paths)):
-        q = paths.stands[move, 0] * scale
+        q = paths.joint_positions[move, 0] * scale
         for part in (part for part in paths.parts if move in part.moves):
             unit = 1e-6 if part.joint == 3 else np.degrees(1e-6)
             for _ in range(int(steps[0, move, part.drive])):
@@ -81,9 +78,9 @@ def test_the_joints_end_where_literal_steps_take_them():
 @pytest.mark.parametrize("name", SIZES)
 def test_the_joints_end_where_the_emulated_manipulator_takes_them(name):
     """With a cause at work, step after step until the joint is where it is said to end."""
-    paths, true = random_paths(MACHINE, 10, seed=9), truth(name)
+    paths, true = draw_random_paths(MACHINE, 10, seed=9), truth(name)
     steps = commanded(paths, true)
-    found, q = driven(paths, true, steps)[0], paths.stands[:, 0].copy()
+    found, q = simulate_open_loop(paths, true, steps)[0], paths.joint_positions[:, 0].copy()
     for part in paths.parts:
         stop = found[part.moves, part.joint - 1]
         rows = {f"q{joint}": q[part.moves, joint - 1] for joint in LAWS}
@@ -97,91 +94,97 @@ def test_the_joints_end_where_the_emulated_manipulator_takes_them(name):
 
 @pytest.mark.parametrize("legs", [1, 7])
 def test_a_calibration_that_is_right_leaves_half_a_step(legs):
-    paths, true = random_paths(MACHINE, 300, seed=3, legs=legs), truth("q1-gravity")
-    off = np.abs(driven(paths, true, commanded(paths, true))[0] - paths.stands[:, -1])
+    paths, true = draw_random_paths(MACHINE, 300, seed=3, n_segments=legs), truth("q1-gravity")
+    off = np.abs(simulate_open_loop(paths, true, commanded(paths, true))[0] - paths.joint_positions[:, -1])
     largest = STEP + np.array([24e-6, 26e-6, 0.46e-6])  # with the whole load in its favour
     assert np.all(off < 0.51 * largest)
     assert np.all(off.max(axis=0) > 0.4 * STEP)
 
 
 def test_a_session_factor_stretches_every_drive():
-    paths = random_paths(MACHINE, 20, seed=6)
+    paths = draw_random_paths(MACHINE, 20, seed=6)
     sessions = ("Monday", "Tuesday")
     factor = dict.fromkeys(GROUPS, np.array([1.0, 1.02]))
     true = truth(sessions=sessions, factor=factor)
     steps = commanded(paths, truth(sessions=sessions))
-    monday, tuesday = driven(paths, true, steps) - paths.stands[:, 0]
+    monday, tuesday = simulate_open_loop(paths, true, steps) - paths.joint_positions[:, 0]
     assert tuesday == pytest.approx(1.02 * monday, rel=3e-3, abs=1e-9)
     assert tuesday != pytest.approx(monday, rel=3e-3, abs=1e-9)
-    again = driven(paths, true, commanded(paths, true))
-    assert np.abs(again - paths.stands[:, -1]) == pytest.approx(0.0, abs=1e-4)
+    again = simulate_open_loop(paths, true, commanded(paths, true))
+    assert np.abs(again - paths.joint_positions[:, -1]) == pytest.approx(0.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("lost", [30.0, -30.0])
 def test_steps_lost_or_gained_at_a_reversal(lost):
     causes = tuple(cause for cause in library() if cause.name == "reversal-loss")
     laws = {joint: ExtendedLaw(law, causes) for joint, law in LAWS.items()}
-    true = Truth(("Monday",), laws, {group: np.append(own, lost) for group, own in VALUES.items()})
-    paths, plain = random_paths(MACHINE, 40, seed=7), truth()
+    true = TrueLaws(("Monday",), laws, {group: np.append(own, lost) for group, own in VALUES.items()})
+    paths, plain = draw_random_paths(MACHINE, 40, seed=7), truth()
     steps = np.full((1, 40, 3), 100.0)
-    turned = np.sign(paths.stands[:, -1] - paths.stands[:, 0]) != paths.came
-    expected = driven(paths, plain, np.where(turned, steps - lost, steps))
-    assert driven(paths, true, steps) == pytest.approx(expected, rel=1e-9)
+    turned = np.sign(paths.joint_positions[:, -1] - paths.joint_positions[:, 0]) != paths.arrival_direction
+    expected = simulate_open_loop(paths, plain, np.where(turned, steps - lost, steps))
+    assert simulate_open_loop(paths, true, steps) == pytest.approx(expected, rel=1e-9)
     faster = {group: np.array([1.1]) for group in GROUPS}
-    lame = driven(paths, replace(true, factor=faster), steps)
+    lame = simulate_open_loop(paths, replace(true, factor=faster), steps)
     assert lame == pytest.approx(
-        driven(paths, replace(plain, factor=faster), np.where(turned, steps - lost, steps)), rel=1e-9
+        simulate_open_loop(paths, replace(plain, factor=faster), np.where(turned, steps - lost, steps)),
+        rel=1e-9,
     )
-    few = driven(paths, true, np.full((1, 40, 3), 20.0))[0]
-    assert np.array_equal(np.abs(few - paths.stands[:, 0]) < 0.01 * STEP, turned & (lost > 20))
+    few = simulate_open_loop(paths, true, np.full((1, 40, 3), 20.0))[0]
+    assert np.array_equal(np.abs(few - paths.joint_positions[:, 0]) < 0.01 * STEP, turned & (lost > 20))
 
 
 def test_a_move_hears_no_stop():
     causes = tuple(cause for cause in library() if cause.name == "end-stop-latency")
     late = {group: np.append(own, 50.0) for group, own in VALUES.items()}
     laws = {joint: ExtendedLaw(law, causes) for joint, law in LAWS.items()}
-    paths, plain = random_paths(MACHINE, 20, seed=7), truth()
+    paths, plain = draw_random_paths(MACHINE, 20, seed=7), truth()
     steps = commanded(paths, plain)
-    assert driven(paths, Truth(("Monday",), laws, late), steps) == pytest.approx(driven(paths, plain, steps))
+    assert simulate_open_loop(paths, TrueLaws(("Monday",), laws, late), steps) == pytest.approx(
+        simulate_open_loop(paths, plain, steps)
+    )
     for calibration in (
-        {group: steps_by_parameters(laws[group[0]], late[group]) for group in GROUPS},
-        {g: steps_by_parameters(HeldLaw(LAWS[g[0]], causes, [50.0]), VALUES[g]) for g in GROUPS},
+        {group: step_model_from_parameters(laws[group[0]], late[group]) for group in GROUPS},
+        {g: step_model_from_parameters(FixedCauseLaw(LAWS[g[0]], causes, [50.0]), VALUES[g]) for g in GROUPS},
     ):
-        assert np.array_equal(steps_to_command(paths, calibration, ("Monday",), {}), steps)
+        assert np.array_equal(plan_steps(paths, calibration, ("Monday",), {}), steps)
 
 
 def test_a_joint_stops_at_its_stop():
     path = straight_path(MACHINE, [0.0, -1.2, 0.0105], [0.0, 0.0, 1.0], 1e-3)
-    reached = driven(path, truth(), np.full((1, 1, 3), 50_000.0))
-    moved = path.stands[0, -1] > path.stands[0, 0]
+    reached = simulate_open_loop(path, truth(), np.full((1, 1, 3), 50_000.0))
+    moved = path.joint_positions[0, -1] > path.joint_positions[0, 0]
     ends = [MACHINE.ranges[joint][1] for joint in LAWS]
     assert reached[0, 0, moved].tolist() == [end for end, way in zip(ends, moved, strict=True) if way]
 
 
 def test_what_a_calibration_does_not_know_stays_unknown():
-    paths, true = random_paths(MACHINE, 30, seed=1), truth()
-    right = steps_by_truth(true)
+    paths, true = draw_random_paths(MACHINE, 30, seed=1), truth()
+    right = step_models_from_truth(true)
     gone = right | {(3, "+"): lambda rows: np.full(len(rows), np.nan)}
-    found = driven(paths, true, steps_to_command(paths, gone, true.sessions, {}))[0]
-    forth = paths.stands[:, -1, 2] > paths.stands[:, 0, 2]
+    found = simulate_open_loop(paths, true, plan_steps(paths, gone, true.sessions, {}))[0]
+    forth = paths.joint_positions[:, -1, 2] > paths.joint_positions[:, 0, 2]
     assert np.array_equal(np.isnan(found).any(axis=1), forth)
     with pytest.raises(InputError, match="joint 3 has no calibration in direction -"):
-        steps_to_command(paths, {g: of for g, of in right.items() if g != (3, "-")}, true.sessions, {})
+        plan_steps(paths, {g: of for g, of in right.items() if g != (3, "-")}, true.sessions, {})
 
 
 def test_a_joint_that_would_come_to_a_halt_is_named():
-    paths, true = random_paths(MACHINE, 30, seed=1), truth()
-    stalled = Truth(true.sessions, true.laws, true.values | {(3, "+"): np.array([1e-7, 0.0, 9e-7])})
+    paths, true = draw_random_paths(MACHINE, 30, seed=1), truth()
+    stalled = TrueLaws(true.sessions, true.laws, true.values | {(3, "+"): np.array([1e-7, 0.0, 9e-7])})
     with pytest.raises(InputError, match="joint 3 comes to a halt"):
-        driven(paths, stalled, commanded(paths, true))
+        simulate_open_loop(paths, stalled, commanded(paths, true))
 
 
 def test_noise_goes_with_the_way():
-    paths, noise = random_paths(MACHINE, 25, seed=2), np.random.default_rng(1).standard_normal((1, 25, 3))
+    paths, noise = (
+        draw_random_paths(MACHINE, 25, seed=2),
+        np.random.default_rng(1).standard_normal((1, 25, 3)),
+    )
     true = truth(repeatability=dict.fromkeys(GROUPS, 0.01))
     steps = commanded(paths, true)
-    still, shaken = driven(paths, true, steps), driven(paths, true, steps, noise)
-    gone = still - paths.stands[:, 0]
+    still, shaken = simulate_open_loop(paths, true, steps), simulate_open_loop(paths, true, steps, noise)
+    gone = still - paths.joint_positions[:, 0]
     assert shaken - still == pytest.approx(-0.01 * noise * gone, abs=4e-4 * np.abs(gone).max())
 
 
@@ -189,21 +192,23 @@ def test_noise_goes_with_the_way():
 def arm(campaign, tmp_path_factory):
     path = tmp_path_factory.mktemp("open_loop") / "campaign.csv"
     campaign().to_csv(path, index=False)
-    return calibrated(least_squares(read_log(path)), theta=-0.3, psi=0.2)
+    return calibrated_arm(fit_least_squares(read_log(path)), theta=-0.3, psi=0.2)
 
 
 def test_a_users_drives_and_those_of_many_moves_agree(arm):
-    path = straight_path(arm.machine, [0.3, -1.4, 0.004], [0.0, 0.6, -0.8], 2e-3, legs=4, theta=-0.3, psi=0.2)
-    drives = drives_along(arm, path)
+    path = straight_path(
+        arm.machine, [0.3, -1.4, 0.004], [0.0, 0.6, -0.8], 2e-3, n_segments=4, theta=-0.3, psi=0.2
+    )
+    drives = plan_drives(arm, path)
     laws = {joint: fit.law for joint, fit in arm.result.joints.items()}
-    true = Truth((arm.session,), laws, {group: arm.law(*group)[1] for group in GROUPS})
+    true = TrueLaws((arm.session,), laws, {group: arm.law(*group)[1] for group in GROUPS})
     steps = commanded(path, true)
     assert [drive.steps for drive in drives] == steps[steps > 0].tolist()
-    found = where_after(arm, path.stands[0, 0], drives)
-    assert found.q == pytest.approx(driven(path, true, steps)[0, 0], abs=1e-10)
-    assert np.abs(found.q - path.stands[0, -1]) == pytest.approx(0.0, abs=6e-5)
+    found = dead_reckon(arm, path.joint_positions[0, 0], drives)
+    assert found.q == pytest.approx(simulate_open_loop(path, true, steps)[0, 0], abs=1e-10)
+    assert np.abs(found.q - path.joint_positions[0, -1]) == pytest.approx(0.0, abs=6e-5)
     with pytest.raises(InputError, match="one move at a time"):
-        drives_along(arm, random_paths(arm.machine, 2, seed=1))
+        plan_drives(arm, draw_random_paths(arm.machine, 2, seed=1))
 
 
 def test_a_users_drives_make_up_for_each_reversal(campaign, tmp_path_factory):
@@ -211,16 +216,16 @@ def test_a_users_drives_make_up_for_each_reversal(campaign, tmp_path_factory):
     path = tmp_path_factory.mktemp("reversal") / "campaign.csv"
     campaign(settings=CALIBRATION + CALIBRATION[::-1]).to_csv(path, index=False)
     causes = [cause for cause in library() if cause.name == "reversal-loss"]
-    usual = calibrated(least_squares(read_log(path)))
-    arm = calibrated(with_loss(least_squares(read_log(path), causes=causes), 30.0))
+    usual = calibrated_arm(fit_least_squares(read_log(path)))
+    arm = calibrated_arm(with_loss(fit_least_squares(read_log(path), causes=causes), 30.0))
     start = np.array([0.0, -1.25, 0.006])
     middle = -1.25 + 0.04
     way = np.array([-np.cos(middle), 0.0, -np.sin(middle)])
-    chord = straight_path(arm.machine, start, way, 2 * 0.0435 * np.sin(0.04), legs=2)
-    assert [drive.joint for drive in drives_along(arm, chord)] == [2, 3, 2, 3]
+    chord = straight_path(arm.machine, start, way, 2 * 0.0435 * np.sin(0.04), n_segments=2)
+    assert [drive.joint for drive in plan_drives(arm, chord)] == [2, 3, 2, 3]
     more = [
         one.steps - other.steps
-        for one, other in zip(drives_along(arm, chord), drives_along(usual, chord), strict=True)
+        for one, other in zip(plan_drives(arm, chord), plan_drives(usual, chord), strict=True)
     ]
     assert more == pytest.approx([0, 0, 0, 30], abs=2)
 

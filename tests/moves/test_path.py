@@ -8,9 +8,8 @@ from scipy.optimize import fsolve
 from scipy.stats import ks_2samp
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine import inverse, load_machine
-from stickslip_fit.machine.load import published_load
-from stickslip_fit.moves import random_paths, straight_path
+from stickslip_fit.machine import inverse, load_machine, published_load
+from stickslip_fit.moves import draw_random_paths, straight_path
 
 MACHINE = load_machine()
 
@@ -30,18 +29,18 @@ def tip_by_hand(q):
 @pytest.mark.parametrize("order", [(1, 2, 3), (3, 1, 2)])
 def test_every_leg_ends_on_the_line_where_a_solver_puts_the_joints(order):
     start, way = np.array([0.4, -2.0, 0.003]), np.array([2.0, -1.0, 2.0]) / 3
-    path = straight_path(MACHINE, start, way, 5e-3, legs=10, order=order)
+    path = straight_path(MACHINE, start, way, 5e-3, n_segments=10, order=order)
     assert path.order == order * 10
     origin, q = tip_by_hand(start), start
     for leg in range(1, 11):
         target = origin + way * 5e-3 * leg / 10
         q = fsolve(lambda there, target=target: (tip_by_hand(there) - target) * 1e3, q, xtol=1e-13)
-        assert path.stands[0, 3 * leg] == pytest.approx(q, abs=1e-9)
+        assert path.joint_positions[0, 3 * leg] == pytest.approx(q, abs=1e-9)
 
 
 def test_each_drive_moves_its_joint_only():
-    paths = random_paths(MACHINE, 50, seed=2, legs=3)
-    moved = np.diff(paths.stands, axis=1) != 0
+    paths = draw_random_paths(MACHINE, 50, seed=2, n_segments=3)
+    moved = np.diff(paths.joint_positions, axis=1) != 0
     for drive, joint in enumerate(paths.order):
         assert not np.delete(moved[:, drive], joint - 1, axis=1).any()
     made = np.zeros((50, len(paths.order)), int)
@@ -52,18 +51,21 @@ def test_each_drive_moves_its_joint_only():
 
 
 def test_what_each_drive_follows():
-    paths, last = random_paths(MACHINE, 60, seed=3, length=5e-3, legs=4), {}
+    paths, last = draw_random_paths(MACHINE, 60, seed=3, length=5e-3, n_segments=4), {}
     for drive, joint in enumerate(paths.order):
         for move in range(60):
-            start, stop = paths.stands[move, drive, joint - 1], paths.stands[move, drive + 1, joint - 1]
+            start, stop = (
+                paths.joint_positions[move, drive, joint - 1],
+                paths.joint_positions[move, drive + 1, joint - 1],
+            )
             part = next((p for p in paths.parts if p.drive == drive and move in p.moves), None)
             if part is None:
                 continue
             at = int(np.flatnonzero(part.moves == move)[0])
-            came = {1: "+", -1: "-"}[paths.came[move, joint - 1]]
-            way, between = last.get((move, joint), (came, np.full(2, start)))
+            arrival_direction = {1: "+", -1: "-"}[paths.arrival_direction[move, joint - 1]]
+            way, between = last.get((move, joint), (arrival_direction, np.full(2, start)))
             assert part.before_direction[at] == way
-            q = np.tile(paths.stands[move, drive], (201, 1))
+            q = np.tile(paths.joint_positions[move, drive], (201, 1))
             q[:, joint - 1] = np.linspace(*between, 201)
             loads = published_load(joint, q[:, 0], q[:, 1], paths.theta[move], paths.psi[move])
             assert part.before_load[at] == pytest.approx(loads.mean(), abs=0.03)
@@ -77,11 +79,11 @@ def test_how_far_the_tip_strays_between_the_ends_of_its_drives():
     strays = []
     for legs in (1, 2, 8):
         path = straight_path(MACHINE, start, way, 1e-3, legs)
-        ends = zip(path.stands[0, :-1], path.stands[0, 1:], strict=True)
+        ends = zip(path.joint_positions[0, :-1], path.joint_positions[0, 1:], strict=True)
         way_there = np.concatenate([np.linspace(*pair, 50) for pair in ends])
         tips = np.array([tip_by_hand(q) for q in way_there]) - tip_by_hand(start)
         farthest = np.linalg.norm(np.cross(tips, way), axis=1).max()
-        strays.append(path.stray()[0])
+        strays.append(path.max_deviation()[0])
         assert strays[-1] == pytest.approx(farthest, rel=0.01)
     assert strays[0] / strays[2] == pytest.approx(8, rel=0.1)
 
@@ -133,7 +135,7 @@ FAR = replace(MACHINE, ranges={1: (-np.pi, np.pi), 2: (-11 * np.pi / 6, np.pi / 
 
 @pytest.mark.parametrize("machine", [MACHINE, FAR])
 def test_moves_are_drawn_uniformly_from_all_that_are_within_reach(machine):
-    paths = random_paths(machine, 1000, seed=4, length=3e-3)
+    paths = draw_random_paths(machine, 1000, seed=4, length=3e-3)
     rng, wide = np.random.default_rng(5), machine.a1 + machine.l2 + machine.ranges[3][1]
     starts, ways = [], []
     while len(starts) < 1000:
@@ -158,17 +160,17 @@ def test_moves_are_drawn_uniformly_from_all_that_are_within_reach(machine):
 
 def test_the_seed_settles_the_moves_and_the_base_stands_within_its_ranges():
     one, same, other = (
-        random_paths(MACHINE, 40, seed, theta=(-0.2, 0.1), psi=(1.0, 1.0)) for seed in (1, 1, 2)
+        draw_random_paths(MACHINE, 40, seed, theta=(-0.2, 0.1), psi=(1.0, 1.0)) for seed in (1, 1, 2)
     )
-    assert np.array_equal(one.stands, same.stands)
+    assert np.array_equal(one.joint_positions, same.joint_positions)
     assert np.array_equal(one.theta, same.theta)
-    assert not np.array_equal(one.stands, other.stands)
+    assert not np.array_equal(one.joint_positions, other.joint_positions)
     assert one.theta.min() > -0.2
     assert one.theta.max() < 0.1
     assert np.all(one.psi == 1.0)
-    assert set(np.unique(one.came)) == {-1, 1}
+    assert set(np.unique(one.arrival_direction)) == {-1, 1}
 
 
 def test_moves_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match="hardly any move of 150 mm"):
-        random_paths(MACHINE, 1, seed=1, length=0.15)
+        draw_random_paths(MACHINE, 1, seed=1, length=0.15)

@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from stickslip_fit.fit.progress import bar
+from stickslip_fit._io import progress_bar
 
 
 class Terminal(io.StringIO):
@@ -17,7 +17,7 @@ class Terminal(io.StringIO):
 
 
 def told(file, shown):
-    with bar(shown, total=4, unit=" campaigns", file=file, ncols=70, mininterval=0) as each:
+    with progress_bar(shown, total=4, unit=" campaigns", file=file, ncols=70, mininterval=0) as each:
         each.update(2)
         each.refresh()
     return file.getvalue()

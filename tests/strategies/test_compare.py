@@ -8,17 +8,17 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.strategies import (
     ClosedForm,
-    ConstantStep,
+    ConstantStepStrategy,
     DOptimal,
     Hierarchical,
     LeastSquares,
-    compare,
+    compare_strategies,
     earlier_sessions,
-    save_numbers,
+    save_comparison,
 )
-from stickslip_fit.strategies.accuracy import CONFIGURATIONS
-from stickslip_fit.strategies.numbers import tables
-from stickslip_fit.strategies.verdict import against_best
+from stickslip_fit.strategies._summary import compare_with_best
+from stickslip_fit.strategies.compare import make_tables
+from stickslip_fit.strategies.statistics import CONFIGURATION_UNIT
 
 MONDAY, TUESDAY, WEDNESDAY = "2012-03-05", "2012-03-06", "2012-03-07"
 
@@ -38,7 +38,9 @@ class FirstOfAll:
 
 @pytest.fixture(scope="module")
 def found(log):
-    return compare(log, [ConstantStep(), ClosedForm(), LeastSquares(DOptimal(), 2), FirstOfAll()])
+    return compare_strategies(
+        log, [ConstantStepStrategy(), ClosedForm(), LeastSquares(DOptimal(), 2), FirstOfAll()]
+    )
 
 
 def test_errors_are_those_of_traverses_that_nobody_calibrated_from(found, log):
@@ -48,11 +50,13 @@ def test_errors_are_those_of_traverses_that_nobody_calibrated_from(found, log):
     rows = log.usable.loc[shared["traverse"]]
     measured = abs(rows["stop"] - rows["start"]).to_numpy() / (rows["steps"].to_numpy() - 2.5)
     assert shared["measured"].to_numpy() == pytest.approx(measured)
-    mine = shared[(shared["joint"] == 3) & (shared["strategy"] == "closed form")]
-    squares = (by_hand[mine.index] ** 2).groupby(mine["session"]).mean()
+    subset = shared[(shared["joint"] == 3) & (shared["strategy"] == "closed form")]
+    squares = (by_hand[subset.index] ** 2).groupby(subset["session"]).mean()
     summed = found.accuracy().set_index(["joint", "strategy"]).loc[(3, "closed form")]
     assert summed["rms_relative"] == pytest.approx(np.sqrt(squares.mean()))
-    assert summed["worst_relative"] == pytest.approx(by_hand[mine.index][by_hand[mine.index].abs().idxmax()])
+    assert summed["worst_relative"] == pytest.approx(
+        by_hand[subset.index][by_hand[subset.index].abs().idxmax()]
+    )
     assert summed["units"] == 3
 
 
@@ -60,7 +64,7 @@ def test_the_thesis_calibration_beats_the_constant_step_and_a_twin_is_no_better(
     class Twin(ClosedForm):
         name = "twin"
 
-    pairs = compare(log, [ConstantStep(), ClosedForm(), Twin()]).pairs.set_index(
+    pairs = compare_strategies(log, [ConstantStepStrategy(), ClosedForm(), Twin()]).pairs.set_index(
         ["joint", "strategy", "other"]
     )
     for joint in (2, 3):
@@ -74,7 +78,7 @@ def test_the_thesis_calibration_beats_the_constant_step_and_a_twin_is_no_better(
 def test_the_best_is_the_one_that_others_exceed(found):
     accuracy = found.accuracy().set_index(["joint", "strategy"])["rms_relative"]
     for joint in found.joints:
-        best, others = against_best(found, joint)
+        best, others = compare_with_best(found, joint)
         assert best == accuracy[joint].idxmin()
         assert list(others["strategy"]) == [name for name in found.strategies if name != best]
         for _, pair in others.iterrows():
@@ -107,7 +111,7 @@ def test_a_session_that_lacks_traverses_is_left_out_for_all(campaign, written):
         & (table["q2_deg"] == 0)
         & (table["theta_deg"] < 0)
     )
-    found = compare(read_log(written(table[~lacking])), [ConstantStep(), ClosedForm()])
+    found = compare_strategies(read_log(written(table[~lacking])), [ConstantStepStrategy(), ClosedForm()])
     left_out = found.left_out
     assert set(zip(left_out["strategy"], left_out["session"], left_out["joint"], strict=True)) == {
         ("closed form", TUESDAY, 3)
@@ -119,7 +123,7 @@ def test_a_session_that_lacks_traverses_is_left_out_for_all(campaign, written):
 
 
 def test_on_the_day_the_first_session_has_none_to_look_back_on(log):
-    found = compare(log, [ClosedForm(), Hierarchical(1)], at_hand=earlier_sessions)
+    found = compare_strategies(log, [ClosedForm(), Hierarchical(1)], session_selector=earlier_sessions)
     assert set(found.left_out["session"]) == {MONDAY}
     assert found.sessions(3) == (TUESDAY, WEDNESDAY)
 
@@ -133,7 +137,7 @@ def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
                 else LeastSquares(DOptimal(), 99).choose(task)
             )
 
-    found = compare(log, [ClosedForm(), NotJointTwo()])
+    found = compare_strategies(log, [ClosedForm(), NotJointTwo()])
     assert found.compared(2) == ("closed form",)
     assert found.compared(3) == ("closed form", "first of all")
     assert found.sessions(2) == (MONDAY, TUESDAY, WEDNESDAY)
@@ -142,8 +146,8 @@ def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
 
 def test_one_session_is_judged_over_its_configurations(log):
     monday = log.select(log.rows["session"] == MONDAY)
-    found = compare(monday, [ConstantStep(), ClosedForm()])
-    assert found.unit(3) == CONFIGURATIONS
+    found = compare_strategies(monday, [ConstantStepStrategy(), ClosedForm()])
+    assert found.unit(3) == CONFIGURATION_UNIT
     accuracy = found.accuracy().set_index(["joint", "strategy"]).loc[(3, "closed form")]
     assert accuracy["units"] == len(monday.configurations().query("joint == 3")) * 2
     assert "there is one session" in " ".join(str(found).split())
@@ -152,10 +156,10 @@ def test_one_session_is_judged_over_its_configurations(log):
 
 def test_a_log_without_replicates_still_leaves_sweeps_to_predict(campaign, written):
     once = read_log(written(sessions=(MONDAY, TUESDAY), replicates=1))
-    found = compare(once, [ConstantStep(), ClosedForm()])
+    found = compare_strategies(once, [ConstantStepStrategy(), ClosedForm()])
     assert len(found.joints) == 3
     everything = [LeastSquares(DOptimal(), 3), *(_Slice(first) for first in range(0, 40, 4))]
-    text = " ".join(str(compare(once, everything)).split())
+    text = " ".join(str(compare_strategies(once, everything)).split())
     assert "no traverse is left that none of the strategies calibrates from" in text
 
 
@@ -173,7 +177,7 @@ def test_what_never_repeats_cannot_be_judged(campaign, written):
     once = campaign(sessions=(MONDAY,), replicates=1)
     few = once[(once["joint"] == 3) & (once["direction"] == "+")].head(3)
     with pytest.raises(InputError, match="joint 3: nothing shows how well a traverse repeats"):
-        compare(read_log(written(few)), [ConstantStep()])
+        compare_strategies(read_log(written(few)), [ConstantStepStrategy()])
 
 
 @pytest.mark.parametrize("chosen", [[0, 0], [99], [-1]])
@@ -183,17 +187,17 @@ def test_a_strategy_may_only_choose_what_is_offered(log, chosen):
             return np.array(chosen)
 
     with pytest.raises(InputError, match="'first of all' chose traverses"):
-        compare(log, [Wrong()])
+        compare_strategies(log, [Wrong()])
 
 
 def test_two_strategies_need_two_names(log):
     with pytest.raises(InputError, match="names that differ"):
-        compare(log, [ClosedForm(), ClosedForm()])
+        compare_strategies(log, [ClosedForm(), ClosedForm()])
 
 
 def test_every_number_is_saved_in_peoples_units(found, tmp_path):
-    save_numbers(found, tmp_path / "numbers")
-    for name, table in tables(found).items():
+    save_comparison(found, tmp_path / "numbers")
+    for name, table in make_tables(found).items():
         read = pd.read_csv(tmp_path / "numbers" / f"{name}.csv", keep_default_na=False, na_values=[""])
         same = pd.read_parquet(tmp_path / "numbers" / f"{name}.parquet")
         assert len(read) == len(table)
@@ -208,9 +212,9 @@ def test_every_number_is_saved_in_peoples_units(found, tmp_path):
 
 
 def test_the_bound_falls_towards_the_floor_and_nothing_lies_below_it(found):
-    for joint, mine in found.bounds.groupby("joint"):
-        assert mine["rms_relative"].is_monotonic_decreasing
-        assert (mine["rms_relative"] > mine["floor_relative"]).all()
+    for joint, subset in found.bounds.groupby("joint"):
+        assert subset["rms_relative"].is_monotonic_decreasing
+        assert (subset["rms_relative"] > subset["floor_relative"]).all()
         noise = [value for (of, _), value in found.repeatability.items() if of == joint]
-        assert min(noise) <= mine["floor_relative"].iloc[0] <= max(noise) * 1.02
-        assert mine["traverses"].iloc[0] == {1: 4, 2: 4, 3: 3}[int(joint)]
+        assert min(noise) <= subset["floor_relative"].iloc[0] <= max(noise) * 1.02
+        assert subset["traverses"].iloc[0] == {1: 4, 2: 4, 3: 3}[int(joint)]

@@ -9,9 +9,9 @@ import pytest
 
 from stickslip_fit.laws import published_law
 from stickslip_fit.logs import read_log
-from stickslip_fit.strategies import DOptimal, IOptimal, Task
-from stickslip_fit.strategies.bound import prediction_variance
-from stickslip_fit.strategies.solve import solve
+from stickslip_fit.strategies import CalibrationTask, DOptimal, IOptimal
+from stickslip_fit.strategies.base import solve_law
+from stickslip_fit.strategies.statistics import prediction_variance
 from tests.conftest import CALIBRATION, SWEEPS, Truth
 
 SIMULATIONS, REPEATABILITY = 20_000, 0.0027
@@ -48,14 +48,14 @@ def test_the_bound_is_reached(joint, more, design, campaign, written):
     true, by_hand = slopes_by_hand(Truth(), joint, table)
 
     offered = log.usable.drop(columns="steps")
-    task = Task("2012-03-05", "+", law, log.machine, offered, log.usable, REPEATABILITY)
+    task = CalibrationTask("2012-03-05", "+", law, log.machine, offered, log.usable, REPEATABILITY)
     made = design.pick(task, len(law.parameters) + more)
     noise = np.random.default_rng(joint).standard_normal((SIMULATIONS, len(made)))
     rows = log.usable.iloc[np.tile(made, SIMULATIONS)].assign(
         session=np.repeat(np.arange(SIMULATIONS).astype(str), len(made)),
         steps=np.exp(true[made] + REPEATABILITY * noise).ravel(),
     )
-    found = solve(law, rows, REPEATABILITY)
+    found = solve_law(law, rows, REPEATABILITY)
     assert found.known.all()
 
     bound = prediction_variance(by_hand, by_hand[made], np.full(len(made), REPEATABILITY**2))

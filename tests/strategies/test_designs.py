@@ -6,15 +6,23 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from stickslip_fit.strategies import AtRandom, DOptimal, IOptimal, Task, Thesis, Unsuited, other_sessions
-from stickslip_fit.strategies.exchange import determinant, exchange, mean_variance
-from stickslip_fit.strategies.trials import trials_of
+from stickslip_fit.strategies import (
+    AtRandom,
+    CalibrationTask,
+    DOptimal,
+    IOptimal,
+    NotApplicable,
+    Thesis,
+    other_sessions,
+)
+from stickslip_fit.strategies.designs import exchange_rows, mean_variance_loss, negative_log_determinant
+from stickslip_fit.strategies.evaluation import make_cases
 
 
 @pytest.fixture(scope="module")
-def task(log) -> Task:
+def task(log) -> CalibrationTask:
     """Joint 2, first session."""
-    return next(trial.task for trial in trials_of(log, other_sessions) if trial.task.law.joint == 2)
+    return next(trial.task for trial in make_cases(log, other_sessions) if trial.task.law.joint == 2)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -22,20 +30,20 @@ def task(log) -> Task:
 def test_exchange_finds_what_trying_everything_finds(criterion, seed):
     rng = np.random.default_rng(seed)
     slopes, prior = rng.standard_normal((9, 3)), 1e-9 * np.eye(3)
-    loss = determinant if criterion == "determinant" else mean_variance(slopes)
+    loss = negative_log_determinant if criterion == "determinant" else mean_variance_loss(slopes)
 
     def lost(chosen):
         return float(loss((prior + slopes[list(chosen)].T @ slopes[list(chosen)])[None])[0])
 
     best = min(map(lost, combinations(range(9), 4)))
-    assert lost(exchange(slopes, 4, loss, prior)) <= best + 0.02 * abs(best)
+    assert lost(exchange_rows(slopes, 4, loss, prior)) <= best + 0.02 * abs(best)
 
 
 def test_with_few_traverses_what_is_known_before_decides():
     """One slope is large where nothing is open, so that the smaller one tells more."""
     slopes = np.array([[3.0, 0.0], [0.0, 1.0]])
-    assert exchange(slopes, 1, determinant, np.diag([1e-6, 1e-6])).tolist() == [0]
-    assert exchange(slopes, 1, determinant, np.diag([100.0, 1e-6])).tolist() == [1]
+    assert exchange_rows(slopes, 1, negative_log_determinant, np.diag([1e-6, 1e-6])).tolist() == [0]
+    assert exchange_rows(slopes, 1, negative_log_determinant, np.diag([100.0, 1e-6])).tolist() == [1]
 
 
 def test_designs_choose_each_traverse_once_and_say_when_there_are_too_few(task):
@@ -43,7 +51,7 @@ def test_designs_choose_each_traverse_once_and_say_when_there_are_too_few(task):
         for count in (4, 6, len(task.offered)):
             chosen = design.pick(task, count)
             assert len(set(chosen.tolist())) == count
-        with pytest.raises(Unsuited, match=f"the session has {len(task.offered)} of them"):
+        with pytest.raises(NotApplicable, match=f"the session has {len(task.offered)} of them"):
             design.pick(task, len(task.offered) + 1)
 
 

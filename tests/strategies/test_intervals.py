@@ -6,14 +6,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.laws import Prismatic, expected_steps, travel
-from stickslip_fit.logs.read_plan import read_plan
+from stickslip_fit.laws import Prismatic, expected_steps, traverse_length
+from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values, simulate
-from stickslip_fit.strategies import AtRandom, ClosedForm, LeastSquares, compare
-from stickslip_fit.strategies.accuracy import SESSIONS, summarise, with_errors
-from stickslip_fit.strategies.paired import INDISTINGUISHABLE, pair_up
-from stickslip_fit.strategies.solve import solve
+from stickslip_fit.simulation import read_law_values, simulate
+from stickslip_fit.strategies import AtRandom, ClosedForm, LeastSquares, compare_strategies
+from stickslip_fit.strategies.base import solve_law
+from stickslip_fit.strategies.statistics import (
+    INDISTINGUISHABLE,
+    SESSION_UNIT,
+    add_errors,
+    compare_pairs,
+    summarize_errors,
+)
 
 PLAN = """
 seed = 4
@@ -62,15 +67,17 @@ def all_at_once(log):
         made[name] = drawn <= 6
     held_out = ~first
     parts = []
-    for name, mine in made.items():
-        found = solve(Prismatic(), rows[mine], 0.0027)
+    for name, subset in made.items():
+        found = solve_law(Prismatic(), rows[subset], 0.0027)
         held = rows[held_out]
         group = pd.Index(found.groups.table["session"]).get_indexer(held["session"])
         steps = np.exp(Prismatic().predict(held, found.values[group]))
         seen = expected_steps(held["steps"], held["check_every"])
         part = held.assign(strategy=name, traverse=held.index)
-        parts.append(part.assign(measured=travel(held) / seen, predicted=travel(held) / steps))
-    return by_log(with_errors(pd.concat(parts, ignore_index=True)), log)
+        parts.append(
+            part.assign(measured=traverse_length(held) / seen, predicted=traverse_length(held) / steps)
+        )
+    return by_log(add_errors(pd.concat(parts, ignore_index=True)), log)
 
 
 def one_by_one(log):
@@ -80,7 +87,10 @@ def one_by_one(log):
         Named(each, name)
         for each, name in zip([ClosedForm(), *equals], ["thesis", "one", "other"], strict=True)
     )
-    return by_log(compare(log, [thesis, one, other], at_hand=lambda sessions, session: ()).shared, log)
+    return by_log(
+        compare_strategies(log, [thesis, one, other], session_selector=lambda sessions, session: ()).shared,
+        log,
+    )
 
 
 class Named:
@@ -97,21 +107,21 @@ def by_log(errors, log):
 
 def check(errors):
     """Coverage of rms and bias over logs of a few sessions, and false alarms between two equals."""
-    whole = summarise(errors, ["strategy"], SESSIONS).set_index("strategy")
-    each = summarise(errors, ["log", "strategy"], SESSIONS)
+    whole = summarize_errors(errors, ["strategy"], SESSION_UNIT).set_index("strategy")
+    each = summarize_errors(errors, ["log", "strategy"], SESSION_UNIT)
     chance = 3 * np.sqrt(0.95 * 0.05 / each["log"].nunique())
-    for strategy, mine in each.groupby("strategy"):
+    for strategy, subset in each.groupby("strategy"):
         for name in ("rms", "rms_relative", "bias_relative", "typical_worst", "typical_worst_relative"):
             truth = whole.loc[strategy, name]
-            covered = ((mine[f"{name}_low"] <= truth) & (truth <= mine[f"{name}_high"])).mean()
+            covered = ((subset[f"{name}_low"] <= truth) & (truth <= subset[f"{name}_high"])).mean()
             assert 0.945 - chance < covered, (strategy, name, covered)
             if "bias" in name:
                 assert covered < 0.955 + chance, (strategy, name, covered)
             else:
-                needed = 1.96 * np.log(mine[name] / truth).std()
-                assert np.log(mine[f"{name}_high"] / mine[name]).median() < 2 * needed, (strategy, name)
+                needed = 1.96 * np.log(subset[name] / truth).std()
+                assert np.log(subset[f"{name}_high"] / subset[name]).median() < 2 * needed, (strategy, name)
     equals = errors[errors["strategy"] != "thesis"]
-    verdicts = [pair_up(mine, SESSIONS)["verdict"].iloc[0] for _, mine in equals.groupby("log")]
+    verdicts = [compare_pairs(subset, SESSION_UNIT)["verdict"].iloc[0] for _, subset in equals.groupby("log")]
     assert np.mean([verdict != INDISTINGUISHABLE for verdict in verdicts]) < 0.05 + chance
 
 

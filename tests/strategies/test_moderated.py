@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from stickslip_fit.strategies.moderated import moderate
-from stickslip_fit.strategies.paired import INDISTINGUISHABLE, pair_up
+from stickslip_fit.strategies.statistics import INDISTINGUISHABLE, compare_pairs, shrink_variances
 
 SESSIONS = 3
 
@@ -18,15 +17,15 @@ def test_how_much_variances_have_in_common_is_found_again(prior):
     """Drawn as Smyth's model has it: s0^2 d0 / chi2(d0), each then seen with 2 degrees of freedom."""
     rng = np.random.default_rng(1)
     true = 0.09 * prior / chi2.rvs(prior, size=40_000, random_state=rng)
-    found = moderate(true * chi2.rvs(2, size=len(true), random_state=rng) / 2, freedom=2, most=10**6)
-    assert found.freedom == pytest.approx(prior + 2, rel=0.15)
+    found = shrink_variances(true * chi2.rvs(2, size=len(true), random_state=rng) / 2, df=2, most=10**6)
+    assert found.df == pytest.approx(prior + 2, rel=0.15)
     # The best guess of each, in the mean of its inverse, is the truth.
     assert np.mean(found.variance / true) == pytest.approx(1.0, rel=0.03)
 
 
 def test_without_company_a_variance_stays_as_it_is():
-    found = moderate(np.array([1.0, 4.0]), freedom=2, most=2)
-    assert (found.variance.tolist(), found.freedom) == ([1.0, 4.0], 2.0)
+    found = shrink_variances(np.array([1.0, 4.0]), df=2, most=2)
+    assert (found.variance.tolist(), found.df) == ([1.0, 4.0], 2.0)
 
 
 def errors_of(rms: np.ndarray) -> pd.DataFrame:
@@ -53,7 +52,7 @@ def drawn(rng: np.random.Generator, better: float) -> np.ndarray:
 def test_strategies_that_are_alike_are_rarely_told_apart(logs):
     rng = np.random.default_rng(2)
     wrong = sum(
-        (pair_up(errors_of(drawn(rng, 1.0)), ("session",))["verdict"] != INDISTINGUISHABLE).any()
+        (compare_pairs(errors_of(drawn(rng, 1.0)), ("session",))["verdict"] != INDISTINGUISHABLE).any()
         for _ in range(logs)
     )
     assert wrong <= 0.05 * logs + 3 * np.sqrt(0.05 * 0.95 * logs)
@@ -63,6 +62,6 @@ def test_three_sessions_show_a_strategy_that_is_six_times_as_good():
     rng, logs = np.random.default_rng(3), 60
     seen = [
         (pairs.loc[pairs["strategy"] == "s0", "verdict"] == "better").mean()
-        for pairs in (pair_up(errors_of(drawn(rng, 6.0)), ("session",)) for _ in range(logs))
+        for pairs in (compare_pairs(errors_of(drawn(rng, 6.0)), ("session",)) for _ in range(logs))
     ]
     assert np.mean(seen) > 0.8

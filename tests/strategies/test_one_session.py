@@ -6,8 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.strategies.accuracy import CONFIGURATIONS, summarise, with_errors
-from stickslip_fit.strategies.paired import pair_up
+from stickslip_fit.strategies.statistics import (
+    CONFIGURATION_UNIT,
+    add_errors,
+    compare_pairs,
+    summarize_errors,
+)
 
 A, B, C, TRAVEL = 976e-9, 0.30, 438e-9, 0.012
 REPEATABILITY = 0.0027
@@ -74,20 +78,20 @@ def simulated(sessions, configurations, replicates, kind, uneven):
         truths.append(pd.DataFrame(truth).assign(session=np.arange(sessions), strategy=name))
     alike = dict.fromkeys(("q1", "q3", "psi", "start"), 0.0)
     errors = pd.concat(tables, ignore_index=True).assign(direction="+", **alike, stop=TRAVEL)
-    return with_errors(errors), pd.concat(truths).set_index(PARTS)
+    return add_errors(errors), pd.concat(truths).set_index(PARTS)
 
 
 def check(errors, truth):
     """Coverage of each strategy's errors and of their difference."""
-    found = summarise(errors, PARTS, CONFIGURATIONS).set_index(PARTS)
+    found = summarize_errors(errors, PARTS, CONFIGURATION_UNIT).set_index(PARTS)
     chance = 3 * np.sqrt(0.95 * 0.05 / errors["session"].nunique())
     for name in ("rms", "bias", "typical_worst"):
         inside = (found[f"{name}_low"] <= truth[name]) & (truth[name] <= found[f"{name}_high"])
-        for strategy, mine in inside.groupby(level="strategy"):
-            assert mine.mean() > 0.94 - chance, (name, strategy, mine.mean())
+        for strategy, subset in inside.groupby(level="strategy"):
+            assert subset.mean() > 0.94 - chance, (name, strategy, subset.mean())
     inside = []
-    for session, mine in errors.groupby("session"):
-        pair = pair_up(mine, CONFIGURATIONS).iloc[0]
+    for session, subset in errors.groupby("session"):
+        pair = compare_pairs(subset, CONFIGURATION_UNIT).iloc[0]
         apart = truth.loc[(session, "one"), "mean_rms"] - truth.loc[(session, "other"), "mean_rms"]
         inside.append(pair["difference_low"] <= apart <= pair["difference_high"])
     assert abs(np.mean(inside) - 0.95) < 0.02 + chance, np.mean(inside)

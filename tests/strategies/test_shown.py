@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.report.figures.pareto import _apart, pareto_picture
-from stickslip_fit.strategies import ClosedForm, ConstantStep, LeastSquares, Thesis, compare
+from stickslip_fit.plotting.strategies import _separate_times, pareto_picture
+from stickslip_fit.strategies import (
+    AtRandom,
+    ClosedForm,
+    ConstantStepStrategy,
+    LeastSquares,
+    Thesis,
+    compare_strategies,
+)
+from stickslip_fit.strategies._summary import worst_configurations, worst_table
 from stickslip_fit.strategies.claims import (
     CONSTANT_STEP_ERROR,
     DAY_TO_DAY,
@@ -20,15 +28,13 @@ from stickslip_fit.strategies.claims import (
     claimed_table,
     implied_table,
 )
-from stickslip_fit.strategies.designs import AtRandom
-from stickslip_fit.strategies.summary import worst_configurations, worst_table
 
 PUBLISHED = Path(__file__).parents[2] / "data" / "published" / "published.toml"
 
 
 @pytest.fixture(scope="module")
 def found(log):
-    return compare(log, [ConstantStep(), ClosedForm(), LeastSquares(Thesis(), 2)])
+    return compare_strategies(log, [ConstantStepStrategy(), ClosedForm(), LeastSquares(Thesis(), 2)])
 
 
 def test_the_picture_has_every_strategy_the_bound_and_the_floor(found):
@@ -38,13 +44,13 @@ def test_the_picture_has_every_strategy_the_bound_and_the_floor(found):
     ]  # fmt: skip
     accuracy = found.accuracy().merge(found.cost(), on=["joint", "strategy"], suffixes=("", "_made"))
     for axis, joint in zip(figure.axes, found.joints, strict=True):
-        mine, bound = (table[table["joint"] == joint] for table in (accuracy, found.bounds))
+        subset, bound = (table[table["joint"] == joint] for table in (accuracy, found.bounds))
         bound_line, floor_line, *points = axis.get_lines()
         assert bound_line.get_ydata() == pytest.approx(100 * bound["rms_relative"].to_numpy())
         assert list(floor_line.get_ydata()) == pytest.approx([100 * bound["floor_relative"].iloc[0]] * 2)
         drawn = np.array([[float(point.get_xdata()[0]), float(point.get_ydata()[0])] for point in points])
-        assert drawn[:, 1] == pytest.approx(100 * mine["rms_relative"].to_numpy())
-        assert drawn[:, 0] == pytest.approx(mine["seconds"].to_numpy() / 60, rel=0.25)
+        assert drawn[:, 1] == pytest.approx(100 * subset["rms_relative"].to_numpy())
+        assert drawn[:, 0] == pytest.approx(subset["seconds"].to_numpy() / 60, rel=0.25)
 
 
 def test_html_has_the_answer_and_a_table_for_each_joint(found):
@@ -61,8 +67,8 @@ def test_claims_are_held_against_every_strategy(found):
         table = claimed_table(found, joint)
         place = [column.head for column in table.columns].index(unit)
         for row in table.rows:
-            mine = shared[(shared["joint"] == joint) & (shared["strategy"] == row[0])]
-            within = 100 * np.mean(abs(mine["predicted"] - mine["measured"]) <= limit)
+            subset = shared[(shared["joint"] == joint) & (shared["strategy"] == row[0])]
+            within = 100 * np.mean(abs(subset["predicted"] - subset["measured"]) <= limit)
             assert row[place] == f"{within:.0f}"
         ours = dict(zip((row[0] for row in table.rows), (row[place] for row in table.rows), strict=True))
         assert ours["closed form"] == "100"
@@ -96,15 +102,15 @@ def test_claims_stand_beside_what_they_imply_and_what_is_reached(found):
 def test_the_worst_configurations_are_those_with_the_largest_errors(found):
     """A constant step, measured with the arm level, errs most with the arm upright and the base level."""
     table = worst_configurations(found, 3)
-    mine = table[table["strategy"] == "constant step"]
-    first = mine.iloc[0]
+    subset = table[table["strategy"] == "constant step"]
+    first = subset.iloc[0]
     assert (first["q2"], first["theta"], first["direction"]) == (0.0, 0.0, "+")
     shared = found.shared[(found.shared["joint"] == 3) & (found.shared["strategy"] == "constant step")]
     there = shared[(shared["q2"] == 0) & (shared["theta"] == 0) & (shared["direction"] == "+")]
     by_hand = np.sqrt(np.mean((there["predicted"] / there["measured"] - 1) ** 2))
     assert first["rms_relative"] == pytest.approx(by_hand)
     assert first["times_scatter"] == pytest.approx(by_hand / found.repeatability[3, "+"])
-    assert mine["rms_relative"].is_monotonic_decreasing
+    assert subset["rms_relative"].is_monotonic_decreasing
     assert worst_table(found, 3).rows[0][:3] == ("constant step", "q2 0°, theta 0°, psi 0°", "+")
     partial = [row[1] for row in worst_table(found, 2, 99).rows]
     assert any(text.endswith("0° to −60°") for text in partial)
@@ -115,7 +121,7 @@ def test_the_worst_configurations_are_those_with_the_largest_errors(found):
 
 def test_strategies_that_cost_the_same_stand_apart_and_keep_their_order():
     minutes = np.array([10.0, 60.0, 60.0, 8.0, 60.0])
-    apart = _apart(minutes, 0.1)
+    apart = _separate_times(minutes, 0.1)
     assert np.all(np.diff(np.log(np.sort(apart))) > 0.1 - 1e-9)
     assert apart[[0, 3]] == pytest.approx([10.0, 8.0])
     assert np.mean(np.log(apart[[1, 2, 4]])) == pytest.approx(np.log(60.0))
@@ -125,14 +131,14 @@ def test_names_that_look_like_markup_stay_text(log):
     class Hostile(ClosedForm):
         name = "<script>alert(1)</script> $x$"
 
-    compared = compare(log, [Hostile(), ConstantStep()])
+    compared = compare_strategies(log, [Hostile(), ConstantStepStrategy()])
     assert "<script>" not in compared._repr_html_()
     assert "<script>" not in str(pareto_picture(compared, 3).svg)
 
 
 def test_nothing_shared_is_said_and_not_drawn(log):
     few = log.select(log.rows["joint"] == 3)
-    found = compare(few, [LeastSquares(AtRandom(), 90)])
+    found = compare_strategies(few, [LeastSquares(AtRandom(), 90)])
     assert "No session is left" in " ".join(str(found).split())
     assert [table.caption for table in found.summary().tables] == ["Left out"]
     with pytest.raises(InputError, match="nothing to draw"):

@@ -8,36 +8,36 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit import fit
+from stickslip_fit import estimation as fit
+from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
-from stickslip_fit.fit.bayes import bayes
 from stickslip_fit.logs import read_log
 from stickslip_fit.strategies import (
     ClosedForm,
-    ConstantStep,
+    ConstantStepStrategy,
     Hierarchical,
     IOptimal,
     LeastSquares,
     Thesis,
     WithCauses,
-    compare,
-    from_other_sessions,
-    from_result,
+    causes_from_other_sessions,
+    causes_from_result,
+    compare_strategies,
+    default_strategies,
     other_sessions,
-    usual_strategies,
 )
-from stickslip_fit.strategies.trials import attempt_all, trials_of
+from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
 
 
 @pytest.fixture(scope="module")
 def trials(log):
-    return list(trials_of(log, other_sessions))
+    return list(make_cases(log, other_sessions))
 
 
 def test_the_closed_form_is_that_of_fit(log, trials):
-    calibrated = fit.closed_form(log)
-    errors = attempt_all(trials, [ClosedForm()]).errors.set_index("traverse")
+    calibrated = fit.fit_closed_form(log)
+    errors = evaluate_strategies(trials, [ClosedForm()]).errors.set_index("traverse")
     wanted = calibrated.predict(log.usable.loc[errors.index])["step_size"]
     assert errors["predicted"].to_numpy() == pytest.approx(wanted.to_numpy(), rel=1e-8)
     assert not calibrated.residuals["used"].loc[errors.index].any()
@@ -45,36 +45,36 @@ def test_the_closed_form_is_that_of_fit(log, trials):
 
 def test_the_constant_step_is_measured_in_the_first_configuration(log, trials):
     """Joint 3: arm level. Joint 2: base on its side, arm in. Joint 1: arm level and in."""
-    errors = attempt_all(trials, [ConstantStep()]).errors
+    errors = evaluate_strategies(trials, [ConstantStepStrategy()]).errors
     rows = log.usable
     full = rows[abs(rows["stop"] - rows["start"]) > rows["joint"].map({1: 4.18, 2: 4.18, 3: 0.0119})]
     level, side = abs(full["theta"]) < 1e-9, abs(full["theta"] + np.pi / 2) < 1e-9
     down, inside = abs(full["q2"] + np.pi / 2) < 1e-9, full["q3"] < 1e-9
     upright = level & (full["psi"] == 0)
     where = {1: upright & down & inside, 2: side & inside, 3: upright & down}
-    for (joint, session, way), mine in errors.groupby(["joint", "session", "direction"]):
+    for (joint, session, way), subset in errors.groupby(["joint", "session", "direction"]):
         there = where[joint] & (full["joint"] == joint)
         first = full[there & (full["session"] == session) & (full["direction"] == way)].iloc[0]
         step = abs(first["stop"] - first["start"]) / (first["steps"] - 2.5)
-        assert mine["predicted"].to_numpy() == pytest.approx(step)
+        assert subset["predicted"].to_numpy() == pytest.approx(step)
 
 
 def test_the_constant_step_is_that_of_fit(log, trials):
-    constant = fit.constant_step(log, fit.closed_form(log))
-    errors = attempt_all(trials, [ConstantStep()]).errors.set_index("traverse")
+    constant = fit.fit_constant_step(log, fit.fit_closed_form(log))
+    errors = evaluate_strategies(trials, [ConstantStepStrategy()]).errors.set_index("traverse")
     wanted = constant.predict(log.usable.loc[errors.index])["step_size"]
     assert errors["predicted"].to_numpy() == pytest.approx(wanted.to_numpy(), rel=1e-8)
     assert not constant.residuals["used"].loc[errors.index].any()
 
 
-@pytest.mark.parametrize("strategy", usual_strategies(2), ids=lambda strategy: strategy.name)
+@pytest.mark.parametrize("strategy", default_strategies(2), ids=lambda strategy: strategy.name)
 def test_nothing_is_learnt_from_what_was_not_driven(strategy, trials):
     rng = np.random.default_rng(5)
     for trial in trials[::5]:
-        before = attempt_all([trial], [strategy]).errors
+        before = evaluate_strategies([trial], [strategy]).errors
         rows = trial.rows.copy()
         rows.loc[before["traverse"], "steps"] = rng.integers(1000, 90_000, len(before))
-        after = attempt_all([replace(trial, rows=rows)], [strategy]).errors
+        after = evaluate_strategies([replace(trial, rows=rows)], [strategy]).errors
         assert after["predicted"].tolist() == before["predicted"].tolist()
         assert (after["measured"] != before["measured"]).all()
 
@@ -85,7 +85,7 @@ def test_the_hierarchy_agrees_with_draws_from_its_posterior(today, log, trials):
     strategy = Hierarchical(today)
     made = trial.rows.loc[trial.task.offered.index[strategy.choose(trial.task)]]
     known = log.usable.index.isin(np.concatenate([trial.task.others.index, made.index]))
-    drawn = bayes(replace(log, rows=log.usable[known]), progress=False).predict(trial.rows)
+    drawn = fit_bayes(replace(log, rows=log.usable[known]), progress=False).predict(trial.rows)
     mean, sd = strategy.calibrate(trial.task, made)(trial.rows)
     assert np.all(np.abs(np.exp(mean) / drawn["steps"] - 1.0) < 0.35 * drawn["relative_error"])
     assert np.all(np.abs(np.log(sd / drawn["relative_error"])) < np.log(1.6))
@@ -104,8 +104,8 @@ def warm(campaign, written):
 def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
     cause = next(each for each in library() if each.name == "temperature")
     plain = LeastSquares(IOptimal(), 2)
-    known = from_other_sessions(warm, [cause])
-    found = compare(warm, [plain, WithCauses(plain, known)])
+    known = causes_from_other_sessions(warm, [cause])
+    found = compare_strategies(warm, [plain, WithCauses(plain, known)])
     rms = found.accuracy().set_index(["joint", "strategy"])["rms_relative"]
     for joint in (1, 2, 3):
         assert rms[joint, plain.name] > 0.015
@@ -115,10 +115,10 @@ def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
 def test_a_session_has_no_part_in_the_causes_it_is_calibrated_with(warm, trials):
     cause, tuesday = next(each for each in library() if each.name == "temperature"), "2012-03-06"
     rows = warm.rows.copy()
-    mine = rows["session"] == tuesday
-    warmer = 1.0 + 0.05 * (rows.loc[mine, "temperature"] - 295.0)
-    rows.loc[mine, "steps"] = (rows.loc[mine, "steps"] * warmer).astype(int)
-    before, after = (from_other_sessions(each, [cause]) for each in (warm, replace(warm, rows=rows)))
+    subset = rows["session"] == tuesday
+    warmer = 1.0 + 0.05 * (rows.loc[subset, "temperature"] - 295.0)
+    rows.loc[subset, "steps"] = (rows.loc[subset, "steps"] * warmer).astype(int)
+    before, after = (causes_from_other_sessions(each, [cause]) for each in (warm, replace(warm, rows=rows)))
     assert after[tuesday].values.tolist() == before[tuesday].values.tolist()
     assert abs(after["2012-03-05"].values[0] - before["2012-03-05"].values[0]) > 0.005
     assert all(trial.task.session not in set(trial.task.others["session"]) for trial in trials)
@@ -126,18 +126,18 @@ def test_a_session_has_no_part_in_the_causes_it_is_calibrated_with(warm, trials)
 
 def test_causes_may_not_be_judged_by_the_traverses_they_were_fitted_to(warm):
     cause = next(each for each in library() if each.name == "temperature")
-    fitted = fit.least_squares(warm, causes=[cause])
+    fitted = fit.fit_least_squares(warm, causes=[cause])
     with pytest.raises(InputError, match="fitted to the traverses that they would be judged by"):
-        from_result(warm, fitted)
+        causes_from_result(warm, fitted)
     half = warm.rows["session"] == "2012-03-05"
     elsewhere = replace(warm.select(half), sha256="another")
-    known = from_result(warm, fit.least_squares(elsewhere, causes=[cause]))
+    known = causes_from_result(warm, fit.fit_least_squares(elsewhere, causes=[cause]))
     assert list(known) == list(warm.sessions)
 
 
 def test_more_traverses_are_worth_more(log):
     few, many = LeastSquares(Thesis()), LeastSquares(Thesis(), 3)
-    errors = compare(log, [few, many]).shared
+    errors = compare_strategies(log, [few, many]).shared
     claimed = errors.groupby("strategy")["sd"].mean()
     assert claimed[many.name] < claimed[few.name]
     off = np.abs(np.log(errors["predicted"] / errors["measured"]))

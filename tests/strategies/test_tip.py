@@ -9,12 +9,21 @@ import pytest
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Prismatic, constant_law
 from stickslip_fit.machine import forward, load_machine
-from stickslip_fit.moves import Truth, random_paths, steps_by_parameters, steps_by_truth
-from stickslip_fit.report.figures.tip_errors import tip_errors_picture
-from stickslip_fit.strategies import ClosedForm, ConstantStep
-from stickslip_fit.strategies.at_hand import other_sessions
-from stickslip_fit.strategies.tip import steps_by, tip_errors
-from stickslip_fit.strategies.trials import trials_of
+from stickslip_fit.moves import (
+    TrueLaws,
+    draw_random_paths,
+    step_model_from_parameters,
+    step_models_from_truth,
+)
+from stickslip_fit.plotting.strategies import tip_errors_picture
+from stickslip_fit.strategies import (
+    ClosedForm,
+    ConstantStepStrategy,
+    compute_tip_errors,
+    other_sessions,
+    steps_from_predictor,
+)
+from stickslip_fit.strategies.evaluation import make_cases
 from tests.conftest import Truth as ByHand
 
 MACHINE = load_machine()
@@ -32,7 +41,7 @@ STEADY = dict.fromkeys(VALUES, 0.0)
 def off_by(values, joint, share):
     """A calibration that takes one joint's steps for longer than they are."""
     wrong = {g: own * ((1 + share) ** OWN[joint] if g[0] == joint else 1.0) for g, own in values.items()}
-    return {group: steps_by_parameters(LAWS[group[0]], own) for group, own in wrong.items()}
+    return {group: step_model_from_parameters(LAWS[group[0]], own) for group, own in wrong.items()}
 
 
 def slopes_by_hand(q):
@@ -44,10 +53,10 @@ def slopes_by_hand(q):
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_a_step_taken_for_longer_leaves_that_share_of_its_joints_way(joint):
-    paths, truth = random_paths(MACHINE, 200, seed=1), Truth(("Monday",), LAWS, FINE)
-    table = tip_errors(paths, truth, {"wrong": off_by(FINE, joint, 0.01)}, [1]).table
-    way = paths.stands[:, -1, joint - 1] - paths.stands[:, 0, joint - 1]
-    middle = paths.stands[:, -1].copy()
+    paths, truth = draw_random_paths(MACHINE, 200, seed=1), TrueLaws(("Monday",), LAWS, FINE)
+    table = compute_tip_errors(paths, truth, {"wrong": off_by(FINE, joint, 0.01)}, [1]).table
+    way = paths.joint_positions[:, -1, joint - 1] - paths.joint_positions[:, 0, joint - 1]
+    middle = paths.joint_positions[:, -1].copy()
     middle[:, joint - 1] -= way * 0.005
     error = -(1 - 1 / 1.01) * way[:, None] * slopes_by_hand(middle)[:, :, joint - 1]
     # Steps change in length on the way, and with where the other joints stand: some share of that share.
@@ -63,7 +72,7 @@ def test_a_step_taken_for_longer_leaves_that_share_of_its_joints_way(joint):
 
 def test_what_does_not_repeat_adds_up_as_it_should():
     """Independent from joint to joint, in proportion to each joint's way: the mean square their sum."""
-    paths, sessions = random_paths(MACHINE, 40, seed=2), ("Monday",) * 500
+    paths, sessions = draw_random_paths(MACHINE, 40, seed=2), ("Monday",) * 500
     sizes = {
         (1, "+"): 0.004,
         (1, "-"): 0.002,
@@ -72,12 +81,12 @@ def test_what_does_not_repeat_adds_up_as_it_should():
         (3, "+"): 0.01,
         (3, "-"): 0.0,
     }
-    truth = Truth(sessions, LAWS, FINE, repeatability=sizes)
-    way = paths.stands[:, -1] - paths.stands[:, 0]
+    truth = TrueLaws(sessions, LAWS, FINE, repeatability=sizes)
+    way = paths.joint_positions[:, -1] - paths.joint_positions[:, 0]
     spread = np.array([[sizes[j + 1, "+" if one > 0 else "-"] for j, one in enumerate(row)] for row in way])
-    squares = np.sum((slopes_by_hand(paths.stands[:, -1]) * (spread * way)[:, None]) ** 2, axis=1)
+    squares = np.sum((slopes_by_hand(paths.joint_positions[:, -1]) * (spread * way)[:, None]) ** 2, axis=1)
     for kind in ("gaussian", "t5"):
-        found = tip_errors(paths, truth, {"right": steps_by_truth(truth)}, range(500), kind)
+        found = compute_tip_errors(paths, truth, {"right": step_models_from_truth(truth)}, range(500), kind)
         summary = found.distribution().iloc[0]
         assert summary["rms"] ** 2 == pytest.approx(squares.sum(axis=1).mean(), rel=0.04)
         shares = squares.mean(axis=0) / squares.sum(axis=1).mean()
@@ -86,57 +95,60 @@ def test_what_does_not_repeat_adds_up_as_it_should():
 
 
 def test_sessions_taken_together_or_apart_end_alike():
-    paths, rng = random_paths(MACHINE, 15, seed=3, legs=2), np.random.default_rng(4)
+    paths, rng = draw_random_paths(MACHINE, 15, seed=3, n_segments=2), np.random.default_rng(4)
     values = {group: own * (1 + 0.01 * rng.standard_normal((4, 1))) for group, own in VALUES.items()}
     factor = {group: 1 + 0.02 * rng.standard_normal(4) for group in VALUES}
     repeatability = dict.fromkeys(VALUES, 0.003)
-    truth = Truth(tuple("abcd"), LAWS, values, factor, repeatability, {"session_seconds": np.ones((4, 1))})
+    truth = TrueLaws(tuple("abcd"), LAWS, values, factor, repeatability, {"session_seconds": np.ones((4, 1))})
 
     def calibrations(which):
-        usual = {g: steps_by_parameters(LAWS[g[0]], own[which] * 1.01) for g, own in values.items()}
+        usual = {g: step_model_from_parameters(LAWS[g[0]], own[which] * 1.01) for g, own in values.items()}
         return {"usual": usual, "wrong": off_by(VALUES, 2, 0.02)}
 
-    together = tip_errors(paths, truth, calibrations(slice(None)), range(4)).table
+    together = compute_tip_errors(paths, truth, calibrations(slice(None)), range(4)).table
     for k in range(4):
         own = {g: of[k : k + 1] for g, of in values.items()}
         alone = replace(
             truth, sessions=truth.sessions[k : k + 1], values=own, conditions={"session_seconds": 1.0},
             factor={g: of[k : k + 1] for g, of in factor.items()},
         )  # fmt: skip
-        apart = tip_errors(paths, alone, calibrations(slice(k, k + 1)), [k]).table
-        mine = together[together["number"] == k].reset_index(drop=True)
-        pd.testing.assert_frame_equal(mine.assign(number=0), apart, check_exact=True)
+        apart = compute_tip_errors(paths, alone, calibrations(slice(k, k + 1)), [k]).table
+        subset = together[together["number"] == k].reset_index(drop=True)
+        pd.testing.assert_frame_equal(subset.assign(number=0), apart, check_exact=True)
 
 
 def test_what_is_summed_up_is_what_the_errors_are():
-    paths, truth = random_paths(MACHINE, 30, seed=5), Truth(("a", "b"), LAWS, VALUES, repeatability=STEADY)
+    paths, truth = (
+        draw_random_paths(MACHINE, 30, seed=5),
+        TrueLaws(("a", "b"), LAWS, VALUES, repeatability=STEADY),
+    )
     some = off_by(VALUES, 1, 0.05)
     some[3, "-"] = lambda rows: np.full(len(rows), np.nan)
-    found = tip_errors(paths, truth, {"right": steps_by_truth(truth), "some": some}, [1, 2])
-    back = paths.stands[:, -1, 2] < paths.stands[:, 0, 2]
+    found = compute_tip_errors(paths, truth, {"right": step_models_from_truth(truth), "some": some}, [1, 2])
+    back = paths.joint_positions[:, -1, 2] < paths.joint_positions[:, 0, 2]
     by_session = found.distribution("number")
     assert by_session["unknown"].tolist() == [0, 0, back.sum(), back.sum()]
     one = by_session.iloc[2]
-    mine = found.table.query("strategy == 'some' and number == 0")
-    size = mine["size"].to_numpy()[~back]
+    subset = found.table.query("strategy == 'some' and number == 0")
+    size = subset["size"].to_numpy()[~back]
     assert one["rms"] == pytest.approx(np.sqrt(np.mean(size**2)))
     assert one["worst"] == size.max()
     assert one["median"] == pytest.approx(np.median(size))
     assert one["often"] == pytest.approx(np.quantile(size, 0.95))
-    assert one["bias"] == pytest.approx(mine["along"].mean())
+    assert one["bias"] == pytest.approx(subset["along"].mean())
     assert one[["share_1", "share_2", "share_3"]].sum() == pytest.approx(1.0, abs=1e-3)
-    joints = mine[["joint_1", "joint_2", "joint_3"]].to_numpy()[~back].sum(axis=1)
+    joints = subset[["joint_1", "joint_2", "joint_3"]].to_numpy()[~back].sum(axis=1)
     assert joints == pytest.approx(size, rel=1e-3)
-    assert np.hypot(mine["along"], mine["across"]).to_numpy()[~back] == pytest.approx(size)
+    assert np.hypot(subset["along"], subset["across"]).to_numpy()[~back] == pytest.approx(size)
     with pytest.raises(InputError, match=r"joint 2 has no calibration in direction \+"):
-        tip_errors(paths, truth, {"lame": {g: of for g, of in some.items() if g != (2, "+")}}, [1, 2])
+        compute_tip_errors(paths, truth, {"lame": {g: of for g, of in some.items() if g != (2, "+")}}, [1, 2])
 
 
 def test_the_picture_has_every_strategys_errors_and_joints():
-    paths, truth = random_paths(MACHINE, 60, seed=7), Truth(("a",), LAWS, VALUES)
+    paths, truth = draw_random_paths(MACHINE, 60, seed=7), TrueLaws(("a",), LAWS, VALUES)
     lost = dict.fromkeys(VALUES, lambda rows: np.full(len(rows), np.nan))
-    named = {"<b>right</b>": steps_by_truth(truth), "lost": lost, "wrong": off_by(VALUES, 3, 0.05)}
-    found = tip_errors(paths, truth, named, [1])
+    named = {"<b>right</b>": step_models_from_truth(truth), "lost": lost, "wrong": off_by(VALUES, 3, 0.05)}
+    found = compute_tip_errors(paths, truth, named, [1])
     errors, shares = found.plot_tip_errors()
     assert [label.get_text() for label in errors.get_yticklabels()] == ["<b>right</b>", "wrong"]
     summary = found.distribution().dropna(subset="rms")
@@ -153,7 +165,7 @@ def test_the_picture_has_every_strategys_errors_and_joints():
     assert f"{summary['often'].iloc[1] * 1e6:.1f} µm with wrong" in drawn.caption
     (line,) = (line for line in str(found).splitlines() if line.startswith("lost"))
     assert line.split() == ["lost", "60", "60", *["–"] * 8]
-    nothing = tip_errors(paths, truth, {"lost": lost}, [1])
+    nothing = compute_tip_errors(paths, truth, {"lost": lost}, [1])
     assert tip_errors_picture(nothing).svg is None
     with pytest.raises(InputError, match="nothing to draw"):
         nothing.plot_tip_errors()
@@ -161,20 +173,20 @@ def test_the_picture_has_every_strategys_errors_and_joints():
 
 def test_strategies_calibrated_on_a_log_move_the_tip(log):
     """On a log of the tests' own laws."""
-    strategies = (ClosedForm(), ConstantStep())
+    strategies = (ClosedForm(), ConstantStepStrategy())
     calibrations = {strategy.name: {} for strategy in strategies}
-    trials = [trial for trial in trials_of(log, other_sessions) if trial.task.session == log.sessions[0]]
+    trials = [trial for trial in make_cases(log, other_sessions) if trial.task.session == log.sessions[0]]
     for trial in trials:
         group = trial.task.law.joint, trial.task.direction
         for strategy in strategies:
             made = trial.rows.loc[trial.task.offered.index[strategy.choose(trial.task)]]
-            calibrations[strategy.name][group] = steps_by(strategy.calibrate(trial.task, made))
-    truth = Truth((log.sessions[0],), LAWS, VALUES)
-    calibrations["the truth"] = steps_by_truth(truth)
+            calibrations[strategy.name][group] = steps_from_predictor(strategy.calibrate(trial.task, made))
+    truth = TrueLaws((log.sessions[0],), LAWS, VALUES)
+    calibrations["the truth"] = step_models_from_truth(truth)
     calibrations["constant, no noise"] = {
-        group: steps_by_parameters(constant_law(LAWS[group[0]]), _constant(group)) for group in VALUES
+        group: step_model_from_parameters(constant_law(LAWS[group[0]]), _constant(group)) for group in VALUES
     }
-    found = tip_errors(random_paths(MACHINE, 300, seed=6), truth, calibrations, [1])
+    found = compute_tip_errors(draw_random_paths(MACHINE, 300, seed=6), truth, calibrations, [1])
     rms = found.distribution().set_index("strategy")["rms"]
     # Joint 1 is calibrated with the arm far out, and steps another way where it is close in.
     assert rms["the truth"] < rms["closed form"] < 25e-6

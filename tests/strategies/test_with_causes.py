@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import library
-from stickslip_fit.fit.known_causes import KnownCauses
+from stickslip_fit.estimation.with_causes import FixedCauses
 from stickslip_fit.logs import read_log
 from stickslip_fit.strategies import (
     ClosedForm,
     IOptimal,
     LeastSquares,
     WithCauses,
-    from_other_sessions,
+    causes_from_other_sessions,
     other_sessions,
 )
-from stickslip_fit.strategies.trials import attempt_all, trials_of
+from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
 from tests.conftest import CALIBRATION, SWEEPS, Truth
 
 JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
@@ -44,9 +44,9 @@ def covered(temperature, campaign, written):
     table = campaign(sessions=DAYS[:1], settings=JOINT_3, directions=("+",), check_every=1, replicates=1)
     room = np.where(table["theta_deg"] == -45.0, 26.0, 18.0 + 0.1 * np.arange(len(table)))
     log = read_log(written(table.assign(temperature_C=room)))
-    bound = temperature.bound(log.usable, log.machine)
-    known = KnownCauses((bound,), np.array([PER_KELVIN]), np.array([[UNSURE**2]]), np.full((1, 2), np.nan))
-    (trial,) = trials_of(log, lambda sessions, session: ())
+    bound = temperature.bind(log.usable, log.machine)
+    known = FixedCauses((bound,), np.array([PER_KELVIN]), np.array([[UNSURE**2]]), np.full((1, 2), np.nan))
+    (trial,) = make_cases(log, lambda sessions, session: ())
     warm = room == 26.0
     task = replace(trial.task, offered=trial.task.offered[~warm], repeatability=REPEATABILITY)
     true = np.log([Truth().steps(row) for row in table.to_dict("records")])
@@ -86,8 +86,8 @@ def held_of_logs(temperature, campaign, written):
         for seed in range(logs):
             table = warmed(campaign(sessions=DAYS, settings=JOINT_3, check_every=1, seed=seed), seed)
             log = read_log(written(table))
-            strategy = WithCauses(ClosedForm(), from_other_sessions(log, [temperature]))
-            errors = attempt_all(list(trials_of(log, other_sessions)), [strategy]).errors
+            strategy = WithCauses(ClosedForm(), causes_from_other_sessions(log, [temperature]))
+            errors = evaluate_strategies(list(make_cases(log, other_sessions)), [strategy]).errors
             off = np.abs(np.log(errors["predicted"] / errors["measured"]))
             inside.append(np.mean(off < 1.96 * np.hypot(errors["sd"], REPEATABILITY)))
         return np.mean(inside)

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit.anova.question import READINGS, Question
+from stickslip_fit.anova import FactorTestDesign
+from stickslip_fit.anova.designs import WITHIN_SESSION_ERROR
 from stickslip_fit.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +48,7 @@ def reconstruct(
     readings: int = 3,
     joint: int = 3,
     direction: str | None = None,
-) -> Question:
+) -> FactorTestDesign:
     """A question whose answer has this p-value and these means.
 
     Parameters
@@ -70,9 +71,9 @@ def reconstruct(
 
     Examples
     --------
-    >>> from stickslip_fit.anova.answer import answer
+    >>> from stickslip_fit.anova.factor_test import run_factor_test
     >>> question = reconstruct("day", {"first": 976e-9, "second": 951e-9}, 0.0002)
-    >>> round(answer(question).p_value, 12)
+    >>> round(run_factor_test(question).p_value, 12)
     0.0002
     """
     spread = implied_spread(list(means.values()), p_value, readings)
@@ -90,7 +91,9 @@ def reconstruct(
             "rounding": 0.0,
         }
     )
-    return Question(analysis, joint, direction, None, LABEL, FACTORS[analysis], READINGS, rows)
+    return FactorTestDesign(
+        analysis, joint, direction, None, LABEL, FACTORS[analysis], WITHIN_SESSION_ERROR, rows
+    )
 
 
 def implied_spread(means: npt.ArrayLike, p_value: float, readings: int) -> float:

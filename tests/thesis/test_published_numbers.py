@@ -11,7 +11,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import f as f_distribution
 
-from stickslip_fit.fit import d_from_quadratic, iterate_d, solve_d
+from stickslip_fit.estimation import (
+    iterate_load_coefficient,
+    load_coefficient_from_quadratic,
+    solve_load_coefficient,
+)
 from stickslip_fit.machine import full_load, published_load
 
 PUBLISHED = Path(__file__).parents[2] / "data" / "published" / "published.toml"
@@ -40,7 +44,9 @@ def exact_d(gamma0, delta):
 
 def test_eq_6_6_is_right_with_x_in_hundredths_of_a_radian(published):
     delta = value(published, "mean_step_change_under_gravity") * 1e-6
-    assert d_from_quadratic(delta) * 1e6 == pytest.approx(value(published, "d_from_quadratic"), abs=0.05)
+    assert load_coefficient_from_quadratic(delta) * 1e6 == pytest.approx(
+        value(published, "d_from_quadratic"), abs=0.05
+    )
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6])
@@ -57,7 +63,7 @@ def test_exact_solving_at_the_printed_changes(published):
     gamma0 = value(published, "gamma0") * 1e-6
     both = np.ones(2)
     counts, phase = TURN / (gamma0 + delta), -np.pi / 2 * both
-    ours = solve_d(counts, gamma0 * both, both, phase, FIRST * both, LAST * both)
+    ours = solve_load_coefficient(counts, gamma0 * both, both, phase, FIRST * both, LAST * both)
     assert ours * 1e6 == pytest.approx(value(published, "d_exact"), abs=0.005)
     assert ours == pytest.approx([exact_d(gamma0, step) for step in delta], rel=1e-12)
 
@@ -73,7 +79,7 @@ def test_one_quadratic_for_every_gamma0_is_off_by_more_than_a_microradian(publis
     printed = value(published, "mean_step_change_under_gravity") * 1e-6
     for changes, smallest in ((printed, 1.3), (printed * 10.2 / 9.2, 1.5)):
         worst = 1e6 * max(
-            abs(float(d_from_quadratic(delta)) - exact_d(gamma0, delta))
+            abs(float(load_coefficient_from_quadratic(delta)) - exact_d(gamma0, delta))
             for gamma0 in np.linspace(low, high, 9)
             for delta in changes
         )
@@ -93,7 +99,9 @@ def test_the_iteration_converges_only_linearly(published):
     delta = value(published, "mean_step_change_under_gravity") * 1e-6
     gamma0 = np.full(2, value(published, "gamma0") * 1e-6)
     exact = np.array([exact_d(gamma0[0], step) for step in delta])
-    path = iterate_d(TURN / (gamma0 + delta), gamma0, np.full(2, FIRST), np.full(2, LAST), iterations=5)
+    path = iterate_load_coefficient(
+        TURN / (gamma0 + delta), gamma0, np.full(2, FIRST), np.full(2, LAST), iterations=5
+    )
     error = np.abs(path - exact)
     rates = error[1:] / error[:-1]
     assert np.all((rates > 0.11) & (rates < 0.16))
@@ -103,7 +111,7 @@ def test_solving_is_exact_across_the_branch_of_the_half_angle():
     """tan(zeta / 2) jumps at 180 degrees, which joint 2's traverse crosses."""
     first, last = np.radians(-170.0), np.radians(-195.0)
     steps, _ = quad(lambda q: 1.0 / (95e-6 + 20e-6 * np.sin(-q)), last, first, epsabs=0, epsrel=1e-13)
-    found = solve_d(
+    found = solve_load_coefficient(
         np.array([steps]),
         np.array([95e-6]),
         np.ones(1),

@@ -1,4 +1,4 @@
-"""``python -m stickslip_fit.capture.emulator LAW``: an emulated rig for other programs to talk to."""
+"""``python -m stickslip_fit.capture.emulator LAW``: an emulated rig as a process for other programs."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import sys
 from contextlib import suppress
 from functools import partial
 
-from stickslip_fit.capture.clock import RealClock
-from stickslip_fit.capture.coarse import STEP_PERIOD
 from stickslip_fit.capture.emulator.acoustics import Acoustics
-from stickslip_fit.capture.emulator.emulator import UNITS, emulate
-from stickslip_fit.capture.emulator.serve import serve
-from stickslip_fit.capture.emulator.truth import Truth
+from stickslip_fit.capture.emulator.manipulator import HiddenLaws
+from stickslip_fit.capture.emulator.rig import DIALECTS, emulate_rig, serve_rig
+from stickslip_fit.capture.protocols import STEP_PERIOD, RealClock
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulate import read_law_values
+from stickslip_fit.simulation import read_law_values
 
 
 def main() -> None:
@@ -28,11 +26,11 @@ def main() -> None:
     except InputError as error:
         sys.exit(str(error))
     spread = {(joint, direction): asked.repeatability_pct / 100 for joint in laws.laws for direction in "+-"}
-    truth = Truth(laws, machine, Noise(spread), asked.seed)
-    rig = emulate(truth, asked.dialect, RealClock(), asked.step_period_ms / 1000)
+    truth = HiddenLaws(laws, machine, Noise(spread), asked.seed)
+    rig = emulate_rig(truth, asked.dialect, RealClock(), asked.step_period_ms / 1000)
     microphone = rig.microphone(Acoustics(asked.snr_db, period=rig.unit.period))
     with suppress(KeyboardInterrupt):
-        serve(rig, microphone, sys.stdin.fileno(), partial(print, flush=True))
+        serve_rig(rig, microphone, sys.stdin.fileno(), partial(print, flush=True))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -43,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("law", help="law file (TOML) by which the joints step, with or without causes")
     parser.add_argument("--machine", help="machine file (TOML); the nominal MM3A without it")
-    parser.add_argument("--dialect", choices=list(UNITS), default="new")
+    parser.add_argument("--dialect", choices=list(DIALECTS), default="new")
     parser.add_argument("--repeatability-pct", type=float, default=0.27, help="spread of the counts")
     parser.add_argument("--step-period-ms", type=float, default=1000 * STEP_PERIOD)
     parser.add_argument("--snr-db", type=float, default=12.0, help="of the stop's sound")

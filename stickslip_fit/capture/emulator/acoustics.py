@@ -1,4 +1,9 @@
-"""How loud what is around an emulated manipulator, in numbers."""
+"""Acoustics: the sound of an emulated manipulator, as a waveform or as the powers of checks alone.
+
+The sound is made of room noise, clicks of the steps, mains hum, the extra sound at a stop, and
+disturbances (bangs and speech). `compute_powers` gives the distribution of powers without the waveform,
+so that thousands of traverses can be simulated.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from stickslip_fit._typing import Array
+from stickslip_fit.capture.audio import power_df
+from stickslip_fit.capture.protocols import Sound
+from stickslip_fit.capture.tuning import Tuning, select_band, select_reference
 
-BAND = 2000.0  # Hz; the signal-to-noise ratio is that of a band so wide about the stop's peak
-CORNER = 800.0  # Hz; below it the room's noise grows as 1/f
+BAND_WIDTH = 2000.0  # Hz; the signal-to-noise ratio is that of a band so wide about the stop's peak
+CORNER_FREQUENCY = 800.0  # Hz; below it the room's noise grows as 1/f
 CLICK_TONE, CLICK_DECAY = 1800.0, 4e-4  # Hz, s: each step rings so
-FLAT_TOP = 8  # exponent of the peak's shape: the higher, the flatter its top and the steeper its sides
+PEAK_ORDER = 8  # exponent of the peak's shape: the higher, the flatter its top and the steeper its sides
 
 
 @dataclass(frozen=True)
@@ -56,7 +64,7 @@ class Acoustics:
 
     snr_db: float = 12.0
     peak: float = 6000.0
-    peak_width: float = BAND
+    peak_width: float = BAND_WIDTH
     rate: int = 48000
     period: float = 0.010
     room: float = 0.01
@@ -73,8 +81,8 @@ class Acoustics:
     def room_density(self, frequencies: Array) -> Array:
         """Power of the room's noise per Hz, at frequencies above 0, shape (n,)."""
         lowest, highest = 1 / self.period, self.rate / 2
-        total = highest - lowest + CORNER * np.log(highest / lowest)
-        return self.room**2 / total * (1 + CORNER / np.maximum(frequencies, lowest))
+        total = highest - lowest + CORNER_FREQUENCY * np.log(highest / lowest)
+        return self.room**2 / total * (1 + CORNER_FREQUENCY / np.maximum(frequencies, lowest))
 
     def click_density(self, frequencies: Array) -> Array:
         """Power of the steps' clicks per Hz, averaged between their harmonics, shape (n,)."""
@@ -92,17 +100,17 @@ class Acoustics:
 
     def peak_shape(self, frequencies: Array) -> Array:
         """Power per Hz of the extra sound at the stop, 1 at the peak, shape (n,)."""
-        return 1 / (1 + (2 * (frequencies - self.peak) / self.peak_width) ** FLAT_TOP)
+        return 1 / (1 + (2 * (frequencies - self.peak) / self.peak_width) ** PEAK_ORDER)
 
     def stop_density(self, frequencies: Array) -> Array:
         """Power per Hz of the extra sound at the stop, shape (n,)."""
-        return self.stop_power / _over(self.peak_shape, self._band()) * self.peak_shape(frequencies)
+        return self.stop_power / _integrate(self.peak_shape, self._band()) * self.peak_shape(frequencies)
 
     @property
     def noise_power(self) -> float:
         """Mean power in the band while the joint moves freely, without bangs and speech."""
         band = self._band()
-        return _over(self.room_density, band) + _over(self.click_density, band)
+        return _integrate(self.room_density, band) + _integrate(self.click_density, band)
 
     @property
     def stop_power(self) -> float:
@@ -110,8 +118,209 @@ class Acoustics:
         return float(10 ** (self.snr_db / 10) * self.noise_power)
 
     def _band(self) -> Array:
-        return np.linspace(self.peak - BAND / 2, self.peak + BAND / 2, 401)
+        return np.linspace(self.peak - BAND_WIDTH / 2, self.peak + BAND_WIDTH / 2, 401)
 
 
-def _over(density: Callable[[Array], Array], band: Array) -> float:
+def _integrate(density: Callable[[Array], Array], band: Array) -> float:
     return float(np.trapezoid(density(band), band))
+
+
+@dataclass(frozen=True)
+class PowerDistribution:
+    """The power of some bins, over that of the moving joint: `mean` times chi2(n) / n.
+
+    Attributes
+    ----------
+    mean, freedom : float
+        While moving, where `mean` is 1, or at the stop.
+    """
+
+    mean: float
+    df: float
+
+    def draw(self, number: int, rng: np.random.Generator) -> Array:
+        """So many independent checks, shape (number,)."""
+        return self.mean * rng.gamma(self.df / 2, 2 / self.df, number)
+
+
+@dataclass(frozen=True)
+class CheckPowers:
+    """What the ear makes of an emulated manipulator: the band and the reference, moving and at the stop."""
+
+    band: PowerDistribution
+    reference: PowerDistribution
+    band_at_stop: PowerDistribution
+    reference_at_stop: PowerDistribution
+
+
+def compute_powers(acoustics: Acoustics, tuning: Tuning) -> CheckPowers:
+    """How the powers of checks are distributed that `Tuning.powers` would find in the sound.
+
+    Parameters
+    ----------
+    acoustics : Acoustics
+    tuning : Tuning
+        The choice of the band; how loud things are is taken from the acoustics.
+
+    Returns
+    -------
+    Powers
+
+    Notes
+    -----
+    A sum of powers of Gaussian noise with means m_k over bins is very nearly sum(m) chi2(n) / n, where
+    n = 2 (sum m)^2 / sum(m^2) before the window takes its part. Bangs, speech and drift come on top.
+    """
+    bins = tuning.frequencies[1:]
+    moving = acoustics.room_density(bins) + acoustics.click_density(bins)
+    rise = 1 + acoustics.stop_density(bins) / moving
+    band = select_band(bins, tuning.frequency, tuning.width)
+    reference = select_reference(bins, tuning.rate, tuning.frequency, tuning.width)
+    return CheckPowers(
+        *(
+            _make_distribution(means, tuning.samples)
+            for means in (np.ones(band.sum()), np.ones(reference.sum()))
+        ),
+        *(_make_distribution(rise[part], tuning.samples) for part in (band, reference)),
+    )
+
+
+def _make_distribution(means: Array, samples: int) -> PowerDistribution:
+    even = means.sum() ** 2 / (len(means) * np.sum(means**2))
+    return PowerDistribution(float(means.mean()), float(even * power_df(len(means), samples)))
+
+
+MAX_DISTURBANCE_SECONDS = 2  # s; nothing lasts longer
+BANG_DECAY = (0.005, 0.06)  # s, shortest and longest
+SPEECH_SECONDS = (0.3, 1.5)  # s
+SYLLABLE_RATE = 4.0  # per second
+VOICED_BAND, HISS_BAND = (150.0, 3500.0), (4000.0, 9000.0)  # Hz
+HISS_SHARE = 0.3  # share of a talk's syllables that hiss
+
+
+def synthesize_disturbances(acoustics: Acoustics, began: float, number: int) -> Array:
+    """Bangs and speech in a stretch of sound; the same at the same time however it is cut into stretches.
+
+    Each second has its own random numbers, so that what begins in one stretch goes on in the next.
+
+    Parameters
+    ----------
+    acoustics : Acoustics
+    began : float
+        When the stretch begins, s.
+    number : int
+        Its samples.
+
+    Returns
+    -------
+    array, shape (number,)
+    """
+    heard = np.zeros(number)
+    if acoustics.bangs == 0 and acoustics.speech == 0:
+        return heard
+    first = round(began * acoustics.rate)
+    last_second = int((first + number) / acoustics.rate)
+    for second in range(max(int(began) - MAX_DISTURBANCE_SECONDS, 0), last_second + 1):
+        rng = np.random.default_rng((acoustics.seed, second))
+        for rate, event in ((acoustics.bangs, _synthesize_bang), (acoustics.speech, _synthesize_speech)):
+            for _ in range(rng.poisson(rate)):
+                place = round((second + rng.random()) * acoustics.rate) - first
+                _add_event(heard, event(acoustics, rng), place)
+    return heard
+
+
+def _add_event(heard: Array, event: Array, place: int) -> None:
+    low, high = max(place, 0), min(place + len(event), len(heard))
+    if low < high:
+        heard[low:high] += event[low - place : high - place]
+
+
+def _synthesize_bang(acoustics: Acoustics, rng: np.random.Generator) -> Array:
+    """Noise of all frequencies, the high ones fading in a lesser or greater degree, that dies away."""
+    decay = np.exp(rng.uniform(*np.log(BANG_DECAY)))
+    noise = rng.standard_normal(round(8 * decay * acoustics.rate))
+    dull = rng.uniform(0.0, 0.9)
+    noise[1:] += dull * noise[:-1]
+    noise /= np.sqrt(1 + dull**2)
+    loud = acoustics.bang * 10 ** rng.uniform(-1, 0)
+    return loud * noise * np.exp(-np.arange(len(noise)) / (decay * acoustics.rate))
+
+
+def _synthesize_speech(acoustics: Acoustics, rng: np.random.Generator) -> Array:
+    """Syllables, voiced or hissing, each a band of noise that swells and fades."""
+    syllables = round(rng.uniform(*SPEECH_SECONDS) * SYLLABLE_RATE)
+    length = round(acoustics.rate / SYLLABLE_RATE)
+    swell = np.sin(np.pi * np.arange(length) / length)
+    frequencies = np.fft.rfftfreq(length, 1 / acoustics.rate)
+    said = []
+    for _ in range(syllables):
+        low, high = HISS_BAND if rng.random() < HISS_SHARE else VOICED_BAND
+        spectrum = np.fft.rfft(rng.standard_normal(length)) * ((frequencies > low) & (frequencies < high))
+        sound = np.fft.irfft(spectrum, length)
+        said.append(acoustics.voice * swell * sound / sound.std())
+    return np.concatenate(said)
+
+
+CLICK_HEIGHT_SD = 0.05  # relative standard deviation of a click's height
+DRIFT_PERIOD = 120.0  # s
+
+
+def synthesize_sound(
+    acoustics: Acoustics,
+    began: float,
+    moving: npt.ArrayLike,
+    at_stop: npt.ArrayLike,
+    rng: np.random.Generator,
+) -> Sound:
+    """The sound of a stretch of time, a whole number of step periods long.
+
+    Stretches that follow each other make one recording: hum, drift, bangs and speech know the time.
+
+    Parameters
+    ----------
+    acoustics : Acoustics
+    began : float
+        When the stretch begins, s.
+    moving : array of bool, shape (n,)
+        For each step period, whether a step is made in it.
+    at_stop : array of bool, shape (n,)
+        Whether that step pushes against the stop.
+    rng : Generator
+        For the room's noise, the stop's and the clicks' unevenness.
+
+    Returns
+    -------
+    array of float32, shape (n * period * rate,)
+        Cut off at full scale, 1, as a converter does.
+
+    Examples
+    --------
+    >>> check = synthesize_sound(Acoustics(), 0.0, [True] * 5, [False] * 5, np.random.default_rng(1))
+    >>> check.shape
+    (2400,)
+    """
+    moving, at_stop = np.asarray(moving, bool), np.asarray(at_stop, bool)
+    step = round(acoustics.period * acoustics.rate)
+    number = step * len(moving)
+    at = began + np.arange(number) / acoustics.rate
+    heights = moving * (1 + CLICK_HEIGHT_SD * rng.standard_normal(len(moving)))
+    heard = draw_shaped_noise(acoustics.room_density, number, acoustics.rate, rng)
+    heard += np.outer(heights, acoustics.click()).ravel()
+    heard += np.sqrt(2) * acoustics.hum * np.sin(2 * np.pi * acoustics.mains * at)
+    pushing = moving & at_stop
+    if pushing.any():
+        stop = draw_shaped_noise(acoustics.stop_density, number, acoustics.rate, rng)
+        heard += np.repeat(pushing, step) * stop
+    heard += synthesize_disturbances(acoustics, began, number)
+    heard *= 10 ** (acoustics.drift_db / 20 * np.sin(2 * np.pi * at / DRIFT_PERIOD))
+    return np.clip(heard, -1, 1).astype(np.float32)
+
+
+def draw_shaped_noise(
+    density: Callable[[Array], Array], number: int, rate: int, rng: np.random.Generator
+) -> Array:
+    """Gaussian noise of so many samples whose power per Hz is `density` of the frequency."""
+    frequencies = np.fft.rfftfreq(number, 1 / rate)
+    gain = np.zeros(len(frequencies))
+    gain[1:] = np.sqrt(density(frequencies[1:]) * rate / 2)
+    return np.fft.irfft(gain * np.fft.rfft(rng.standard_normal(number)), number)

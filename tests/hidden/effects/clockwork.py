@@ -49,10 +49,10 @@ def drift_by_use(c: Campaign, rng: Rng) -> Effect:
 
 def _jump(c: Campaign, rng: Rng, smear: float) -> Effect:
     session = int(rng.integers(int(c.plan.session.max()) + 1))
-    mine = np.flatnonzero(c.plan.session == session)
-    first = mine[int(rng.uniform(0.2, 0.8) * len(mine))]
+    subset = np.flatnonzero(c.plan.session == session)
+    first = subset[int(rng.uniform(0.2, 0.8) * len(subset))]
     after = np.zeros(len(c))
-    after[first : mine[-1] + 1] = 1.0
+    after[first : subset[-1] + 1] = 1.0
     after[first] = 1 - smear
     return Effect(0.05, sized_since("A", c, first), factor=by_row(after))
 

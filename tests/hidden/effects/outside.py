@@ -75,11 +75,11 @@ def _memory(chains: Callable[[Campaign], Ints]) -> Maker:
         def count(c: Campaign, counts: Array, size: float) -> Array:
             carried = np.zeros(len(c))
             for each in np.unique(chain):
-                mine = np.flatnonzero(chain == each)
-                new = c.innovations[mine]
+                subset = np.flatnonzero(chain == each)
+                new = c.innovations[subset]
                 # A session's first departure is as large as any other.
                 inflow = np.concatenate([new[:1] * np.hypot(1, size), new[1:]])
-                carried[mine] = lfilter([1.0], [1.0, -_rho(size)], inflow) - new
+                carried[subset] = lfilter([1.0], [1.0, -_rho(size)], inflow) - new
             return counts * np.exp(c.repeatability * carried)
 
         return Effect(4 / 3, lambda size: say(("rho", "1", _rho(size))), count=count, either_sign=False)

@@ -63,10 +63,10 @@ step_rate_power = _rate(0.05, lambda x: np.expm1(0.6 * x) / 0.6)
 
 def _covariate(shape: Callable[[Array, float], Array]) -> Maker:
     def make(c: Campaign, rng: Rng) -> Effect | None:
-        mine = [name for name in LAB_COLUMNS if name in c.columns]
-        if not mine:
+        subset = [name for name in LAB_COLUMNS if name in c.columns]
+        if not subset:
             return None
-        name = str(rng.choice(mine))
+        name = str(rng.choice(subset))
         z = (c.columns[name] - c.columns[name].mean()) / c.columns[name].std()
         said = sized("per standard deviation", "%", 100)
         return Effect(0.02, said, factor=by_row(shape(z, rng.uniform(-1, 1))), cause=f"covariate:{name}")

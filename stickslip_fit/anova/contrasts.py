@@ -1,0 +1,379 @@
+"""Comparison of levels within blocks: sums of squares, largest difference, power, Holm's adjustment.
+
+The blocks are none for single observations and the sessions for cell means. Values may be stacked,
+shape (..., n), so that many logs are tested at once. The interval of the largest difference is that of
+Tukey and Kramer; power is by the noncentral F distribution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit._typing import Array, IntArray
+
+RANK_TOL = 1e-9  # of a column's length: what is left of one that earlier columns span
+
+
+def indicator_columns(codes: npt.NDArray[np.intp]) -> Array:
+    """One column for each code, 1 in its rows; codes count from 0, shape (n, k)."""
+    return (codes[:, None] == np.arange(codes.max() + 1)).astype(float)
+
+
+def unit_columns(codes: npt.NDArray[np.intp]) -> Array:
+    """As `indicator`, each column of length 1."""
+    return indicator_columns(codes) / np.sqrt(np.bincount(codes))
+
+
+def contrast_basis(codes: npt.NDArray[np.intp]) -> Array:
+    """Basis of what the means of k groups tell beyond the general mean, shape (n, k - 1).
+
+    A reflection takes the general mean to the first axis of the groups' space; its other columns are left.
+    """
+    root = np.sqrt(np.bincount(codes) / len(codes))
+    normal = root + np.eye(len(root))[0]
+    reflection = np.eye(len(root)) - 2.0 * np.outer(normal, normal) / (normal @ normal)
+    return unit_columns(codes) @ reflection[:, 1:]
+
+
+def orthonormal_basis(columns: Array, beyond: Array) -> Array:
+    """Basis of what the columns span and `beyond` does not.
+
+    Its width is the term's degrees of freedom, whatever the coding: columns that are empty, or combine
+    others, add nothing. Labels of an inner factor may so be reused in each outer level or not.
+
+    Parameters
+    ----------
+    columns : array, shape (n, p)
+    beyond : array, shape (n, q)
+        Orthonormal.
+
+    Returns
+    -------
+    array, shape (n, r), r <= p
+
+    Examples
+    --------
+    >>> day = indicator_columns(np.array([0, 0, 1, 1]))
+    >>> orthonormal_basis(day, np.full((4, 1), 0.5)).shape
+    (4, 1)
+    """
+    from scipy.linalg import qr
+
+    length = np.sqrt(np.sum(columns**2, axis=0))
+    columns = columns[:, length > 0] / length[length > 0]
+    # Twice: what rounding left of the first projection goes with the second.
+    for _ in range(2):
+        columns = columns - beyond @ (beyond.T @ columns)
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    basis, triangle, _ = qr(columns, mode="economic", pivoting=True)
+    basis = basis[:, np.abs(np.diag(triangle)) > RANK_TOL]
+    return basis - beyond @ (beyond.T @ basis)
+
+
+def adjust_holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """p-values that hold over all of them at once, in the order given; none where there is none.
+
+    Examples
+    --------
+    >>> adjust_holm([0.01, 0.04, 0.03]).round(3).tolist()
+    [0.03, 0.06, 0.06]
+    """
+    from statsmodels.stats.multitest import multipletests
+
+    p_values = np.asarray(p_values, float)
+    return multipletests(p_values, method="holm")[1] if p_values.size else p_values
+
+
+@dataclass(frozen=True)
+class BlockedComparison:
+    """Which of n units has which of k levels, in which of b blocks.
+
+    Attributes
+    ----------
+    level, block : array of int, shape (n,)
+        Counted from 0, every number in use.
+    nuisance : array, shape (n, b)
+        Orthonormal basis of the blocks' means (of the general mean where there is one block).
+    effect : array, shape (n, k - 1)
+        Orthonormal basis of what the levels add to that; fewer columns where not all levels are
+        connected through blocks.
+    """
+
+    level: IntArray
+    block: IntArray
+    nuisance: Array
+    effect: Array
+
+    @property
+    def levels(self) -> int:
+        """How many levels there are."""
+        return int(self.level.max()) + 1
+
+    @property
+    def df(self) -> tuple[int, int]:
+        """Degrees of freedom of the levels and of the error."""
+        between = self.effect.shape[1]
+        return between, len(self.level) - self.nuisance.shape[1] - between
+
+    @property
+    def connected(self) -> bool:
+        """Whether blocks tie all levels together, so that each can be compared with each."""
+        return self.effect.shape[1] == self.levels - 1
+
+
+@dataclass(frozen=True)
+class SumsOfSquares:
+    """Sums of squares of stacked values.
+
+    Attributes
+    ----------
+    blocks, between, within : array, shape (...)
+        They add up to the total about the general mean.
+    freedom : tuple of (int, int, int)
+    """
+
+    blocks: Array
+    between: Array
+    within: Array
+    df: tuple[int, int, int]
+
+    @property
+    def total(self) -> Array:
+        """Sum of squares about the general mean."""
+        return self.blocks + self.between + self.within
+
+    @property
+    def variance(self) -> Array:
+        """Mean square of the error."""
+        return self.within / self.df[2]
+
+    @property
+    def statistic(self) -> Array:
+        """F: mean square of the levels over that of the error."""
+        return self.between / self.df[1] / self.variance
+
+    @property
+    def p_value(self) -> Array:
+        """Probability of an F at least as large where the levels do not differ."""
+        from scipy.special import fdtrc
+
+        return fdtrc(*self.df[1:], self.statistic)
+
+    @property
+    def omega_squared(self) -> Array:
+        """Share of variance that the levels account for (Hays), blocks left out; at least 0."""
+        excess = self.df[1] * (self.statistic - 1.0)
+        return np.maximum(0.0, excess / (excess + sum(self.df) + 1))
+
+
+def build_comparison(level: npt.ArrayLike, block: npt.ArrayLike | None = None) -> BlockedComparison:
+    """Prepare a comparison.
+
+    Parameters
+    ----------
+    level, block : array_like, shape (n,)
+        Labels of any kind.
+    """
+    levels = np.unique(np.asarray(level), return_inverse=True)[1]
+    blocks = np.zeros_like(levels) if block is None else np.unique(np.asarray(block), return_inverse=True)[1]
+    nuisance = unit_columns(blocks)
+    one_block = nuisance.shape[1] == 1
+    effect = contrast_basis(levels) if one_block else orthonormal_basis(indicator_columns(levels), nuisance)
+    return BlockedComparison(levels, blocks, nuisance, effect)
+
+
+def sums_of_squares(values: npt.ArrayLike, comparison: BlockedComparison) -> SumsOfSquares:
+    """Sums of squares of blocks, of levels within them and of the rest.
+
+    Values are shifted by one of them first. The difference of two nearby doubles is exact (Sterbenz), so
+    that no digit is lost to a large common part but those that the doubles never had.
+
+    Parameters
+    ----------
+    values : array_like, shape (..., n)
+    comparison : Comparison
+
+    Examples
+    --------
+    >>> two_days = build_comparison(["Mon", "Mon", "Mon", "Tue", "Tue", "Tue"])
+    >>> found = sums_of_squares([1e12 + 1, 1e12 + 2, 1e12 + 3, 1e12 + 4, 1e12 + 5, 1e12 + 6], two_days)
+    >>> round(float(found.statistic), 12), round(float(found.p_value), 6)
+    (13.5, 0.021312)
+    """
+    shifted = subtract_median(values)
+    centred = shifted - shifted.mean(axis=-1, keepdims=True)
+    by_block = centred @ comparison.nuisance
+    rest = centred - by_block @ comparison.nuisance.T
+    by_level = rest @ comparison.effect
+    rest = rest - by_level @ comparison.effect.T
+    # What rounding left of the first two parts in the rest is taken out once more.
+    rest = rest - (rest @ comparison.nuisance) @ comparison.nuisance.T
+    rest = rest - (rest @ comparison.effect) @ comparison.effect.T
+    between_blocks, between, within = (np.sum(part**2, axis=-1) for part in (by_block, by_level, rest))
+    df = (comparison.nuisance.shape[1] - 1, *comparison.df)
+    return SumsOfSquares(between_blocks, between, within, df)
+
+
+def level_means(values: npt.ArrayLike, comparison: BlockedComparison) -> tuple[Array, Array]:
+    """Mean of each level, adjusted for the blocks, and the covariance factor of their differences.
+
+    Returns
+    -------
+    means : array, shape (..., k)
+    factor : array, shape (k, k)
+        Times the error's variance: covariance of the means, but for what all of them share.
+    """
+    values = np.asarray(values, float)
+    shifted = subtract_median(values)
+    origin = (values - shifted)[..., :1]
+    within = indicator_columns(comparison.level)
+    within = within - comparison.nuisance @ (comparison.nuisance.T @ within)
+    factor = np.linalg.pinv(within.T @ within, rcond=1e-10, hermitian=True)
+    adjusted = (shifted @ within) @ factor
+    share = np.bincount(comparison.level) / len(comparison.level)
+    middle = shifted.mean(axis=-1, keepdims=True) - (adjusted @ share)[..., None]
+    return origin + middle + adjusted, factor
+
+
+def subtract_median(values: npt.ArrayLike) -> Array:
+    """Values less their median, exactly where they are near each other."""
+    values = np.asarray(values, float)
+    middle = values.shape[-1] // 2
+    return values - np.partition(values, middle, axis=-1)[..., middle : middle + 1]
+
+
+CONFIDENCE_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class LevelDifference:
+    """The largest difference between levels.
+
+    Attributes
+    ----------
+    means : array, shape (k,)
+        Of each level, adjusted for blocks.
+    half_width : array, shape (k,)
+        Of each mean's 95 % interval, for the error alone.
+    largest, smallest : int
+        The two levels.
+    difference, low, high : float
+        Largest less smallest mean, with the 95 % interval of Tukey and Kramer: it holds for all pairs
+        at once, so also for the pair that stood out. With two levels it is Student's.
+    """
+
+    means: Array
+    half_width: Array
+    largest: int
+    smallest: int
+    difference: float
+    low: float
+    high: float
+
+
+def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDifference:
+    """The effect of the levels of one set of values, shape (n,).
+
+    Examples
+    --------
+    >>> from stickslip_fit.anova.contrasts import build_comparison
+    >>> found = largest_difference(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), build_comparison(list("aaabbb")))
+    >>> round(found.difference, 3), round(found.low, 3), round(found.high, 3)
+    (3.0, 0.733, 5.267)
+    """
+    from scipy.stats import t
+
+    means, factor = level_means(values, comparison)
+    squares = sums_of_squares(values, comparison)
+    df = comparison.df[1]
+    spread = float(np.sqrt(squares.variance))
+    largest, smallest = int(np.argmax(means)), int(np.argmin(means))
+    difference = float(means[largest] - means[smallest])
+    error = spread * np.sqrt(difference_factor(factor)[largest, smallest])
+    reach = _studentized_range_quantile(comparison.levels, df) * error
+    count = np.bincount(comparison.level)
+    half_width = float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df)) * spread / np.sqrt(count)
+    return LevelDifference(
+        means, half_width, largest, smallest, difference, float(difference - reach), float(difference + reach)
+    )
+
+
+def difference_factor(factor: Array) -> Array:
+    """Times the error's variance: that of the difference between each two means, shape (k, k)."""
+    own = np.diag(factor)
+    return own[:, None] + own[None, :] - 2 * factor
+
+
+@cache
+def _studentized_range_quantile(levels: int, df: int) -> float:
+    """Quantile of the studentized range for a difference in units of its own standard error."""
+    from scipy.stats import studentized_range, t
+
+    if levels == 2:
+        return float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df))
+    return float(studentized_range.ppf(CONFIDENCE_LEVEL, levels, df) / np.sqrt(2.0))
+
+
+SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
+
+
+def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNIFICANCE_LEVEL) -> float:
+    """Probability that the F test rejects.
+
+    Parameters
+    ----------
+    noncentrality : float
+        Sum of squares of the true level means within blocks over the error's variance.
+    freedom : tuple of (int, int)
+    level : float, optional
+
+    Examples
+    --------
+    >>> round(f_test_power(0.0, (1, 4)), 6)
+    0.05
+    """
+    from statsmodels.stats.power import ftest_power_f2
+
+    return float(ftest_power_f2(noncentrality / sum(df), *df, level, ncc=0))
+
+
+def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:
+    """The smallest noncentrality when two levels differ by `difference`.
+
+    It arises for the two levels that are known least, with all others where they help least.
+    """
+    _, factor = level_means(np.zeros(len(comparison.level)), comparison)
+    return (difference / spread) ** 2 / float(difference_factor(factor).max())
+
+
+def detectable_difference(spread: float, comparison: BlockedComparison) -> float:
+    """The smallest difference between two levels that shows at 5 % in 80 of 100 such comparisons.
+
+    Parameters
+    ----------
+    spread : float
+        Standard deviation of the error.
+    comparison : Comparison
+
+    Examples
+    --------
+    >>> from stickslip_fit.anova.contrasts import build_comparison
+    >>> two_days_of_three = build_comparison(list("aaabbb"))
+    >>> round(detectable_difference(1.0, two_days_of_three), 3)
+    3.071
+    """
+    from scipy.optimize import brentq
+
+    # FTestPower.solve_power stops within 1e-5 of the root, and FTestPowerF2's stays at its start for few df.
+    most = 10.0
+    while f_test_power(most, comparison.df) < TARGET_POWER:
+        most *= 4.0
+    wanted = float(
+        brentq(lambda size: f_test_power(size, comparison.df) - TARGET_POWER, 1e-6, most, rtol=1e-10)
+    )
+    return spread * float(np.sqrt(wanted / smallest_noncentrality(1.0, 1.0, comparison)))

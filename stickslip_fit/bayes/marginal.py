@@ -1,0 +1,465 @@
+"""Marginal likelihood of spread and repeatability, its mode, importance weights of the exact model.
+
+With phi = centre + width z, each session's law is linearized at its mode z*: f(z) = f(z*) + J (z - z*).
+Then y ~ N(f(z), v), z ~ N(m, tau^2), m ~ N(0, 1), v = repeatability^2 + rounding, so that z and m
+integrate out in closed form and p + 1 dimensions remain. Sessions are sampled from their Gaussian given
+these; each draw's weight is the exact over the linearized likelihood, Pareto-smoothed (A. Vehtari et
+al., JMLR 25:72, 2024). The mode and a Student-t proposal serve the sampler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.bayes.priors import GroupData, Prior
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._optimize import Groups, minimize
+
+LogDensity = Callable[[Array], Array]
+"""Points, shape (k, d), to log densities, shape (k,); all at once, since one costs as much as many."""
+
+DIFFERENCE_STEP = 1e-2  # of the finite differences, in standard deviations of the prior
+MIN_CURVATURE = 0.2  # least curvature believed, where the prior alone has 1
+PROPOSAL_DF = 6.0
+ADAPTATION_DRAWS, ADAPTATION_ROUNDS = 1000, 2
+
+
+@dataclass(frozen=True, eq=False)
+class StudentTProposal:
+    """A multivariate Student's t that resembles the posterior, with tails that enclose it.
+
+    Attributes
+    ----------
+    centre : array, shape (d,)
+    root : array, shape (d, d)
+        Cholesky factor of the scale matrix.
+    """
+
+    centre: Array
+    root: Array
+
+    def draw(self, size: int, rng: np.random.Generator | np.random.RandomState, wider: float = 1.0) -> Array:
+        """Points, shape (size, d)."""
+        noise = rng.normal(size=(size, len(self.centre)))
+        stretch = np.sqrt(PROPOSAL_DF / rng.chisquare(PROPOSAL_DF, size))[:, None]
+        return self.centre + wider * stretch * noise @ self.root.T
+
+    def log_density(self, x: Array) -> Array:
+        """Log density at points, shape (k, d) -> (k,)."""
+        d = len(self.centre)
+        distance = np.sum(np.linalg.solve(self.root, (x - self.centre).T) ** 2, axis=0)
+        constant = (
+            gammaln((PROPOSAL_DF + d) / 2) - gammaln(PROPOSAL_DF / 2) - d / 2 * np.log(PROPOSAL_DF * np.pi)
+        )
+        constant -= np.log(np.diag(self.root)).sum()
+        return constant - (PROPOSAL_DF + d) / 2 * np.log1p(distance / PROPOSAL_DF)
+
+
+def find_mode(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
+    """Mode, shape (d,), and covariance there, shape (d, d), by Newton's method."""
+    x = start
+    for _ in range(100):
+        gradient, curvature = _differentiate(log_density, x)
+        value, vector = np.linalg.eigh(-curvature)
+        value = np.maximum(value, MIN_CURVATURE)
+        step = vector @ (vector.T @ gradient / value)
+        step /= max(1.0, float(np.linalg.norm(step)) / 2)
+        trials = x + 2.0 ** -np.arange(12)[:, None] * step
+        x_new = trials[int(np.nanargmax(log_density(trials)))]
+        x, moved = x_new, np.abs(x_new - x).max()
+        if moved < DIFFERENCE_STEP / 10:
+            break
+    return x, (vector / value) @ vector.T
+
+
+def fit_proposal(
+    log_density: LogDensity, mode: Array, covariance: Array, rng: np.random.Generator
+) -> StudentTProposal:
+    """Adapt a guess to the posterior's mean and covariance, since few posteriors look like their mode."""
+    proposal = StudentTProposal(mode, np.linalg.cholesky(covariance))
+    for _ in range(ADAPTATION_ROUNDS):
+        x = proposal.draw(ADAPTATION_DRAWS, rng)
+        log_weight = log_density(x) - proposal.log_density(x)
+        weight = np.exp(log_weight - log_weight.max())
+        # No one point may speak for the posterior.
+        weight = np.minimum(weight, 10 * weight.mean())
+        centre = weight @ x / weight.sum()
+        spread = (weight[:, None] * (x - centre)).T @ (x - centre) / weight.sum()
+        # A share of what it was, so that a few heavy points cannot make it flat.
+        proposal = StudentTProposal(
+            centre, np.linalg.cholesky(0.9 * spread + 0.1 * proposal.root @ proposal.root.T)
+        )
+    return proposal
+
+
+def _differentiate(log_density: LogDensity, x: Array) -> tuple[Array, Array]:
+    """Gradient and Hessian by central differences, all points in one call."""
+    d = len(x)
+    steps = DIFFERENCE_STEP * np.eye(d)
+    pairs = steps[:, None] + steps[None, :]
+    points = np.concatenate([[np.zeros(d)], steps, -steps, pairs.reshape(-1, d), -pairs.reshape(-1, d)])
+    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, d * d]))
+    gradient = (up - down) / (2 * DIFFERENCE_STEP)
+    alone = up + down
+    both = (both_up + both_down).reshape(d, d)
+    hessian = (both - alone[:, None] - alone[None, :] + 2 * here) / (2 * DIFFERENCE_STEP**2)
+    return gradient, hessian
+
+
+def solve_spd_batched(matrix: Array, right: Array) -> tuple[Array, Array]:
+    """Solve small positive definite systems by elimination, the matrices' own axes first.
+
+    A loop over the p pivots, each for all systems, is several times faster than a call of LAPACK for each.
+
+    Parameters
+    ----------
+    matrix : array, shape (p, p, ...)
+    right : array, shape (p, k, ...)
+
+    Returns
+    -------
+    solution : array, shape (p, k, ...)
+    log_determinant : array, shape (...)
+
+    Examples
+    --------
+    >>> solution, log_determinant = solve_spd_batched(np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([[3.0], [3.0]]))
+    >>> solution.ravel(), float(np.exp(log_determinant).round(12))
+    (array([1., 1.]), 3.0)
+    """
+    p = len(matrix)
+    work = np.concatenate([matrix, right], axis=1)
+    determinant = np.ones(matrix.shape[2:])
+    for k in range(p):
+        determinant = determinant * work[k, k]
+        row = work[k] / work[k, k]
+        work -= work[:, k, None] * row
+        work[k] = row
+    return work[:, p:], np.log(determinant)
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalLikelihood:
+    """The linearised model; sessions S, traverses of a session m, parameters p.
+
+    Attributes
+    ----------
+    prior : Prior
+    response : array, shape (S, m)
+        e = y - f(z*) + J z*.
+    slopes : array, shape (S, m, p)
+        J by z.
+    products : array, shape (S, m, (p + 1)^2)
+        Of each row's [J, e] with itself.
+    rounding : array, shape (S, m)
+        Infinite, so that the weight is none, where a session has no such traverse.
+    z : array, shape (S, p)
+        z*.
+    """
+
+    prior: Prior
+    response: Array
+    slopes: Array
+    products: Array
+    rounding: Array
+    z: Array
+
+    def log_density(self, x: Array) -> Array:
+        """Log posterior density, the evidence's constant left out; (k, p + 1) -> (k,).
+
+        Parameters
+        ----------
+        x : array, shape (k, p + 1)
+            log spread and log repeatability, standard normal under the prior; see `Prior.levels`.
+        """
+        return self.conditional(x).log_likelihood - 0.5 * np.sum(x**2, axis=1)
+
+    def conditional(self, x: Array, shift: Array | None = None) -> ConditionalPosterior:
+        """The Gaussians that remain at each x, shape (k, p + 1).
+
+        A `shift`, shape (S, m, k), is what the law's responses are more at each of them.
+        """
+        spread, repeatability = self.prior.levels(x)
+        tau = (spread / self.prior.width).T[:, None, :]
+        weight = 1.0 / (repeatability**2 + self.rounding[:, :, None])
+        p = len(tau)
+        sums = np.matmul(self.products.swapaxes(1, 2), weight).swapaxes(0, 1)
+        sums = sums.reshape(p + 1, p + 1, *sums.shape[1:])
+        slopes_response, cost = sums[:p, p], sums[p, p]
+        if shift is not None:
+            weighted = weight * shift
+            slopes_response = slopes_response - np.matmul(self.slopes.swapaxes(1, 2), weighted).swapaxes(0, 1)
+            cost = cost + np.sum(weighted * (shift - 2 * self.response[:, :, None]), axis=1)
+        form, pull = tau * tau[:, None] * sums[:p, :p], tau * slopes_response
+        eye = np.eye(p)[:, :, None]
+        solution, log_det = solve_spd_batched(
+            eye[..., None] + form, np.concatenate([form, pull[:, None]], axis=1)
+        )
+        kept, best = solution[:, :p], solution[:, p]
+        # What the sessions say of m, each blurred by the spread between them.
+        precision = eye + kept.sum(axis=2) / (tau * tau[:, None])[:, :, 0]
+        drawn = best.sum(axis=1) / tau[:, 0]
+        centre, log_det_mean = solve_spd_batched(precision, drawn[:, None])
+        log_weight = np.log(np.where(weight > 0, weight / (2 * np.pi), 1.0)).sum(axis=(0, 1))
+        squares = (cost - np.sum(pull * best, axis=0)).sum(axis=0) - np.sum(drawn * centre[:, 0], axis=0)
+        log_likelihood = 0.5 * (log_weight - log_det.sum(axis=0) - log_det_mean - squares)
+        return ConditionalPosterior(
+            tau[:, 0], repeatability, form, pull, precision, centre[:, 0], log_likelihood
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionalPosterior:
+    """Campaign mean and sessions given k draws of spread and repeatability; own axes first, k last.
+
+    Attributes
+    ----------
+    tau : array, shape (p, k)
+    repeatability : array, shape (k,)
+    form : array, shape (p, p, S, k)
+        tau J'WJ tau.
+    linear_form : array, shape (p, S, k)
+        tau J'We.
+    precision : array, shape (p, p, k)
+        Of the campaign mean m.
+    centre : array, shape (p, k)
+        Its expectation.
+    log_likelihood : array, shape (k,)
+        Of the counts, linearised, with z and m integrated out.
+    """
+
+    tau: Array
+    repeatability: Array
+    form: Array
+    linear_form: Array
+    precision: Array
+    centre: Array
+    log_likelihood: Array
+
+    def draw_mean(self, rng: np.random.Generator) -> Array:
+        """One campaign mean m for each, shape (p, k)."""
+        return self.centre + _draw_with_precision(self.precision, rng)
+
+    def sessions(self, mean: Array) -> Array:
+        """Expected z of each session given the campaign mean, shape (p, S, k)."""
+        pull = self.linear_form - np.einsum("ijsk,jk->isk", self.form, mean / self.tau)
+        eye = np.eye(len(mean))[:, :, None, None]
+        return mean[:, None] + self.tau[:, None] * solve_spd_batched(eye + self.form, pull[:, None])[0][:, 0]
+
+    def draw_departures(self, rng: np.random.Generator) -> Array:
+        """How far one z of each session lies from its expectation, shape (p, S, k)."""
+        eye = np.eye(len(self.tau))[:, :, None, None]
+        return self.tau[:, None] * _draw_with_precision(eye + self.form, rng)
+
+
+def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihood:
+    """Linearise each session about its own z, shape (S, p)."""
+    values = (prior.centre + prior.width * z)[traverses.groups.of_row]
+    predicted, slopes = traverses.law.model(traverses.rows)(values)
+    slopes = slopes * prior.width
+    response = traverses.y - predicted + np.sum(slopes * z[traverses.groups.of_row], axis=1)
+    both = np.concatenate([slopes, response[:, None]], axis=1)
+    products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
+    return MarginalLikelihood(
+        prior,
+        traverses.pad(response, 0.0),
+        traverses.pad(slopes, 0.0),
+        traverses.pad(products, 0.0),
+        traverses.pad(traverses.rounding, np.inf),
+        z,
+    )
+
+
+def _draw_with_precision(precision: Array, rng: np.random.Generator) -> Array:
+    """A draw from each N(0, 1 / precision), shape (p, p, ...) -> (p, ...)."""
+    root = np.linalg.cholesky(np.moveaxis(precision, (0, 1), (-2, -1)))
+    noise = rng.standard_normal((*root.shape[:-1], 1))
+    return np.moveaxis(np.linalg.solve(root.swapaxes(-2, -1), noise)[..., 0], -1, 0)
+
+
+# The first round starts from the prior alone and the second from what it finds; then little is left to gain.
+EXPANSION_ROUNDS = 3
+
+
+def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikelihood, Array, Array]:
+    """Linearise a joint and direction.
+
+    Returns
+    -------
+    marginal : Marginal
+    mode : array, shape (p + 1,)
+        Of its density.
+    covariance : array, shape (p + 1, p + 1)
+        There.
+
+    Raises
+    ------
+    InputError
+        If the joint stalls under the prior's own centre.
+    """
+    if not np.all(np.isfinite(traverses.law.predict(traverses.rows, prior.centre))):
+        raise InputError(
+            f"joint {traverses.law.joint} would stall with the parameters at the centre of its prior; "
+            "give a centre with step sizes above 0 in every traverse"
+        )
+    p, sessions = len(prior.centre), len(traverses.groups)
+    z, mean, x = np.zeros((sessions, p)), np.zeros(p), np.zeros(p + 1)
+    spread, repeatability = prior.width, np.array(prior.repeatability)
+    for _ in range(EXPANSION_ROUNDS):
+        z = _session_modes(traverses, prior, z, mean, spread / prior.width, repeatability)
+        marginal = linearize(traverses, prior, z)
+        x, covariance = find_mode(marginal.log_density, x)
+        mean = marginal.conditional(x[None]).centre[:, 0]
+        spread, repeatability = prior.levels(x)
+    return marginal, x, covariance
+
+
+def _session_modes(
+    traverses: GroupData, prior: Prior, start: Array, mean: Array, tau: Array, repeatability: Array
+) -> Array:
+    """Each session's likeliest z, shape (S, p): least squares with the campaign as p more readings."""
+    sessions, p = start.shape
+    model = traverses.law.model(traverses.rows)
+    owner = np.repeat(np.arange(sessions), p)
+    n = len(traverses.y)
+
+    def with_campaign(z: Array) -> tuple[Array, Array]:
+        predicted, slopes = model(prior.centre + prior.width * z[:n])
+        own = np.tile(np.arange(p), sessions)
+        return (
+            np.append(predicted, z[np.arange(n, len(z)), own]),
+            np.concatenate([slopes * prior.width, np.eye(p)[own]]),
+        )
+
+    weight = np.append(1.0 / (repeatability**2 + traverses.rounding), np.tile(tau**-2, sessions))
+    groups = Groups(traverses.groups.table, np.append(traverses.groups.of_row, owner))
+    y = np.append(traverses.y, np.tile(mean, sessions))
+    return minimize(with_campaign, y, weight, groups, start, np.ones_like(start)).values
+
+
+# Of rows times draws held at a time.
+NUMBERS_PER_CHUNK = 2_000_000
+# Weights that differ by less are equal but for rounding errors, and have no tail to be examined.
+WEIGHT_TOL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorDraws:
+    """Draws of everything, SI.
+
+    Attributes
+    ----------
+    mean, spread : array, shape (d, p)
+        Of the campaign.
+    repeatability : array, shape (d,)
+    parameters : array, shape (d, S, p)
+    """
+
+    mean: Array
+    spread: Array
+    repeatability: Array
+    parameters: Array
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    def take(self, which: IntArray | slice) -> PosteriorDraws:
+        """Some of the draws."""
+        return PosteriorDraws(
+            self.mean[which], self.spread[which], self.repeatability[which], self.parameters[which]
+        )
+
+    def law_part(self, own: int) -> PosteriorDraws:
+        """Only the first parameters, so many of them."""
+        return PosteriorDraws(
+            self.mean[:, :own], self.spread[:, :own], self.repeatability, self.parameters[:, :, :own]
+        )
+
+
+def sample_sessions(
+    traverses: GroupData, marginal: MarginalLikelihood, x: Array, rng: np.random.Generator
+) -> tuple[PosteriorDraws, Array]:
+    """Draw the campaign's mean and the sessions at each x, shape (d, p + 1).
+
+    Returns
+    -------
+    draws : Draws
+    log_weight : array, shape (d,)
+        Exact over linearised likelihood.
+    """
+    at_a_time = max(NUMBERS_PER_CHUNK // len(traverses.y), 1)
+    parts = [
+        _sample_sessions(traverses, marginal, x[first : first + at_a_time], rng)
+        for first in range(0, len(x), at_a_time)
+    ]
+    draws, weights = zip(*parts, strict=True)
+    both = [
+        np.concatenate([getattr(part, name) for part in draws]) for name in PosteriorDraws.__annotations__
+    ]
+    return PosteriorDraws(*both), np.concatenate(weights)
+
+
+def psis_smooth(log_weight: Array) -> tuple[Array, float]:
+    """Pareto-smoothed importance weights, summing to 1, and k-hat (Vehtari et al., JMLR 25:72, 2024)."""
+    from arviz_stats.base import array_stats
+
+    # A draw under which some joint stalls has no weight; the fit of the other tail wants a number.
+    log_weight = np.maximum(log_weight, log_weight.max() - 700.0)
+    if np.ptp(log_weight) < WEIGHT_TOL:
+        return np.full(len(log_weight), 1.0 / len(log_weight)), 0.0
+    smoothed, k_hat = array_stats.psislw(-log_weight)
+    weight = np.exp(smoothed - np.max(smoothed))
+    return weight / weight.sum(), float(k_hat)
+
+
+def resample(weight: Array, rng: np.random.Generator) -> IntArray:
+    """As many draws of equal weight, in order, each taken in proportion to its weight as evenly as can be."""
+    ladder = (np.arange(len(weight)) + rng.uniform()) / len(weight)
+    steps = np.cumsum(weight)
+    return np.minimum(np.searchsorted(steps / steps[-1], ladder), len(weight) - 1)
+
+
+def _sample_sessions(
+    traverses: GroupData, marginal: MarginalLikelihood, x: Array, rng: np.random.Generator
+) -> tuple[PosteriorDraws, Array]:
+    prior, given = marginal.prior, marginal.conditional(x)
+    spread, repeatability = prior.levels(x)
+    mean = given.draw_mean(rng)
+    z = (given.sessions(mean) + given.draw_departures(rng)).T
+    draws = PosteriorDraws(
+        prior.centre + prior.width * mean.T, spread, repeatability, prior.centre + prior.width * z
+    )
+    return draws, log_importance_ratio(traverses, marginal, z, draws.parameters, repeatability)
+
+
+def log_importance_ratio(
+    traverses: GroupData,
+    marginal: MarginalLikelihood,
+    z: Array,
+    values: Array,
+    repeatability: Array,
+    shift: Array | float = 0.0,
+) -> Array:
+    """Exact over linearised log likelihood, shape (d,); -inf where the law stalls.
+
+    Parameters
+    ----------
+    traverses : Traverses
+    marginal : Marginal
+    z : array, shape (d, S, p)
+    values : array, shape (d, S, p or more)
+        The same as the law's parameters.
+    repeatability : array, shape (d,)
+    shift : array, shape (S, m, d), optional
+        See `Marginal.conditional`.
+    """
+    exact = traverses.pad((traverses.y - traverses.predict(values)).T, 0.0)
+    linear = marginal.response[:, :, None] - np.matmul(marginal.slopes, z.transpose(1, 2, 0)) - shift
+    weight = 1.0 / (repeatability**2 + marginal.rounding[:, :, None])
+    ratio = 0.5 * np.sum(weight * (linear**2 - exact**2), axis=(0, 1))
+    return np.where(np.isfinite(ratio), ratio, -np.inf)

@@ -1,0 +1,285 @@
+"""Posterior: the draws as an ArviZ DataTree, the Result made from them, and both on disk.
+
+Estimates are posterior means, intervals are quantiles; flags say what has not converged or is not
+identified. Files: netCDF for the draws, JSON for the Result.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri
+
+from stickslip_fit._io import write_atomically
+from stickslip_fit._summary import Section, Summarized, Summary
+from stickslip_fit._typing import Array
+from stickslip_fit.bayes.priors import Priors, predict_log_steps
+from stickslip_fit.bayes.result import INTERVAL_QUANTILES, group_name
+from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.estimation import Result, load_result, save_result
+from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.laws import traverse_length
+
+if TYPE_CHECKING:
+    from xarray import Dataset, DataTree
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Summarized):
+    """A log fitted by Bayes.
+
+    Attributes
+    ----------
+    result : Result
+        Posterior means and covariances of each session's parameters, with intervals between quantiles.
+    tree : DataTree
+        For each joint and direction a branch, ``tree["joint_3_plus"]``, that ArviZ takes as it is.
+    priors : Priors
+    diagnostics : DataFrame
+        joint, direction, parameter, session (empty for the campaign), r_hat, ess_bulk, ess_tail, k_hat.
+    """
+
+    result: Result
+    tree: DataTree
+    priors: Priors
+    diagnostics: pd.DataFrame
+
+    def summary(self) -> Summary:
+        """As a result's, with how good the draws are, and the priors."""
+        of_result = self.result.summary()
+        return replace(
+            of_result,
+            headline=(f"{self.quality}.", *of_result.headline),
+            sections=(*of_result.sections, Section(tables=self.priors.tables())),
+        )
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """See `Result.parameters`; means of the draws, and intervals between their quantiles."""
+        return self.result.parameters
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
+        """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
+
+        Raises
+        ------
+        InputError
+            If there is no such session, joint or direction, or its draws have not converged.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.parameters import plot_draws_corner
+
+        return collect_axes(plot_draws_corner(self, joint, direction, session))
+
+    def plot_forest(self, joint: int) -> AxesArray:
+        """Every session's parameters of a joint beside the campaign's mean.
+
+        Raises
+        ------
+        InputError
+            If the joint was not fitted.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.parameters import plot_forest
+
+        return collect_axes(plot_forest(self.result, joint, self.campaign_means()))
+
+    def plot_control(self) -> AxesArray:
+        """See `Result.plot_control`."""
+        return self.result.plot_control()
+
+    @property
+    def quality(self) -> str:
+        """How good the draws are, in a line."""
+        worst = self.diagnostics
+        return (
+            f"R-hat up to {worst['r_hat'].max():.4f}, at least {worst['ess_bulk'].min():.0f} "
+            f"effective draws, k-hat up to {worst['k_hat'].max():.2f}"
+        )
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Steps and step size for traverses of fitted sessions and new ones; see `bayes.predict.predict`."""
+        return predict_posterior(self, rows)
+
+    def campaign_means(self) -> pd.DataFrame:
+        """Means that the sessions' parameters scatter about; what is not known is not listed.
+
+        Returns
+        -------
+        DataFrame
+            name, joint, direction, estimate, low, high (95 %), SI.
+        """
+        tables = []
+        for joint, direction in self.groups:
+            fit, names = self.result.joints[joint], list(self.priors.prior(joint, direction).names)
+            mean = self.draws(joint, direction, "mean")[:, : len(names)]
+            low, high = np.quantile(mean, INTERVAL_QUANTILES, axis=0)
+            columns = {"estimate": mean.mean(axis=0), "low": low, "high": high}
+            table = pd.DataFrame({"name": names, "joint": joint, "direction": direction} | columns)
+            known = fit.known[(fit.groups["direction"] == direction).to_numpy(), : len(names)]
+            tables.append(table[known.any(axis=0)])
+        return pd.concat(tables, ignore_index=True)
+
+    def group_tree(self, joint: int, direction: str) -> DataTree:
+        """The tree's branch for a joint and direction."""
+        return cast("DataTree", self.tree[group_name(joint, direction)])
+
+    @property
+    def groups(self) -> list[tuple[int, str]]:
+        """Joints and directions fitted."""
+        return list(self.priors.of)
+
+    def draws(self, joint: int, direction: str, name: str) -> Array:
+        """Draws of mean, spread, repeatability or parameters, chains end to end; shape (d, ...), SI."""
+        return self._drawn(joint, direction, "posterior", name)
+
+    def prior_draws(self, joint: int, direction: str, name: str) -> Array:
+        """As `draws`, before the counts were seen; fewer of them."""
+        return self._drawn(joint, direction, "prior", name)
+
+    def _drawn(self, joint: int, direction: str, group: str, name: str) -> Array:
+        dataset: Dataset = self.group_tree(joint, direction)[group].to_dataset()
+        values = dataset[name].to_numpy()
+        return values.reshape(-1, *values.shape[2:])
+
+    def sessions(self, joint: int, direction: str) -> list[str]:
+        """Sessions that have traverses of a joint in a direction."""
+        return [str(each) for each in self.group_tree(joint, direction)["posterior"]["session"].to_numpy()]
+
+
+def save_posterior(posterior: Posterior, path: str | Path) -> None:
+    """Write ``path``, netCDF that ArviZ and xarray read, and the result beside it with the ending ``.json``.
+
+    Raises
+    ------
+    InputError
+        If they cannot be written.
+    """
+    path = Path(path)
+    tree = posterior.tree.copy()
+    quality = posterior.diagnostics.astype({"session": str})
+    tree.attrs = {
+        "priors": json.dumps(posterior.priors.to_json()),
+        "diagnostics": json.dumps(quality.to_dict(orient="list")),
+    }
+    write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+    save_result(posterior.result, path.with_suffix(".json"))
+
+
+def load_posterior(path: str | Path) -> Posterior:
+    """Read what `save_posterior` wrote.
+
+    Raises
+    ------
+    InputError
+        If one of the two files cannot be read, or is something else.
+    """
+    from xarray import open_datatree
+
+    path = Path(path)
+    try:
+        with open_datatree(path, engine="h5netcdf") as stored:
+            tree = stored.load()
+        priors = Priors.from_json(json.loads(tree.attrs.pop("priors")))
+        diagnostics = pd.DataFrame(json.loads(tree.attrs.pop("diagnostics")))
+    except (OSError, KeyError, ValueError) as error:
+        message = f"is no saved posterior that can be read ({error!r}); fit the log again"
+        raise InputError(InputIssue(message, str(path))) from None
+    return Posterior(load_result(path.with_suffix(".json")), tree, priors, diagnostics)
+
+
+PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
+
+
+def predict_posterior(posterior: Posterior, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+    """Steps and step size for traverses of any session.
+
+    A session that was not fitted, such as today's, is predicted from what the campaign's sessions have in
+    common and how far they spread.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    rows : DataFrame
+        A log's columns; steps are not needed.
+    seed : int, optional
+
+    Returns
+    -------
+    DataFrame, indexed as `rows`
+        steps, step_size (rad or m), relative_error (of the law, from its parameters), and low, high: 95 %
+        interval of the steps that a new traverse takes, repeatability included. NaN where the fit has
+        not converged or a parameter is not identified, see `Posterior.result.remarks`.
+
+    Raises
+    ------
+    InputError
+        For a joint or direction that was not fitted, or where the joint may well stall.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):
+        group = (int(joint), str(direction))
+        if group not in posterior.groups:
+            fitted = ", ".join(f"{joint} {drive_direction}" for joint, drive_direction in posterior.groups)
+            raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
+        parts.append(_predict_group(posterior, group, subset, rng))
+    if not parts:
+        return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
+    return pd.concat(parts).loc[rows.index]
+
+
+def _predict_group(
+    posterior: Posterior, group: tuple[int, str], rows: pd.DataFrame, rng: np.random.Generator
+) -> pd.DataFrame:
+    values, repeatability = (
+        _draw_parameters(posterior, group, rows, rng),
+        posterior.draws(*group, "repeatability"),
+    )
+    response = predict_log_steps(posterior.result.joints[group[0]].law, rows, values)
+    if np.any(np.mean(np.isnan(response), axis=0) > INTERVAL_QUANTILES[0]):
+        raise InputError(
+            f"joint {group[0]}, direction {group[1]} may stall in a traverse that is to be predicted; "
+            "log more traverses, or leave this one out"
+        )
+    # A draw that stalls takes steps without end.
+    response = np.where(np.isnan(response), np.inf, response)
+    seen = response + repeatability[:, None] * _stratified_noise(response.shape, rng)
+    steps = np.exp(np.median(response, axis=0))
+    low, high = np.exp(np.quantile(seen, INTERVAL_QUANTILES, axis=0))
+    spread = np.nanstd(np.where(np.isinf(response), np.nan, response), axis=0)
+    columns = (steps, traverse_length(rows) / steps, spread, low, high)
+    known = _has_known_parameters(posterior, group)
+    found = {
+        name: column if known else np.nan for name, column in zip(PREDICTION_COLUMNS, columns, strict=True)
+    }
+    return pd.DataFrame(found, index=rows.index)
+
+
+def _stratified_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Standard normal noise, (d, n), its d numbers as even as can be: few give good quantiles."""
+    steps = ndtri((np.arange(shape[0]) + 0.5) / shape[0])
+    return rng.permuted(np.broadcast_to(steps[:, None], shape), axis=0)
+
+
+def _draw_parameters(
+    posterior: Posterior, group: tuple[int, str], rows: pd.DataFrame, rng: np.random.Generator
+) -> Array:
+    """Draws of each row's parameters, shape (d, n, p)."""
+    fitted, mean, spread = (posterior.draws(*group, name) for name in ("parameters", "mean", "spread"))
+    sessions = posterior.sessions(*group)
+    fresh = [each for each in rows["session"].astype(str).unique() if each not in sessions]
+    noise = rng.standard_normal((len(mean), len(fresh), mean.shape[1]))
+    to_come = mean[:, None] + spread[:, None] * noise
+    index = pd.Index([*sessions, *fresh]).get_indexer(rows["session"].astype(str))
+    return np.concatenate([fitted, to_come], axis=1)[:, index]
+
+
+def _has_known_parameters(posterior: Posterior, group: tuple[int, str]) -> bool:
+    fit = posterior.result.joints[group[0]]
+    return bool(fit.known[(fit.groups["direction"] == group[1]).to_numpy()].all())

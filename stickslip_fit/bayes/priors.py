@@ -1,0 +1,454 @@
+"""Data and priors of each joint and direction, and the priors of causes' parameters.
+
+Hyperparameters: campaign mean, spread between sessions, repeatability. The default priors are weak:
+they know the mean step size of the log and the largest plausible size of each cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import e
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.special import ndtr, ndtri
+
+from stickslip_fit._format import format_value
+from stickslip_fit._summary import Column, Table, numbers
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes import Cause, ExtendedLaw
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._optimize import Groups, group_rows, usable_rows
+from stickslip_fit.laws import Rows, StepLaw, published_law, traverse_length
+from stickslip_fit.logs import Log
+
+# Rows for which the law is evaluated at a time: enough to drown the cost of a call, and in cache.
+ROWS_PER_CHUNK = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class GroupData:
+    """What is fitted: log steps under a law.
+
+    Attributes
+    ----------
+    law : StepLaw
+    rows : DataFrame
+        The n rows.
+    groups : Groups
+        Their S sessions.
+    y, rounding : array, shape (n,)
+        log(steps) and the variance that the rounding adds; see `StepLaw.response`.
+    place : array of int, shape (S, m)
+        Positions of each session's rows, -1 beyond its last.
+    first, like : array of int
+        Rows of which no two are replicates, and for each row the place of its like among them.
+    """
+
+    law: StepLaw
+    rows: pd.DataFrame
+    groups: Groups
+    y: Array
+    rounding: Array
+    place: IntArray
+    first: IntArray
+    like: IntArray
+
+    def pad(self, column: Array, fill: float) -> Array:
+        """A column, shape (n, ...), session by session, shape (S, m, ...)."""
+        beyond = (self.place < 0).reshape(*self.place.shape, *[1] * (column.ndim - 1))
+        return np.where(beyond, fill, column[self.place])
+
+    def predict(self, values: Array) -> Array:
+        """log(steps) by each draw of the sessions' parameters, shape (d, S, p) -> (d, n); NaN at a stall."""
+        distinct = values[:, self.groups.of_row[self.first]]
+        return predict_log_steps(self.law, self.rows.iloc[self.first], distinct)[:, self.like]
+
+
+def iterate_groups(log: Log) -> Iterator[tuple[int, str, GroupData]]:
+    """Every joint and direction of a log with its usable traverses, under the published law.
+
+    Raises
+    ------
+    InputError
+        If no traverse is usable.
+    """
+    rows = usable_rows(log)
+    for joint in log.joints:
+        subset = rows[rows["joint"] == joint]
+        for direction in ("+", "-"):
+            these = subset[subset["direction"] == direction]
+            if len(these):
+                # Both directions have one law, whatever reaches each of them covers.
+                yield joint, direction, build_group_data(published_law(joint, subset, log.machine), these)
+
+
+def build_group_data(law: StepLaw, rows: pd.DataFrame) -> GroupData:
+    """Lay out the rows of one joint and direction."""
+    groups = group_rows(rows)
+    y, rounding = law.response(rows)
+    order = np.argsort(groups.of_row, kind="stable")
+    ends = np.cumsum(groups.sizes)
+    place = np.full((len(groups), int(groups.sizes.max())), -1)
+    within = np.arange(len(order)) - (ends - groups.sizes)[groups.of_row[order]]
+    place[groups.of_row[order], within] = order
+    alike = list(dict.fromkeys(["session", *law.columns, "start", "stop"]))
+    kind = rows.groupby(alike, dropna=False, observed=True, sort=False).ngroup().to_numpy()
+    _, first, like = np.unique(kind, return_index=True, return_inverse=True)
+    return GroupData(law, rows, groups, y, rounding, place, first, like)
+
+
+def predict_log_steps(law: StepLaw, rows: pd.DataFrame, values: Array) -> Array:
+    """log(steps) of n rows under d draws of their parameters, shape (d, n, p) -> (d, n)."""
+    draws, n, p = values.shape
+    at_a_time = min(max(ROWS_PER_CHUNK // n, 1), draws)
+    predict = _response_function(law, rows.iloc[np.tile(np.arange(n), at_a_time)])
+    found = np.empty((draws, n))
+    for first in range(0, draws, at_a_time):
+        # The last block reaches back, so that one laying out serves all blocks.
+        first = min(first, draws - at_a_time)
+        block = values[first : first + at_a_time].reshape(-1, p)
+        found[first : first + at_a_time] = predict(block).reshape(at_a_time, n)
+    return found
+
+
+def _response_function(law: StepLaw, rows: pd.DataFrame) -> Callable[[Array], Array]:
+    """log(steps) as a function of the values; without derivatives where these take most of the time."""
+    if not isinstance(law, ExtendedLaw):
+        model = law.model(rows)
+        return lambda values: model(values)[0]
+    steps = law.steps(rows)
+
+    def predict(values: Array) -> Array:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(steps(values))
+
+    return predict
+
+
+MAX_PRIOR_SD = 4.0  # standard deviations of the prior; beyond, a bound is as good as reached
+
+
+@dataclass(frozen=True, eq=False)
+class CausePriors:
+    """The prior of q parameters of causes.
+
+    A parameter between two bounds is even between them, in its logarithm where both are above 0; any other is
+    normal, as far as its bound lets it. A width of 0 holds a parameter at its centre.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+    centre, width, lower, upper : array, shape (q,)
+        SI.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    centre: Array
+    width: Array
+    lower: Array
+    upper: Array
+
+    def values(self, eta: Array) -> Array:
+        """Parameters at points that are standard normal under the prior, (..., q) -> (..., q).
+
+        Examples
+        --------
+        >>> numbers = np.array([[0.0, 0.0], [0.1, 1.0], [-np.inf, 60.0], [np.inf, 6000.0]])
+        >>> priors = CausePriors(("A", "tau"), ("%", "min"), *numbers)
+        >>> priors.values(np.array([1.0, 0.0])).tolist()
+        [0.1, 600.0]
+        """
+        columns = [self._value(j, eta[..., j]) for j in range(len(self.names))]
+        return np.stack(columns, axis=-1) if columns else np.zeros(eta.shape)
+
+    def at(self, values: Array) -> Array:
+        """Points at which parameters have these values, (..., q) -> (..., q); none beyond the plausible."""
+        places = [self._place(j, values[..., j]) for j in range(len(self.names))]
+        return (
+            np.clip(np.stack(places, axis=-1), -MAX_PRIOR_SD, MAX_PRIOR_SD)
+            if places
+            else np.zeros(values.shape)
+        )
+
+    def draw(self, size: int, rng: np.random.Generator) -> Array:
+        """Parameters from the prior, shape (size, q)."""
+        return self.values(rng.standard_normal((size, len(self.names))))
+
+    @property
+    def free(self) -> npt.NDArray[np.bool_]:
+        """Which parameters are not held, shape (q,)."""
+        return self.width > 0
+
+    def lines(self) -> list[list[str]]:
+        """Name, and range of 95 %, of each parameter, as people read it."""
+        low, high = (self.values(np.full(len(self.names), sign * 1.96)) for sign in (-1, 1))
+        told = []
+        for j, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            if self.free[j]:
+                told.append([name, f"{format_value(low[j], unit, 3)} to {format_value(high[j], unit, 3)}"])
+            else:
+                told.append([name, f"held at {format_value(self.centre[j], unit, 3)}"])
+        return told
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types that `from_json` reads; no bound is null."""
+        content = asdict(self)
+        for name in ("centre", "width", "lower", "upper"):
+            content[name] = [float(value) if np.isfinite(value) else None for value in content[name]]
+        return content
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> CausePriors:
+        """The priors that `to_json` wrote."""
+        nothing = {"lower": -np.inf, "upper": np.inf}
+        numbers = {
+            name: np.array([nothing.get(name) if value is None else value for value in content[name]], float)
+            for name in ("centre", "width", "lower", "upper")
+        }
+        return cls(tuple(content["names"]), tuple(content["units"]), **numbers)
+
+    def _value(self, j: int, eta: Array) -> Array:
+        centre, width, low, high = self.centre[j], self.width[j], self.lower[j], self.upper[j]
+        if not width or not np.isfinite([low, high]).any():
+            return centre + width * eta
+        if np.isfinite([low, high]).all():
+            even = ndtr(eta)
+            return low * (high / low) ** even if low > 0 else low + (high - low) * even
+        below, above = ndtr((low - centre) / width), ndtr((high - centre) / width)
+        return centre + width * ndtri(below + (above - below) * ndtr(eta))
+
+    def _place(self, j: int, value: Array) -> Array:
+        centre, width, low, high = self.centre[j], self.width[j], self.lower[j], self.upper[j]
+        if not width:
+            return np.zeros_like(value)
+        if not np.isfinite([low, high]).any():
+            return (value - centre) / width
+        if np.isfinite([low, high]).all():
+            share = np.log(value / low) / np.log(high / low) if low > 0 else (value - low) / (high - low)
+            return np.asarray(ndtri(np.clip(share, 0.0, 1.0)))
+        below, above = ndtr((low - centre) / width), ndtr((high - centre) / width)
+        share = (ndtr((value - centre) / width) - below) / (above - below)
+        return np.asarray(ndtri(np.clip(share, 0.0, 1.0)))
+
+
+def weak_cause_priors(law: ExtendedLaw, chosen: Array, rows: pd.DataFrame) -> CausePriors:
+    """Priors as wide as the largest plausible sizes of a law's causes.
+
+    Parameters
+    ----------
+    law : ExtendedLaw
+    chosen : array, shape (q,)
+        Where parameters that are chosen among trials, such as a moment, are held.
+    rows : DataFrame
+        Of the log.
+    """
+    width = np.concatenate([_prior_width(cause, rows) for cause in law.causes])
+    sudden = np.array([each.sudden for each in law.common])
+    return CausePriors(
+        names=tuple(each.name for each in law.common),
+        units=tuple(each.unit for each in law.common),
+        centre=np.where(sudden, chosen, law.absent),
+        width=np.where(sudden, 0.0, width),
+        lower=np.array([each.lower for each in law.common]),
+        upper=np.array([each.upper for each in law.common]),
+    )
+
+
+def _prior_width(cause: Cause, rows: pd.DataFrame) -> Array:
+    """How far each parameter may plausibly be from no effect, shape (q,)."""
+    absent = np.array(cause.absent, dtype=float)
+    sizes: Sequence[Array] = cause.largest()
+    if not sizes:
+        trials = np.concatenate([values for version, values in cause.trials(rows) if version == cause])
+        most = np.where(np.arange(len(absent)) == 0, cause.most, 1.0)
+        sizes = list(absent + most * (trials - absent))
+    return np.maximum(np.max(np.abs(np.array(sizes) - absent), axis=0), cause.scale)
+
+
+Group = tuple[int, str]
+
+# Shares of what changes a step by its own size, see `StepLaw.scales`.
+PRIOR_WIDTH = 0.5
+PRIOR_SPREAD = 0.02
+PRIOR_REPEATABILITY = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """The prior of one joint and direction.
+
+    A session's parameters are normal about the campaign's mean. The mean is normal itself; how much the
+    parameters spread from session to session, and the repeatability, are log-normal.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the law's p parameters.
+    centre, width : array, shape (p,)
+        Mean and standard deviation of the campaign's mean, SI.
+    spread : array, shape (p,)
+        Median of the standard deviation between sessions, SI.
+    repeatability : float
+        Median of the standard deviation of log(steps).
+    spread_factor, repeatability_factor : float
+        One standard deviation of their logarithms, as a factor.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    centre: Array
+    width: Array
+    spread: Array
+    repeatability: float
+    spread_factor: float = e
+    repeatability_factor: float = e
+
+    def levels(self, x: Array) -> tuple[Array, Array]:
+        """Spread, shape (..., p), and repeatability, shape (...,), at standard normal x, (..., p + 1)."""
+        spread = self.spread * self.spread_factor ** x[..., :-1]
+        return spread, self.repeatability * self.repeatability_factor ** x[..., -1]
+
+    def draw(self, size: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Campaign means, (size, p), spreads, (size, p), and repeatabilities, (size,), from the prior."""
+        spread, repeatability = self.levels(rng.standard_normal((size, len(self.centre) + 1)))
+        return self.centre + self.width * rng.standard_normal(spread.shape), spread, repeatability
+
+
+@dataclass(frozen=True)
+class Priors:
+    """The priors of a fit; prints as a table.
+
+    Attributes
+    ----------
+    of : mapping of (int, str) to Prior
+        By joint and direction.
+    causes : CausePriors or None
+        Where the laws have causes in them.
+    """
+
+    of: Mapping[Group, Prior]
+    causes: CausePriors | None = None
+
+    def __str__(self) -> str:
+        return "\n\n".join(table.as_text() for table in self.tables())
+
+    def tables(self) -> tuple[Table, ...]:
+        """Those of sessions, and those of causes where there are some."""
+        heads = ("joint", "direction", "parameter")
+        columns = (
+            *(Column(head, text=True) for head in heads),
+            *numbers("campaign mean", "between sessions (95 %)"),
+        )
+        rows = tuple(tuple(line) for group, prior in self.of.items() for line in _prior_lines(group, prior))
+        session_values = Table("Priors", columns, rows, stubs=len(heads))
+        if self.causes is None:
+            return (session_values,)
+        columns = (Column("cause", text=True), Column("for the whole campaign (95 %)"))
+        rows = tuple(tuple(line) for line in self.causes.lines())
+        return session_values, Table("Priors of causes", columns, rows)
+
+    def prior(self, joint: int, direction: str) -> Prior:
+        """The prior of a joint and direction.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if (joint, direction) not in self.of:
+            raise InputError(f"the priors have no entry for joint {joint}, direction {direction}; add one")
+        return self.of[joint, direction]
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain JSON types that `from_json` reads."""
+        of_causes = [] if self.causes is None else [{"causes": self.causes.to_json()}]
+        return of_causes + [
+            {"joint": joint, "direction": direction}
+            | {
+                name: value.tolist() if isinstance(value, np.ndarray) else value
+                for name, value in asdict(prior).items()
+            }
+            for (joint, direction), prior in self.of.items()
+        ]
+
+    @classmethod
+    def from_json(cls, content: list[dict[str, Any]]) -> Priors:
+        """The priors that `to_json` wrote."""
+        causes = [CausePriors.from_json(item["causes"]) for item in content if "causes" in item]
+        of = {
+            (item["joint"], item["direction"]): _prior_from_json(item) for item in content if "joint" in item
+        }
+        return cls(of, *causes)
+
+
+def weak_prior(law: StepLaw, rows: Rows) -> Prior:
+    """A prior that knows no more than how long a step is in these rows.
+
+    The campaign's mean may be anywhere within the step size or so of a law without effects; sessions
+    differ by 2 % of a step within a factor of 7 either way, and a count repeats to 0.3 %, as widely.
+    """
+    y, _ = law.response(rows)
+    step = np.exp(np.mean(np.log(traverse_length(rows)) - y, keepdims=True))
+    scale = law.scales(step)[0]
+    return Prior(
+        names=tuple(parameter.name for parameter in law.parameters),
+        units=tuple(parameter.unit for parameter in law.parameters),
+        centre=law.start_values(step)[0],
+        width=PRIOR_WIDTH * scale,
+        spread=PRIOR_SPREAD * scale,
+        repeatability=PRIOR_REPEATABILITY,
+    )
+
+
+def weak_priors(log: Log) -> Priors:
+    """The prior of `weak_prior` for every joint and direction of a log; change what you know better.
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse.
+    """
+    return Priors(
+        {
+            (joint, direction): weak_prior(traverses.law, traverses.rows)
+            for joint, direction, traverses in iterate_groups(log)
+        }
+    )
+
+
+def _prior_lines(group: Group, prior: Prior) -> list[list[str]]:
+    joint, direction = group
+    lines = []
+    for name, unit, centre, width, spread in zip(
+        prior.names, prior.units, prior.centre, prior.width, prior.spread, strict=True
+    ):
+        digits = 3 if unit in ("1", "µrad/mm") else 1
+        mean = f"{format_value(centre, unit, digits)} ± {format_value(width, unit, digits)}"
+        lines.append(
+            [str(joint), direction, name, mean, _format_range(spread, prior.spread_factor, unit, digits)]
+        )
+    noise = _format_range(prior.repeatability, prior.repeatability_factor, "%", 2)
+    return [*lines, [str(joint), direction, "repeatability", "", noise]]
+
+
+def _format_range(median: float, factor: float, unit: str, digits: int) -> str:
+    low, high = median * factor**-1.96, median * factor**1.96
+    return f"{format_value(low, unit, digits)} to {format_value(high, unit, digits)}"
+
+
+def _prior_from_json(item: dict[str, Any]) -> Prior:
+    return Prior(
+        names=tuple(item["names"]),
+        units=tuple(item["units"]),
+        centre=np.array(item["centre"]),
+        width=np.array(item["width"]),
+        spread=np.array(item["spread"]),
+        repeatability=item["repeatability"],
+        spread_factor=item["spread_factor"],
+        repeatability_factor=item["repeatability_factor"],
+    )

@@ -1,0 +1,235 @@
+"""Interfaces of a rig: Controller, EndStopDetector, AudioSource and Clock.
+
+Joints 1, 2 and 3 are driven by the channels A, B and C. `VirtualClock` advances when someone waits for
+it, so that an emulated campaign takes no time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit.errors import InputError
+
+
+class ControllerError(InputError):
+    """The controller refused or did not answer; says which joint, which command, its words, what to do."""
+
+
+class ConnectionLost(ControllerError):
+    """The connection to the controller is lost."""
+
+
+class Controller(Protocol):
+    """An open-loop controller of a few joints."""
+
+    def step(self, joint: int, steps: int) -> None:
+        """Make coarse steps, and return when they are made.
+
+        Parameters
+        ----------
+        joint : int
+            1, 2 or 3.
+        steps : int
+            More than 0 in direction ``+``, less in ``-``.
+
+        Raises
+        ------
+        ControllerError
+            If the controller refuses, or doesn't answer in time.
+        Unplugged
+            If the connection is lost.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop whatever moves, at once."""
+        ...
+
+    def version(self) -> str:
+        """The controller's name for itself and its firmware; empty where it has none."""
+        ...
+
+    def close(self) -> None:
+        """Give the connection back."""
+        ...
+
+
+CHANNELS = {1: "A", 2: "B", 3: "C"}
+STEP_PERIOD = 0.010  # s
+
+
+def channel_of(joint: int) -> str:
+    """The channel that drives a joint.
+
+    Raises
+    ------
+    InputError
+        For a joint that is none of 1, 2, 3.
+    """
+    if joint not in CHANNELS:
+        raise InputError(f"joint {joint} is none of 1, 2, 3; correct the plan")
+    return CHANNELS[joint]
+
+
+def split_move(steps: int, most: int) -> Iterator[int]:
+    """A move in parts that a single command can hold.
+
+    Examples
+    --------
+    >>> list(split_move(-250, 100))
+    [-100, -100, -50]
+    """
+    left = abs(steps)
+    while left:
+        part = min(left, most)
+        left -= part
+        yield part if steps > 0 else -part
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What the sound of the steps just made says.
+
+    Attributes
+    ----------
+    at_stop : bool
+        The joint has run into its stop.
+    level : float
+        Power in the tuned band over the running baseline of this traverse, dB; NaN while there is none.
+    fault : str
+        Empty, or a sentence on why nothing can be said, which must end the move: sound was lost, the
+        microphone clips or is dead.
+    late_checks : int
+        Where `at_stop`: how many checks ago the stop was first heard. A stop is believed once it is heard
+        twice; a count that means the first check after the stop leaves out the steps of so many checks.
+    """
+
+    at_stop: bool
+    level: float
+    fault: str = ""
+    late_checks: int = 0
+
+
+class EndStopDetector(Protocol):
+    """Listens to one traverse at a time."""
+
+    def begin(self) -> None:
+        """A new traverse: forget the one before."""
+
+    def check(self, seconds: float) -> Detection:
+        """What the last so many seconds of sound say, those of the steps made since the check before."""
+
+    def close(self) -> None:
+        """Let go of whatever the sound comes from."""
+
+
+Sound = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A stretch of sound.
+
+    Attributes
+    ----------
+    values : array of float32, shape (n,)
+        Full scale is 1; fewer than were asked for where the sound has ended.
+    overflowed : bool
+        Whether sound was lost before or within these samples.
+    """
+
+    values: Sound
+    overflowed: bool = False
+
+
+class AudioSource(Protocol):
+    """Sound as it comes; each sample is handed out at most once.
+
+    Attributes
+    ----------
+    rate : int
+        Samples per second.
+    """
+
+    rate: int
+
+    def read(self, seconds: float) -> Samples:
+        """The newest so many seconds, waiting for what has not been heard yet; older ones are dropped."""
+
+    def close(self) -> None:
+        """Let go of the device or the file."""
+
+
+VIRTUAL_START = datetime(2012, 3, 5, 8, 30, tzinfo=UTC)
+
+
+class Clock(Protocol):
+    """Tells the time and waits."""
+
+    def now(self) -> float:
+        """Seconds since some moment; never runs backwards."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
+
+    def today(self) -> datetime:
+        """Date and time of day, UTC."""
+        ...
+
+
+class RealClock:
+    """The computer's clock."""
+
+    def now(self) -> float:
+        """Seconds since some moment; never runs backwards."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(max(seconds, 0.0))
+
+    def today(self) -> datetime:
+        """Date and time of day, UTC."""
+        return datetime.now(UTC)
+
+
+class VirtualClock:
+    """A clock that moves only when somebody waits by it, and then at once.
+
+    Parameters
+    ----------
+    begins : datetime
+        Date and time at its second 0, with a time zone.
+
+    Examples
+    --------
+    >>> clock = VirtualClock()
+    >>> clock.sleep(90)
+    >>> clock.now(), clock.today().isoformat()
+    (90.0, '2012-03-05T08:31:30+00:00')
+    """
+
+    def __init__(self, begins: datetime = VIRTUAL_START) -> None:
+        self.begins = begins
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Seconds since it began."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """Move on by so much; what is less than 0 is 0."""
+        self._now += max(seconds, 0.0)
+
+    def today(self) -> datetime:
+        """Date and time of day, UTC."""
+        return self.begins.astimezone(UTC) + timedelta(seconds=self._now)

@@ -1,0 +1,370 @@
+"""Options and arguments shared by the commands, and their parsing."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shlex
+import sys
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stickslip_fit.errors import InputError, InputIssue
+
+if TYPE_CHECKING:
+    from stickslip_fit._typing import Array
+    from stickslip_fit.bayes import Posterior
+    from stickslip_fit.estimation import Result
+    from stickslip_fit.logs import Log
+    from stickslip_fit.logs.plan import Plan
+    from stickslip_fit.machine import Machine
+    from stickslip_fit.moves import CalibratedArm, DriveCommand
+    from stickslip_fit.simulation import LawValues
+
+LogPath = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them."),
+]
+MachinePath = Annotated[
+    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
+]
+Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
+Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
+Chart = Annotated[
+    Path | None, typer.Option("--chart", help="Also draw the control chart here: .png, .svg or .pdf.")
+]
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")]
+Calibration = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG|RESULT", help="A campaign log to fit, or a result saved with `fit --json`."),
+]
+Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
+Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
+Psi = Annotated[float, typer.Option(help="Base turned about y, degrees.")]
+At = Annotated[str, typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm.")]
+Condition = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--condition",
+        metavar="NAME=VALUE",
+        help="What a law with causes looks at, e.g. session_min=30 or temperature_C=23; repeatable.",
+    ),
+]
+CauseNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--cause", metavar="NAME", help="Fit this cause with the laws, e.g. thermal-warm-up; repeatable."
+    ),
+]
+CausesFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--causes-from",
+        metavar="RESULT",
+        help="Closed form: take the causes of this saved result for known, with its error bars.",
+    ),
+]
+
+
+class Method(StrEnum):
+    """How to fit."""
+
+    closed_form = "closed-form"
+    least_squares = "least-squares"
+    bayes = "bayes"
+
+
+class Dialect(StrEnum):
+    """What the controller speaks."""
+
+    new = "new"
+    old = "old"
+    anc300 = "anc300"
+
+
+Port = Annotated[str | None, typer.Option(help="Serial port of the controller; VISA resource of an ANC300.")]
+DialectOption = Annotated[Dialect, typer.Option(help="What the controller speaks.")]
+Device = Annotated[str | None, typer.Option(help="Microphone: its name, a part of it, or its number.")]
+Ratio = Annotated[float, typer.Option(help="Emulated: how loud the stop is, dB over the room.")]
+
+
+def reject_options(options: Mapping[str, object], where: str) -> None:
+    """Refuse options that mean nothing where they are given.
+
+    Raises
+    ------
+    InputError
+    """
+    for option, value in options.items():
+        if value:
+            raise InputError(f"{option} means nothing {where}; leave it out")
+
+
+def require_option[Value](value: Value | None, option: str) -> Value:
+    """Ask for an option that is needed.
+
+    Raises
+    ------
+    InputError
+    """
+    if value is None:
+        raise InputError(f"give {option}")
+    return value
+
+
+_DRIVE_PATTERN = re.compile(r"([123])([+-])([1-9]\d{0,11})")
+_BOUND_PATTERN = re.compile(r"([^=]+)=([^:]*):([^:]*)")
+_REPEATABILITY_PATTERN = re.compile(r"(?:([123])([+-])=)?(\d{1,6}(?:\.\d{1,12})?|\.\d{1,12})")
+
+
+def command_line() -> str:
+    """The command as it was typed, without the path of the program."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def load_log(
+    paths: list[Path], machine: Path | None, since: str | None = None, until: str | None = None
+) -> Log:
+    """Read the log that the paths name."""
+    from stickslip_fit.logs import read_log
+    from stickslip_fit.machine import load_machine
+
+    return read_log(paths, machine=load_machine(machine), since=since, until=until)
+
+
+def load_or_fit_result(paths: list[Path], machine: Path | None) -> Result:
+    """A saved result, or the least-squares fit of a log."""
+    from stickslip_fit.estimation import fit_least_squares, load_result
+
+    if len(paths) == 1 and paths[0].suffix == ".json":
+        if machine is not None:
+            raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
+        return load_result(paths[0])
+    return fit_least_squares(load_log(paths, machine), command=command_line())
+
+
+def load_fit(paths: list[Path], machine: Path | None) -> tuple[Result | Posterior, Result]:
+    """What to predict with: draws saved with `fit --tree`, or a result; and the result in any case."""
+    if len(paths) == 1 and paths[0].suffix == ".nc":
+        from stickslip_fit.bayes import load_posterior
+
+        if machine is not None:
+            raise InputError("saved draws carry their own machine: leave --machine out, or give the log")
+        posterior = load_posterior(paths[0])
+        return posterior, posterior.result
+    result = load_or_fit_result(paths, machine)
+    return result, result
+
+
+def load_law_values(path: Path, machine: Machine, plan: Plan) -> LawValues:
+    """What is to be true in a simulated plan: a law file, or a saved result.
+
+    Sessions that a saved result does not know get the parameters of its latest.
+
+    Raises
+    ------
+    InputError
+        If a saved result was fitted for another machine.
+    """
+    from stickslip_fit.estimation import load_result
+    from stickslip_fit.simulation import LawValues, read_law_values
+
+    if path.suffix != ".json":
+        return read_law_values(path, machine)
+    result = load_result(path)
+    if result.machine.sha256 != machine.sha256:
+        raise InputError(
+            InputIssue(
+                f"was fitted for the machine {result.machine.name!r}; pass that with --machine", str(path)
+            )
+        )
+    values: dict[tuple[int, str, str | None], Array] = {}
+    planned = {session.label for session in plan.sessions}
+    for joint, fit in result.joints.items():
+        for (session, direction), known, row in zip(
+            fit.groups[["session", "direction"]].itertuples(index=False), fit.known, fit.values, strict=True
+        ):
+            if known.all():
+                values[joint, direction, None] = row
+                if session in planned:
+                    values[joint, direction, session] = row
+    return LawValues({joint: fit.law for joint, fit in result.joints.items()}, values)
+
+
+def load_arm(
+    paths: list[Path],
+    machine: Path | None,
+    session: str | None,
+    theta: float,
+    psi: float,
+    conditions: list[str] | None,
+) -> CalibratedArm:
+    """One session's calibration with the base turned by `theta` and `psi`, degrees."""
+    from stickslip_fit.moves import calibrated_arm
+    from stickslip_fit.moves.arm import check_conditions, parse_conditions
+    from stickslip_fit.units import to_si
+
+    result = load_or_fit_result(paths, machine)
+    known = parse_conditions(conditions or (), result, "--condition")
+    check_conditions(result, known, "--condition")
+    return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), known)
+
+
+def parse_plan_conditions(conditions: list[str] | None, result: Result) -> dict[str, float]:
+    """What the laws of a result look at, where the traverses of a plan do not say it themselves."""
+    from stickslip_fit.moves.arm import check_conditions, parse_conditions
+
+    known = parse_conditions(conditions or (), result, "--condition")
+    for name in {"session_seconds", "step_period"} & known.keys():
+        raise InputError(
+            InputIssue("a plan says that itself: leave it out", column="--condition", value=name)
+        )
+    check_conditions(result, {**known, "session_seconds": math.nan}, "--condition")
+    return known
+
+
+def parse_positions(text: str, option: str) -> Array:
+    """Joint positions "Q1,Q2,Q3" in deg, deg and mm."""
+    import numpy as np
+
+    from stickslip_fit.units import to_si
+
+    q1, q2, q3 = _parse_three_numbers(text, option, "three numbers Q1,Q2,Q3 in deg,deg,mm, e.g. 0,-90,6")
+    return np.array([to_si(q1, "deg"), to_si(q2, "deg"), to_si(q3, "mm")])
+
+
+def parse_tip_position(text: str, option: str) -> Array:
+    """A tip position "X,Y,Z" in mm, base frame."""
+    import numpy as np
+
+    from stickslip_fit.units import to_si
+
+    numbers = _parse_three_numbers(text, option, "three numbers X,Y,Z in mm, e.g. 50,0,10")
+    return np.array([to_si(value, "mm") for value in numbers])
+
+
+def parse_joint_order(text: str, option: str) -> tuple[int, ...]:
+    """Joints in the order in which they move, e.g. "3,1,2"."""
+    parts = tuple(part.strip() for part in text.split(","))
+    if sorted(parts) != ["1", "2", "3"]:
+        raise InputError(InputIssue("give each joint once, e.g. 3,2,1", column=option, value=text))
+    return tuple(int(part) for part in parts)
+
+
+def parse_drive(text: str, option: str) -> DriveCommand:
+    """A drive such as "3+5000": joint, direction, steps."""
+    from stickslip_fit.moves import DriveCommand
+
+    match = _DRIVE_PATTERN.fullmatch(text.strip())
+    if match is None:
+        raise InputError(
+            InputIssue(
+                "give joint, direction and 1 or more steps, e.g. 3+5000 or 2-1200", column=option, value=text
+            )
+        )
+    return DriveCommand(int(match[1]), match[2], int(match[3]))
+
+
+def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
+    """Bounds such as "c=0:" or "b=0.2:0.4": a parameter's name, lowest and highest value in its unit."""
+    from stickslip_fit.causes import ExtendedLaw, library
+    from stickslip_fit.laws import Base, Elbow, Prismatic
+    from stickslip_fit.units import to_si
+
+    laws = (Base, Elbow, Prismatic)
+    own = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
+    units = own | {each.name: each.unit for each in ExtendedLaw(Prismatic(), library()).common}
+    match = _BOUND_PATTERN.fullmatch(text.strip())
+    if match is None or match[1] not in units or not (match[2] or match[3]):
+        names = ", ".join([*own, "CAUSE.PARAMETER"])
+        raise InputError(
+            InputIssue(
+                f"give NAME=LOW:HIGH, e.g. b=0.2:0.4 or c=0:; names: {names}", column=option, value=text
+            )
+        )
+    try:
+        low, high = float(match[2] or "-inf"), float(match[3] or "inf")
+    except ValueError:
+        raise InputError(InputIssue("give numbers, e.g. b=0.2:0.4", column=option, value=text)) from None
+    return match[1], (to_si(low, units[match[1]]), to_si(high, units[match[1]]))
+
+
+def parse_repeatabilities(texts: tuple[str, ...], option: str) -> dict[tuple[int, str], float]:
+    """Repeatabilities such as "0.3" (of every joint and direction) or "3+=0.25", in per cent."""
+    found: dict[tuple[int, str], float] = {}
+    for text in texts:
+        match = _REPEATABILITY_PATTERN.fullmatch(text.strip())
+        if match is None:
+            raise InputError(
+                InputIssue("give per cent, e.g. 0.3, or for one drive 3+=0.3", column=option, value=text)
+            )
+        drives = (
+            [(int(match[1]), match[2])]
+            if match[1]
+            else [(j, direction) for j in (1, 2, 3) for direction in "+-"]
+        )
+        found |= dict.fromkeys(drives, float(match[3]) / 100)
+    return found
+
+
+def default_output(paths: list[Path]) -> Path:
+    """Where a report of these paths goes: reports/, named after the log."""
+    folder = Path("reports")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            InputIssue(f"cannot be made here ({error.strerror}); name a file with -o", str(folder))
+        ) from None
+    return folder / f"{paths[0].resolve().stem}.html"
+
+
+def reference_campaign() -> Path:
+    """The simulated campaign that the demo runs on, in a checkout or in an installed package.
+
+    Raises
+    ------
+    InputError
+        If it is in neither.
+    """
+    package = Path(__file__).parents[1]
+    for folder in (package.parent / "data", package / "data"):
+        found = folder / "reference" / "campaign.csv"
+        if found.exists():
+            return found
+    raise InputError("the reference campaign is not installed; give a log of your own")
+
+
+def reference_law() -> Path:
+    """The laws that are true in the simulated campaign: about right where nobody knows better.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    return reference_campaign().with_name("law.toml")
+
+
+def has_browser() -> bool:
+    """Whether a person sits in front of a screen that can show a page."""
+    screen = (
+        sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    return bool(screen) and sys.stdout.isatty()
+
+
+def _parse_three_numbers(text: str, option: str, wanted: str) -> tuple[float, float, float]:
+    try:
+        first, second, third = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (first, second, third))):
+            raise ValueError
+    except ValueError:
+        raise InputError(InputIssue(f"give {wanted}", column=option, value=text)) from None
+    return first, second, third

@@ -1,0 +1,138 @@
+"""Commands on calibration strategies: compare, study."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stickslip_fit._io import check_folder
+from stickslip_fit.cli._options import LogPath, MachinePath, Since, Until, command_line, load_log
+from stickslip_fit.cli.fit import select_named_causes
+from stickslip_fit.errors import InputError
+
+
+def compare(
+    log: LogPath,
+    earlier: Annotated[
+        bool, typer.Option("--earlier", help="Look back on earlier sessions only, not on all others.")
+    ] = False,
+    more: Annotated[
+        int, typer.Option(min=1, help="Traverses beyond the parameters, where least squares takes more.")
+    ] = 4,
+    cause: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--cause", metavar="NAME", help="Also with this cause, fitted to the other sessions; repeatable."
+        ),
+    ] = None,
+    causes_from: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT", help="Also with the causes of this result of another log."),
+    ] = None,
+    numbers: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Save every number there, as CSV and Parquet.")
+    ] = None,
+    chart: Annotated[
+        Path | None, typer.Option("--chart", help="Draw time against error here: .png, .svg or .pdf.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the traverses chosen at random.")] = 0,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+) -> None:
+    """Say which way to calibrate buys how much accuracy, and in how many minutes."""
+    from stickslip_fit.estimation import load_result
+    from stickslip_fit.plotting._style import check_suffix, write_figure
+    from stickslip_fit.plotting.strategies import plot_pareto
+    from stickslip_fit.strategies import (
+        causes_from_other_sessions,
+        causes_from_result,
+        compare_strategies,
+        default_strategies,
+        default_strategies_with_causes,
+        earlier_sessions,
+        other_sessions,
+        save_comparison,
+    )
+
+    for path in (numbers, chart):
+        if path is not None:
+            check_folder(path)
+    if chart is not None:
+        check_suffix(chart)
+    if cause and causes_from is not None:
+        raise InputError("--cause and --causes-from exclude each other: give one of them")
+    campaign = load_log(log, machine, since, until)
+    session_selector = earlier_sessions if earlier else other_sessions
+    compared = default_strategies(more, seed)
+    if cause:
+        known = causes_from_other_sessions(campaign, select_named_causes(cause, campaign), session_selector)
+        compared += default_strategies_with_causes(known, more)
+    if causes_from is not None:
+        known = causes_from_result(campaign, load_result(causes_from))
+        compared += default_strategies_with_causes(known, more)
+    found = compare_strategies(campaign, compared, session_selector=session_selector, command=command_line())
+    told = [found.summary().as_text(full=True)]
+    if numbers is not None:
+        written = save_comparison(found, numbers)
+        told.append(f"{len(written)} tables saved in {numbers}")
+    if chart is not None:
+        write_figure(plot_pareto(found), chart, "pareto")
+        told.append(f"chart written to {chart}")
+    print("\n\n".join(told))
+
+
+def study(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a study (TOML).")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder that keeps finished campaigns, numbers and charts."),
+    ] = None,
+    campaigns: Annotated[
+        int | None, typer.Option(min=1, help="Of each scenario, instead of what the plan says.")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Run on this Dask cluster.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; one a core without it.")
+    ] = None,
+    machine: MachinePath = None,
+) -> None:
+    """Simulate campaigns in which something is hidden, and say which calibration survives what.
+
+    What is finished is kept in the folder (by default named after the plan, in reports/): the same command
+    carries on where it was interrupted.
+    """
+    from dataclasses import replace
+
+    from stickslip_fit.machine import load_machine
+    from stickslip_fit.plotting._style import write_figure
+    from stickslip_fit.plotting.strategies import plot_study_errors, plot_study_tips
+    from stickslip_fit.studies import Cluster, Cores, read_study, run_study, save_study
+    from stickslip_fit.studies.study import make_folder
+
+    if cluster is not None and workers is not None:
+        raise InputError("--cluster and --workers exclude each other: a cluster has its own workers")
+    planned = read_study(plan, load_machine(machine))
+    if campaigns is not None:
+        planned = replace(planned, campaigns=campaigns)
+    if output is None:
+        make_folder(Path("reports"))
+    folder = output or Path("reports", plan.resolve().stem)
+    make_folder(folder)
+    backend = Cores(workers or -1) if cluster is None else Cluster(cluster)
+    try:
+        found = run_study(planned, folder, backend, progress=True, command=command_line())
+    except KeyboardInterrupt:
+        print(f"\ninterrupted; the same command carries on from what {folder} keeps", file=sys.stderr)
+        raise
+    written = save_study(found, folder)
+    charts = {"errors": plot_study_errors} | ({"tips": plot_study_tips} if planned.moves else {})
+    for name, plot in charts.items():
+        write_figure(plot(found), folder / f"{name}.png", name)
+    saved = f"{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}"
+    print(f"{found}\n\n{saved}")

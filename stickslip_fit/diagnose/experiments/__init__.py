@@ -1,1 +1,0 @@
-"""What traverses yet to be made could tell."""

@@ -1,1 +1,0 @@
-"""How large what was found is."""

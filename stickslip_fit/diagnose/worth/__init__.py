@@ -1,1 +1,0 @@
-"""What an extension gains on traverses that it has not seen."""

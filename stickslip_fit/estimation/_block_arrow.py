@@ -1,0 +1,307 @@
+"""Least squares with parameters shared by many groups: the normal equations are block-arrow-shaped.
+
+Each group's own parameters are a block, the shared ones the border; eliminating the blocks leaves a
+small system, so that time and memory grow linearly with the groups. `minimize_shared` minimizes over
+the blocks for given shared values (variable projection: G. Golub and V. Pereyra, SIAM J. Numer. Anal.
+10:413, 1973; L. Kaufman, BIT 15:49, 1975). `solve_block_arrow` takes Gauss-Newton steps in all
+parameters from a good start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.estimation._optimize import (
+    RANK_TOL,
+    Groups,
+    Minimum,
+    NormalEquations,
+    Objective,
+    SingularFactors,
+    factorise_products,
+    products_by_group,
+    search,
+)
+from stickslip_fit.estimation.identifiability import identifiable_parameters
+from stickslip_fit.laws.base import Model
+
+# Own parameters enter nearly linearly and are to keep up with the shared ones, so that these search the
+# profile of the sum of squares (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10:413, 1973).
+OWN_DAMPING = 1e-4
+OFFSET_TOL = 1e-5  # where causes bend the laws, the rounding of the sum of squares hides much smaller ones
+
+
+@dataclass(frozen=True)
+class ParameterSharing:
+    """Which parameters are shared, and by which groups.
+
+    Attributes
+    ----------
+    parameters : array of bool, shape (p,)
+    sets : Groups
+        Groups that use the same shared values: its `of_row` gives the set, of h, of each group.
+    """
+
+    parameters: BoolArray
+    sets: Groups
+
+    def total(self, values: Array) -> Array:
+        """Sum over the groups of each set, shape (g, ...) -> (h, ...)."""
+        total = np.zeros((len(self.sets), *values.shape[1:]))
+        np.add.at(total, self.sets.of_row, values)
+        return total
+
+    def spread(self, values: Array, total: Array) -> Array:
+        """Values, shape (g, p), with the shared columns from those of each set, shape (h, q)."""
+        spread = values.copy()
+        spread[:, self.parameters] = total[self.sets.of_row]
+        return spread
+
+    def averaged(self, values: Array) -> Array:
+        """Values with each shared column at its mean over the set, shape (g, p)."""
+        return self.spread(values, self.total(values[:, self.parameters]) / self.sets.sizes[:, None])
+
+    def summed(self, values: Array) -> Array:
+        """Values with each shared column summed over the set, shape (g, p)."""
+        return self.spread(values, self.total(values[:, self.parameters]))
+
+
+def share_by_direction(names: tuple[str, ...], shared: tuple[str, ...], groups: Groups) -> ParameterSharing:
+    """Parameters that have one value in each direction, whatever the session."""
+    set_of_group, directions = pd.factorize(groups.table["direction"])
+    sets = Groups(pd.DataFrame({"direction": directions}), set_of_group)
+    return ParameterSharing(np.array([name in shared for name in names]), sets)
+
+
+def share_with_all(parameters: BoolArray, groups: Groups) -> ParameterSharing:
+    """Parameters that have one value in all groups."""
+    return ParameterSharing(parameters, Groups(pd.DataFrame({"set": [0]}), np.zeros(len(groups), np.intp)))
+
+
+def solve_block_arrow(
+    model: Model,
+    y: Array,
+    weight: Array,
+    groups: Groups,
+    sharing: ParameterSharing,
+    start: Array,
+    scales: Array,
+    *,
+    lower: Array | float = -np.inf,
+    upper: Array | float = np.inf,
+    tolerance: float = 1e-8,
+    offset_tol: float = OFFSET_TOL,
+    most: int = 2000,
+) -> Minimum:
+    """Minimise the sum of weight (y - model)^2 over each group's own and the shared parameters.
+
+    Parameters
+    ----------
+    model : callable
+        Values of each row's group, shape (n, p), to responses and derivatives; see `StepLaw.model`.
+    y, weight : array, shape (n,)
+    groups : Groups
+    sharing : ParameterSharing
+    start, scales : array, shape (g, p)
+        Shared parameters begin at the mean over their groups.
+    lower, upper : array, broadcast to shape (g, p), optional
+    tolerance, most : float, int, optional
+        See `minimise`; a set of groups converges as one.
+    offset_tol : float, optional
+        A set has also converged with an undamped step from where the relative offset, about the distance to
+        the minimum in standard errors, is less than this.
+
+    Returns
+    -------
+    Minimum
+        As of `minimise`; shared values stand in each of their groups, `curvature` is that of
+        `shared_curvature`, and the rank of the shared ones is dealt out over the groups of a set.
+    """
+    low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
+    objective = _BlockArrow(
+        model, y, weight, groups, sharing.averaged(scales), low, high, RANK_TOL, tolerance, offset_tol,
+        sharing=sharing,
+    )  # fmt: skip
+    return search(objective, sharing.averaged(start), 0.0, most)
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockArrow(Objective):
+    """Sums of squares in which the groups of a set move together."""
+
+    sharing: ParameterSharing = field(kw_only=True)
+
+    @property
+    def sizes(self) -> IntArray:
+        """See `Objective.sizes`."""
+        return np.bincount(self.sharing.sets.of_row, self.groups.sizes, len(self.sharing.sets)).astype(
+            np.intp
+        )
+
+    def of_group[T: np.generic](self, values: npt.NDArray[T]) -> npt.NDArray[T]:
+        """See `Objective.of_group`."""
+        return values[self.sharing.sets.of_row]
+
+    def of_unit(self, values: Array) -> Array:
+        """See `Objective.of_unit`."""
+        return self.sharing.sets.sums(values)
+
+    def largest(self, values: Array) -> Array:
+        """See `Objective.largest`."""
+        largest = np.zeros(len(self.sharing.sets))
+        np.maximum.at(largest, self.sharing.sets.of_row, np.max(values, axis=1, initial=0.0))
+        return largest
+
+    def gradient(self, here: NormalEquations) -> Array:
+        """See `Objective.gradient`."""
+        return self.sharing.summed(super().gradient(here))
+
+    def lengths(self, here: NormalEquations) -> Array:
+        """See `Objective.lengths`."""
+        return np.sqrt(self.sharing.summed(here.norms**2))
+
+    def factors(self, here: NormalEquations, lengths: Array) -> _ArrowFactors:
+        """See `Objective.factors`."""
+        return _ArrowFactors(here.products, lengths, self.sharing, self.rank_tol)
+
+    def rank(self, here: NormalEquations, lengths: Array) -> IntArray:
+        """See `Objective.rank`."""
+        factors = self.factors(here, lengths)
+        return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, self.groups.sizes)
+
+    def curvature(self, here: NormalEquations) -> Array:
+        """See `Objective.curvature`."""
+        return _curvature(here.curvature(self.scales), self.sharing, self.scales)
+
+
+@dataclass(frozen=True, eq=False)
+class _ArrowFactors:
+    """A block-arrow system, solved for g groups in h sets.
+
+    Attributes
+    ----------
+    products : array, shape (g, p + 1, p + 1)
+        See `NormalEquations`.
+    lengths : array, shape (g, p)
+    sharing : ParameterSharing
+    rank_tol : float
+    """
+
+    products: Array
+    lengths: Array
+    sharing: ParameterSharing
+    rank_tol: float
+
+    @cached_property
+    def own(self) -> SingularFactors:
+        """Each group's own parameters, the shared ones held."""
+        own = np.flatnonzero(~self.sharing.parameters)
+        form, gradient = self.products[:, own[:, None], own], self.products[:, own, -1]
+        return factorise_products(form, gradient, self.lengths[:, own], self.rank_tol)
+
+    @cached_property
+    def border(self) -> SingularFactors:
+        """Each set's shared parameters, the own ones eliminated."""
+        total = self.sharing.total(self._eliminated[0])
+        whole = self.sharing.total(np.diagonal(self.products, axis1=1, axis2=2)[:, :-1])
+        lengths = np.sqrt(np.maximum(np.diagonal(total, axis1=1, axis2=2)[:, :-1], 0.0))
+        # A shared parameter that the own ones can follow has next to no length beside the other effects.
+        seen = lengths > self.rank_tol * np.sqrt(np.max(whole, axis=1, keepdims=True, initial=0.0))
+        form = total[:, :-1, :-1] * seen[:, :, None] * seen[:, None, :]
+        return factorise_products(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
+
+    @property
+    def rank(self) -> IntArray:
+        """See `Factors.rank`."""
+        return self.sharing.total(self.own.rank.astype(float)).astype(np.intp) + self.border.rank
+
+    @property
+    def gain(self) -> Array:
+        """See `Factors.gain`."""
+        return self.sharing.total(self.own.gain) + self.border.gain
+
+    def step(self, damping: Array) -> Array:
+        """See `Factors.step`.
+
+        That the own parameters follow the shared ones is not damped, nor much what they do by themselves.
+        """
+        of_set, follow = self.sharing.sets.of_row, self._eliminated[1][:, :, :-1]
+        shared = self.border.step(damping)[of_set]
+        step = np.empty_like(self.lengths)
+        step[:, self.sharing.parameters] = shared
+        own = self.own.step(OWN_DAMPING * damping[of_set])
+        step[:, ~self.sharing.parameters] = own - np.vecdot(follow, shared[:, None])
+        return step
+
+    @cached_property
+    def _eliminated(self) -> tuple[Array, Array]:
+        return _eliminate_own(self.products, self.own.inverse(), self.sharing)
+
+
+def shared_curvature(
+    slopes: Array, weight: Array, groups: Groups, sharing: ParameterSharing, scales: Array
+) -> Array:
+    """J' W J of each group's parameters by all rows, the other groups' own parameters eliminated.
+
+    Parameters
+    ----------
+    slopes : array, shape (n, p)
+        Derivatives of the responses by each row's own parameters.
+    weight : array, shape (n,)
+        Inverse variance.
+    groups : Groups
+    sharing : ParameterSharing
+    scales : array, shape (g, p)
+
+    Returns
+    -------
+    array, shape (g, p, p)
+        Its inverse is the covariance of the group's own and the shared parameters.
+    """
+    return _curvature(products_by_group(slopes.T * np.sqrt(weight), groups), sharing, scales)
+
+
+def shared_covariance(minimum: Minimum, sharing: ParameterSharing, scales: Array) -> Array:
+    """Covariance of the parameters that all groups share, shape (q, q)."""
+    border = _reduced(minimum.curvature[:1], sharing, scales[:1])
+    return identifiable_parameters(border, scales[:1, sharing.parameters])[2][0]
+
+
+def _curvature(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
+    """J' W J of each group with that of its set's other groups, whose own parameters are eliminated."""
+    reduced, common = _reduced(products, sharing, scales), np.flatnonzero(sharing.parameters)
+    curvature = products.copy()
+    curvature[:, common[:, None], common] += sharing.total(reduced)[sharing.sets.of_row] - reduced
+    return curvature
+
+
+def _reduced(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
+    """J' W J of the shared parameters in each group, its own eliminated, shape (g, q, q)."""
+    own = np.flatnonzero(~sharing.parameters)
+    _, _, inverse = identifiable_parameters(products[:, own[:, None], own], scales[:, own])
+    return _eliminate_own(products, inverse, sharing)[0]
+
+
+def _eliminate_own(products: Array, inverse: Array, sharing: ParameterSharing) -> tuple[Array, Array]:
+    """Products of all but the own columns, these eliminated, and how the own parameters follow the others."""
+    own = np.flatnonzero(~sharing.parameters)
+    others = np.setdiff1d(np.arange(products.shape[1]), own)
+    across = products[:, own[:, None], others]
+    follow = inverse @ across
+    return products[:, others[:, None], others] - across.swapaxes(1, 2) @ follow, follow
+
+
+def _distribute_rank(rank: IntArray, sets: Groups, sizes: IntArray) -> IntArray:
+    """The rank of each set in whole numbers for its groups, as nearly by their rows as may be."""
+    dealt = np.zeros(len(sizes), dtype=np.intp)
+    for number, whole in enumerate(rank):
+        members = np.flatnonzero(sets.of_row == number)
+        due = np.round(np.cumsum(sizes[members]) / sizes[members].sum() * whole)
+        dealt[members] = np.diff(due, prepend=0.0)
+    return dealt

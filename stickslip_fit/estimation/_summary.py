@@ -1,0 +1,186 @@
+"""What a result says: whether the latest session is as expected, what is wrong, and all parameters."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from stickslip_fit._format import (
+    capitalize_first,
+    format_direction,
+    format_percent,
+    format_range,
+    format_uncertain,
+    format_value,
+    join_words,
+    joint_name,
+    pluralize,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.estimation.noise import Flag, NoiseLevel
+from stickslip_fit.estimation.prediction import format_latest_control, latest_control
+from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.laws import Parameter
+from stickslip_fit.logs.log import MAX_ROWS, file_names, latest
+
+MAX_NAMED = 6
+ALL_SESSIONS = "all sessions"
+FLAGS = {
+    "at_bound": "at the edge of what is possible",
+    "not_identified": "cannot be known from this log",
+    "not_converged": "not converged",
+    "few_replicates": "too few replicates for error bars",
+    "repeatability_doubted": "counts scatter unlike the repeatability given",
+    "outlier": "an outlying count",
+    "chosen": "chosen among the gaps between traverses",
+}
+
+
+@summarize.register
+def summarize_fit(result: Result) -> Summary:
+    """Expectation, flags, the parameters of every joint by session and direction, those of causes."""
+    files = file_names(list(result.provenance.log_files))
+    method = capitalize_first(result.method.replace("-", " "))
+    tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
+    return Summary(
+        title=f"{method} fit of {files}" if files else f"{method} fit",
+        headline=(format_latest_control(latest_control(result)),),
+        sections=(Section(tables=tuple(tables)),),
+        flags=tuple(flags(result)),
+        provenance=result.provenance.lines(),
+    )
+
+
+def flags(*results: Result) -> list[str]:
+    """What any of the results cannot know; remarks that differ only in their session are one."""
+    alike: dict[tuple[str, str], list[Flag]] = {}
+    for result in results:
+        for flag in result.flags:
+            message = flag.message
+            if flag.session:
+                message = message.replace(f"session {flag.session}", "session")
+            alike.setdefault((result.method, message), []).append(flag)
+    methods: dict[str, list[str]] = {}
+    for (method, _), same in alike.items():
+        methods.setdefault(_once(same), []).append(method.replace("-", " "))
+    if len(results) == 1:
+        return list(methods)
+    return [f"{sentence} ({join_words(by)})" for sentence, by in methods.items()]
+
+
+def _once(alike: list[Flag]) -> str:
+    first, *others = alike
+    named = first.message.startswith(first.parameters)  # begins with a name, whose letters matter
+    message = first.message if named else capitalize_first(first.message)
+    if not others:
+        return f"{message}."
+    names = [flag.session for flag in others]
+    if len(names) > MAX_NAMED:
+        names = [*names[:MAX_NAMED], pluralize(len(names) - MAX_NAMED, "other")]
+    plural = "session" if len(others) == 1 else "sessions"
+    return f"{message}. The same in {plural} {join_words(names)}."
+
+
+def _parameters(result: Result, joint: int) -> Table:
+    """One joint's parameters: sessions and directions down, parameters and flags across."""
+    fit, table = result.joints[joint], result.parameters
+    table = table[table["joint"] == joint]
+    sessions = list(fit.groups["session"].unique())
+    shared = table["session"].isna()
+    shown = pd.concat([table[table["session"].isin(sessions[-MAX_ROWS:])], table[shared]])
+    columns = (
+        *words("session", "direction"),
+        *(Column(each.name, each.unit.replace("1", "")) for each in own_parameters(fit)),
+        Column("remarks", text=True),
+    )
+    rows = tuple(
+        _row(fit, session, direction, group)
+        for (session, direction), group in shown.groupby(["session", "direction"], sort=False, dropna=False)
+    )
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
+    note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
+    return Table(f"Parameters of {joint_name(joint)}", columns, rows, stubs=2, note=note)
+
+
+def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
+    rows = {row.name: row for row in table.itertuples(index=False)}
+    cells = [
+        format_uncertain(row.estimate, row.standard_error, row.unit, with_unit=False) if row else ""
+        for row in (rows.get(each.name) for each in own_parameters(fit))
+    ]
+    label = ALL_SESSIONS if pd.isna(session) else str(session)
+    return (label, format_direction(direction), *cells, _flags(table))
+
+
+def _flags(table: pd.DataFrame) -> str:
+    """What is wrong with the parameters of a row: "b, c: cannot be known from this log"."""
+    names_of: dict[str, list[str]] = {}
+    for name, flags in zip(table["name"], table["flags"], strict=True):
+        for flag in dict.fromkeys(flags):
+            names_of.setdefault(flag, []).append(name)
+    return "; ".join(
+        f"{join_words(names) if len(names) < len(table) else 'all'}: "
+        f"{FLAGS.get(flag, flag.replace('_', ' '))}"
+        for flag, names in names_of.items()
+    )
+
+
+def _repeatability(fit: JointFit) -> str:
+    known = [
+        f"{format_percent(each.value)} ({format_direction(sign)}, {_source_text(each)})"
+        for sign, each in fit.repeatability.items()
+        if each.df > 0
+    ]
+    return f"Repeatability {join_words(known)}." if known else "Repeatability not known."
+
+
+def _source_text(repeatability: NoiseLevel) -> str:
+    if repeatability.source == "given":
+        return "given"
+    return f"{repeatability.source}, {pluralize(repeatability.df, 'degree')} of freedom"
+
+
+def own_parameters(fit: JointFit) -> list[Parameter]:
+    """Those of the published law, without those of causes."""
+    return [each for each in fit.law.parameters if each.name not in fit.common]
+
+
+def departures_tables(result: Result) -> list[Table]:
+    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
+    table = result.parameters
+    table = table[table["joint"] == ALL_JOINTS]
+    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
+    rows = [
+        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
+        for row in table.itertuples(index=False)
+    ]
+    columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
+    note = "One number each for all joints, directions and sessions. ± one standard error."
+    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
+
+
+def profile_section(table: pd.DataFrame) -> Section:
+    """Both intervals of each parameter, as `profile_intervals` gives them; `*` where they differ."""
+    known = table[table["estimate"].notna() & table["profile_low"].notna()]
+    columns = (
+        *(Column(head, text=True) for head in ("joint", "session", "parameter")),
+        Column("estimate"),
+        *numbers("quadratic", "profile", group="95 %"),
+    )
+    rows = []
+    for row in known.itertuples(index=False):
+        decimals = {"1": 5, "nm": 2, "µrad": 3}.get(row.unit, 4)
+        rows.append(
+            (
+                f"{row.joint} {format_direction(row.direction)}",
+                str(row.session),
+                row.name,
+                format_value(row.estimate, row.unit, decimals),
+                format_range(row.low, row.high, row.unit, decimals),
+                format_range(row.profile_low, row.profile_high, row.unit, decimals)
+                + (" *" if row.differs else "  "),
+            )
+        )
+    differ = "* The likelihood is lopsided here: trust the profile."
+    note = differ if known["differs"].any() else "They agree."
+    return Section(tables=(Table("Profile likelihood", columns, tuple(rows), stubs=3, note=note),))

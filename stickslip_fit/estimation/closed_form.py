@@ -1,0 +1,272 @@
+"""Closed-form calibration: as many traverses as parameters, solved exactly (thesis Eqs. 6.2 to 6.4).
+
+The load coefficient d of a rotary joint solves N = integral of dq / (gamma0 + d u(q)) for the counted
+steps N. `solve_load_coefficient` finds it by bracketed root finding. For comparison: the iteration of
+the thesis, and its quadratic in delta = travel / N - gamma0 (Eq. 6.6).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes, usable_rows
+from stickslip_fit.estimation.identifiability import configuration_rows, describe_configuration
+from stickslip_fit.estimation.least_squares import fit_joint
+from stickslip_fit.estimation.load_coefficient import solve_load_coefficient
+from stickslip_fit.estimation.noise import (
+    Flag,
+    NoiseLevel,
+    estimate_from_replicates,
+    flag_missing_error_bars,
+    quadratic_interval,
+    row_variance,
+)
+from stickslip_fit.estimation.outliers import flag_outliers
+from stickslip_fit.estimation.result import JointFit, Result, build_provenance
+from stickslip_fit.estimation.with_causes import (
+    FixedCauseLaw,
+    FixedCauses,
+    fixed_cause_effect,
+    fixed_causes,
+    release_causes,
+    solve_with_fixed_causes,
+)
+from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, traverse_length
+from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
+
+FEATURE_TOL = 1e-6
+POSITION_TOL = 1e-9  # of the range
+MIN_DF = 4  # degrees of freedom; with fewer an interval is several times too wide to be of use
+
+
+def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str = "") -> Result:
+    """Calibrate every session and direction from the first traverse of each calibration configuration.
+
+    Parameters
+    ----------
+    log : Log
+    causes_from : Result, optional
+        Of another log: its causes are taken for known, and what it is not sure of goes into the error bars.
+    command : str, optional
+        Kept in the result's provenance.
+
+    Returns
+    -------
+    Result
+        Error bars come from the repeatability that the log's replicates show, or failing those what a
+        least-squares fit leaves over, carried through the calibration equations to first order.
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse, or `causes_from` is of another machine or knows no causes.
+    """
+    rows = usable_rows(log)
+    laws: dict[int, StepLaw] = {
+        joint: published_law(joint, rows[rows["joint"] == joint], log.machine)
+        for joint in log.joints
+        if (rows["joint"] == joint).any()
+    }
+    known = None
+    if causes_from is not None:
+        if causes_from.machine.sha256 != log.machine.sha256:
+            raise InputError("the causes were fitted for another machine; read the log with that one")
+        known = fixed_causes(causes_from)
+        laws = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in laws.items()}
+    return flag_outliers(solve_calibration(log, laws, "closed-form", known=known, command=command), log)
+
+
+def solve_calibration(
+    log: Log,
+    laws: dict[int, StepLaw],
+    method: str,
+    *,
+    companion_laws: dict[int, StepLaw] | None = None,
+    known: FixedCauses | None = None,
+    command: str = "",
+) -> Result:
+    """Solve the calibration equations of the given laws, one for each joint; of held ones with the causes.
+
+    A law is calibrated from the traverses of the one `companion_laws` it, or else its own: the first ones, as many as
+    it has parameters.
+    """
+    rows = usable_rows(log)
+    joints, residuals, flags = {}, [], []
+    for joint, law in laws.items():
+        subset = rows[rows["joint"] == joint]
+        groups = group_rows(subset)
+        asked = companion_laws[joint] if companion_laws else law
+        picked = pick_calibration(asked, subset, groups, log.machine)[:, : len(law.parameters)]
+        joints[joint] = _calibrate_joint(law, subset, groups, picked, log.machine, known)
+        residuals.append(_residual_table(joints[joint], subset, groups, picked))
+        flags += _flag_missing_traverses(law, groups, picked, joints[joint])
+        flags += flag_missing_error_bars(law, groups.table, joints[joint].repeatability)
+    return Result(
+        method=method,
+        machine=log.machine,
+        joints=joints,
+        residuals=pd.concat(residuals).sort_index(),
+        flags=tuple(flags),
+        provenance=build_provenance(log, command),
+    )
+
+
+def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: Machine) -> IntArray:
+    """First full traverse of each group in each calibration configuration.
+
+    A traverse serves if the law cannot tell its configuration from the one asked for: the base may
+    lie on either side.
+
+    Returns
+    -------
+    array of int, shape (g, p)
+        Positions in `rows`; -1 where there is none.
+    """
+    low, high = machine.ranges[law.joint]
+    full = np.isclose(traverse_length(rows), high - low, rtol=POSITION_TOL, atol=0.0)
+    features = law.features(rows)
+    wanted = law.features(configuration_rows(law.calibration(), law.joint, "+", machine))
+    picked = np.full((len(groups), len(wanted)), -1)
+    for index, target in enumerate(wanted):
+        scale = np.maximum(np.max(np.abs(wanted), axis=0), FEATURE_TOL)
+        serves = np.flatnonzero(full & np.all(np.abs(features - target) < FEATURE_TOL * scale, axis=1))
+        group, first = np.unique(groups.of_row[serves], return_index=True)
+        picked[group, index] = serves[first]
+    return picked
+
+
+def _calibrate_joint(
+    law: StepLaw,
+    rows: pd.DataFrame,
+    groups: Groups,
+    picked: IntArray,
+    machine: Machine,
+    known: FixedCauses | None,
+) -> JointFit:
+    y, rounding = law.response(rows)
+    steps = np.where(picked >= 0, np.exp(y)[picked], np.nan)
+    mean_step = mean_step_sizes(groups, rows, y)
+
+    def solve(law: StepLaw) -> Array:
+        if isinstance(law, FixedCauseLaw):
+            published = partial(_solve_parameters, law.law, rows, machine, picked)
+            return solve_with_fixed_causes(law, rows, picked, steps, mean_step, published)
+        return _solve_parameters(law, rows, machine, picked, steps)
+
+    values = solve(law)
+    effect = fixed_cause_effect(law, rows, values[groups.of_row], mean_step[groups.of_row])
+    repeatability = _estimate_noise(law, rows, picked, machine, effect)
+    variance = row_variance(rows, rounding, repeatability)
+    covariance = _propagate_covariance(law, rows, picked, values, variance)
+    df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
+    covariance[df < 1] = np.nan
+    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    fit = JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
+    return fit if known is None else release_causes(fit, known, solve)
+
+
+def _estimate_noise(
+    law: StepLaw, rows: pd.DataFrame, picked: IntArray, machine: Machine, effect: Array | float
+) -> dict[str, NoiseLevel]:
+    """From replicates that calibrated nothing, so that an estimate and its error bar are independent.
+
+    A direction with too few of those takes what a least-squares fit leaves over, and failing that all
+    replicates, the calibrating ones among them.
+    """
+    aside = np.setdiff1d(np.arange(len(rows)), picked)
+    effect = np.broadcast_to(effect, len(rows))
+    apart = estimate_from_replicates(law, rows.iloc[aside], effect[aside])
+    together = estimate_from_replicates(law, rows, effect)
+    if all(found.df >= MIN_DF for found in apart.values()):
+        return apart
+    residual = fit_joint(law, rows, machine)[0].repeatability
+    sources = (apart, residual)
+    return {
+        direction: next(
+            (source[direction] for source in sources if source[direction].df >= MIN_DF), together[direction]
+        )
+        for direction in together
+    }
+
+
+def _solve_parameters(
+    law: StepLaw, rows: pd.DataFrame, machine: Machine, picked: IntArray, steps: Array
+) -> Array:
+    """Parameters from the steps of each calibration traverse, (g, p) -> (g, p); NaN in, NaN out."""
+    gamma = traverse_length(rows)[picked] / steps
+    if isinstance(law, ConstantStep):
+        return gamma
+    if isinstance(law, Prismatic):
+        plain, recoiling, loaded = gamma.T
+        return np.stack([plain, 1.0 - recoiling / plain, plain * (1.0 - loaded / recoiling)], axis=-1)
+    if isinstance(law, Rotary):
+        return _solve_rotary(law, rows, machine, picked, steps, gamma)
+    raise TypeError(f"no closed form is known for the law {law.name}")
+
+
+def _solve_rotary(
+    law: Rotary, rows: pd.DataFrame, machine: Machine, picked: IntArray, steps: Array, gamma: Array
+) -> Array:
+    m = picked.shape[1] // 2
+    gamma0, loaded = gamma[:, :m], picked[:, m:]
+    amplitude, phase = law.swing(rows)
+    start, stop = (rows[name].to_numpy()[loaded].ravel() for name in ("start", "stop"))
+    d = solve_load_coefficient(
+        steps[:, m:].ravel(), gamma0.ravel(), amplitude[loaded].ravel(), phase[loaded].ravel(), start, stop
+    ).reshape(gamma0.shape)
+    unloaded = law.calibration()[:m]
+    inverse = np.linalg.inv(law.basis(configuration_rows(unloaded, law.joint, "+", machine)))
+    # A missing traverse is to spoil only the parameters that need it: 0 times NaN counts as 0 here.
+    needed = np.abs(inverse) > FEATURE_TOL * np.max(np.abs(inverse))
+    both = [np.sum(np.where(needed, inverse * part[:, None, :], 0.0), axis=2) for part in (gamma0, d)]
+    return np.concatenate(both, axis=1)
+
+
+def _propagate_covariance(
+    law: StepLaw, rows: pd.DataFrame, picked: IntArray, values: Array, variance: Array
+) -> Array:
+    """Covariance of the parameters: the counts' variances through the inverse of the law's Jacobian."""
+    covariance = np.full((*values.shape, values.shape[1]), np.nan)
+    known, made = np.isfinite(values), picked >= 0
+    patterns, pattern_of = np.unique(np.concatenate([known, made], axis=1), axis=0, return_inverse=True)
+    for index, pattern in enumerate(patterns):
+        these = np.flatnonzero(pattern_of == index)
+        names, traverses = (np.flatnonzero(half) for half in np.split(pattern, 2))
+        taken = picked[np.ix_(these, traverses)]
+        # The traverses made do not depend on the parameters that are not known, so any value does for those.
+        filled = np.repeat(np.nan_to_num(values[these]), len(traverses), axis=0)
+        slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(*taken.shape, values.shape[1])
+        inverse = np.linalg.pinv(slopes[:, :, names])
+        block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken], inverse)
+        covariance[np.ix_(these, names, names)] = block
+    return covariance
+
+
+def _residual_table(fit: JointFit, rows: pd.DataFrame, groups: Groups, picked: IntArray) -> pd.DataFrame:
+    y, _ = fit.law.response(rows)
+    used = np.zeros(len(rows), dtype=bool)
+    used[picked[picked >= 0]] = True
+    residual = y - fit.law.predict(rows, fit.values[groups.of_row])
+    return pd.DataFrame({"joint": fit.law.joint, "residual": residual, "used": used}, index=rows.index)
+
+
+def _flag_missing_traverses(law: StepLaw, groups: Groups, picked: IntArray, fit: JointFit) -> list[Flag]:
+    flags = []
+    names = [parameter.name for parameter in fit.law.parameters]
+    for index in np.flatnonzero(~fit.known.all(axis=1)):
+        session, direction = groups.table.loc[index, ["session", "direction"]]
+        unknown = tuple(name for name, fine in zip(names, fit.known[index], strict=True) if not fine)
+        absent = [law.calibration()[k] for k in np.flatnonzero(picked[index] < 0)]
+        why = f"missing: {'; '.join(map(describe_configuration, absent))}" if absent else (
+            "no step size above zero gives the counts of its calibration traverses; repeat them"
+        )  # fmt: skip
+        where = f"joint {law.joint}, direction {direction}, session {session}"
+        message = f"{where}: {', '.join(unknown)} cannot be calibrated; {why}"
+        flags.append(Flag("not_identified", law.joint, direction, session, unknown, message))
+    return flags

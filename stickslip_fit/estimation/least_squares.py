@@ -1,0 +1,391 @@
+"""fit_least_squares: parameters of every session and direction from all traverses. Start reading here.
+
+Order of reading: `_problem`, `_optimize`, `noise`, `result`. Also here: one-sided intervals of
+parameters on a bound, and profile-likelihood intervals (D. Bates and D. Watts, Nonlinear Regression
+Analysis and Its Applications, Wiley, 1988, Ch. 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._format import format_value
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes import Cause, ExtendedLaw
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._optimize import (
+    Groups,
+    Minimum,
+    group_rows,
+    mean_step_sizes,
+    minimize,
+    usable_rows,
+)
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, FitOptions, JointProblem, single_problem
+from stickslip_fit.estimation.identifiability import flag_unidentified, identifiable_parameters
+from stickslip_fit.estimation.noise import (
+    GAUSSIAN,
+    Flag,
+    Likelihood,
+    NoiseLevel,
+    flag_doubtful_repeatability,
+    flag_missing_error_bars,
+    interval_half_widths,
+    quadratic_interval,
+    row_variance,
+)
+from stickslip_fit.estimation.outliers import flag_outliers
+from stickslip_fit.estimation.result import JointFit, Result, build_provenance
+from stickslip_fit.estimation.reweighting import ConvergedFit, from_residuals, iterate_weights
+from stickslip_fit.estimation.with_causes import flag_causes, problems_with_causes, published_problem
+from stickslip_fit.laws import StepLaw, published_law
+from stickslip_fit.laws.base import Model
+from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
+
+
+def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
+    """How far from its bound a parameter can be before the likelihood rules it out.
+
+    Parameters
+    ----------
+    slope : array
+        By how much half the sum of squares falls per unit of the parameter beyond the bound.
+    variance : array
+        Of the parameter, were there no bound.
+    reach : array
+        Standard errors of an interval, e.g. 1.96.
+
+    Returns
+    -------
+    array
+        The distance d with d^2 / variance + 2 |slope| d = reach^2.
+
+    Examples
+    --------
+    At a bound where the sum of squares is least anyway, it is the ordinary half-width:
+
+    >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
+    array([4.   , 0.944])
+    """
+    slope = np.abs(slope)
+    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
+
+
+def one_sided_intervals(
+    values: Array, at_bound: BoolArray, lower: Array, neg_gradient: Array, covariance: Array, reach: Array
+) -> Array:
+    """Intervals of the parameters that lie on a bound, from it to where the likelihood ends them.
+
+    Parameters
+    ----------
+    values, lower, uphill : array, shape (g, p)
+        `uphill` is by how much half the sum of squares would fall per unit of each parameter.
+    at_bound : array of bool, shape (g, p)
+    covariance : array, shape (g, p, p)
+        Were there no bound.
+    reach : array, shape (g,)
+        Standard errors of an interval.
+
+    Returns
+    -------
+    array, shape (number at a bound, 2)
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
+    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
+    inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
+    ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
+    return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)
+
+
+def flag_at_bound(problem: JointProblem, values: Array, at_bound: BoolArray) -> list[Flag]:
+    """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
+    law, flags = problem.law, {}
+    for index, k in np.argwhere(at_bound):
+        group, parameter = problem.groups.table.loc[index], law.parameters[k]
+        common = problem.sharing.parameters[k]
+        session = "" if common else str(group["session"])
+        where = "" if common else f", session {session}"
+        flags[session, group["direction"], k] = Flag(
+            "at_bound", law.joint, group["direction"], session, (parameter.name,),
+            f"joint {law.joint}, direction {group['direction']}{where}: {parameter.name} is held back by its "
+            f"bound at {format_value(values[index, k], parameter.unit, 4)}; the counts would have it beyond, "
+            "and the other error bars take the bound for true",
+        )  # fmt: skip
+    return list(flags.values())
+
+
+def fit_least_squares(
+    log: Log,
+    *,
+    causes: Sequence[Cause] = (),
+    likelihood: Likelihood = GAUSSIAN,
+    shared: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    repeatability: Mapping[tuple[int, str], float] | None = None,
+    command: str = "",
+) -> Result:
+    """Fit the published law of every joint to all usable traverses of a log.
+
+    Parameters
+    ----------
+    log : Log
+    causes : sequence of Cause, optional
+        Departures from the published laws to fit with them: one set of parameters for the whole campaign,
+        the same for all joints, directions and sessions.
+    likelihood : Likelihood, optional
+        `StudentT` where an end stop may have been misheard now and then.
+    shared : sequence of str, optional
+        Parameters that are the same in all sessions, e.g. ``("b",)``: one value for each direction.
+    bounds : dict of str to (float, float), optional
+        Lowest and highest value of a parameter, SI.
+    repeatability : dict of (int, str) to float, optional
+        By joint and direction, relative: known beforehand, not estimated from this log.
+    command : str, optional
+        Kept in the result's provenance.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputError
+        If the log has no usable traverse or cannot show a cause, or no law has a parameter that is named.
+
+    Notes
+    -----
+    The response is log(steps), so that the errors are relative, as the repeatability is. Its variance
+    is the repeatability's, pooled over the log by joint and direction, plus the rounding's.
+    """
+    rows = usable_rows(log)
+    by_joint = {joint: rows[rows["joint"] == joint] for joint in log.joints}
+    by_joint = {joint: subset for joint, subset in by_joint.items() if len(subset)}
+    laws = {joint: published_law(joint, subset, log.machine) for joint, subset in by_joint.items()}
+    options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {})
+    if causes:
+        problems, combined = problems_with_causes(causes, laws, by_joint, log.machine, options)
+        fits = [iterate_weights(problems, combined, options)]
+    else:
+        options.check(laws.values())
+        problems = [single_problem(laws[joint], subset, options) for joint, subset in by_joint.items()]
+        fits = [iterate_weights([problem], problem, options) for problem in problems]
+    joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
+    flags = [flag for _, _, flags in joints for flag in flags]
+    if causes:
+        at_bound = [fits[0].minimum_of(number).at_bound for number in range(len(problems))]
+        flags += flag_causes([fit for fit, _, _ in joints], at_bound)
+    residuals = [
+        pd.DataFrame({"joint": joint, "residual": residual, "used": True}, index=subset.index)
+        for (joint, subset), (_, residual, _) in zip(by_joint.items(), joints, strict=True)
+    ]
+    result = Result(
+        method=likelihood.method,
+        machine=log.machine,
+        joints={fit.law.joint: fit for fit, _, _ in joints},
+        residuals=pd.concat(residuals).sort_index(),
+        flags=tuple(flags),
+        provenance=build_provenance(log, command),
+    )
+    return flag_outliers(result, log)
+
+
+def fit_joint(
+    law: StepLaw, rows: pd.DataFrame, machine: Machine, options: FitOptions = DEFAULT_OPTIONS
+) -> tuple[JointFit, Array, list[Flag]]:
+    """Fit one joint's law to its rows; also the residuals, shape (n,), and the remarks."""
+    problem = single_problem(law, rows, options)
+    (joint,) = _joint_results(iterate_weights([problem], problem, options), machine, options)
+    return joint
+
+
+def _joint_results(
+    fit: ConvergedFit, machine: Machine, options: FitOptions
+) -> list[tuple[JointFit, Array, list[Flag]]]:
+    """Each joint's fit, its residuals, shape (n,), and the remarks on it."""
+    whole, minimum, of_row = fit.whole, fit.minimum, fit.whole.groups.of_row
+    slopes = whole.model(minimum.values[of_row])[1]
+    curvature = whole.curvature(slopes * ~minimum.at_bound[of_row], fit.information)
+    unbounded = curvature
+    if minimum.at_bound.any():
+        unbounded = whole.curvature(slopes, fit.information)
+    gradient = whole.gradient(slopes, fit.weight * minimum.residual)
+    return [
+        _joint_result(fit, number, curvature, unbounded, gradient, machine, options)
+        for number in range(len(fit.joints))
+    ]
+
+
+def _joint_result(
+    fit: ConvergedFit,
+    number: int,
+    all_curvature: Array,
+    all_unbounded: Array,
+    all_gradient: Array,
+    machine: Machine,
+    options: FitOptions,
+) -> tuple[JointFit, Array, list[Flag]]:
+    """See `_joint_results`; curvature with and without active bounds, and gradient, are of all joints."""
+    problem, minimum, repeatability = fit.joints[number], fit.minimum_of(number), fit.repeatability[number]
+    law, groups, values, at_bound = problem.law, problem.groups, minimum.values, minimum.at_bound
+    place, columns = fit.groups(number), fit.columns(number)
+    curvature = all_curvature[place][:, columns[:, None], columns]
+    known, _, covariance = identifiable_parameters(curvature, problem.scales)
+    known |= at_bound | _not_applicable(law)
+    covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
+    covariance = _mask_unknown_covariance(covariance, groups, repeatability)
+    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    if at_bound.any():
+        _, _, unbounded = identifiable_parameters(
+            all_unbounded[place][:, columns[:, None], columns], problem.scales
+        )
+        interval[at_bound] = one_sided_intervals(
+            values, at_bound, problem.lower, all_gradient[place, columns], unbounded,
+            interval_half_widths(groups.table, repeatability),
+        )  # fmt: skip
+    shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
+    joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
+    published, own = published_problem(problem), slice(0, len(published_problem(problem).law.parameters))
+    flags = flag_unidentified(
+        published, machine, known[:, own], curvature[:, own, own], fit.information[fit.rows(number)],
+        values[:, own],
+    )  # fmt: skip
+    flags += flag_at_bound(published, values[:, own], at_bound[:, own])
+    flags += _flag_not_converged(law, groups, minimum) + flag_missing_error_bars(
+        law, groups.table, repeatability
+    )
+    estimated = from_residuals(problem, minimum, options.likelihood)
+    flags += flag_doubtful_repeatability(law, options.known_noise(law.joint), estimated)
+    return joint, minimum.residual, flags
+
+
+def _not_applicable(law: StepLaw) -> npt.NDArray[np.bool_]:
+    """Parameters of which a joint need not know anything by slopes, shape (p,)."""
+    if not isinstance(law, ExtendedLaw):
+        return np.zeros(len(law.parameters), dtype=bool)
+    sudden = np.array([False] * len(law.law.parameters) + [parameter.sudden for parameter in law.common])
+    return ~law.affects_joint | sudden
+
+
+def _mask_unknown_covariance(
+    covariance: Array, groups: Groups, repeatability: dict[str, NoiseLevel]
+) -> Array:
+    df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
+    return np.where((df > 0)[:, None, None], covariance, np.nan)
+
+
+def _flag_not_converged(law: StepLaw, groups: Groups, minimum: Minimum) -> list[Flag]:
+    names = tuple(parameter.name for parameter in law.parameters)
+    return [
+        Flag(
+            "not_converged", law.joint, group.direction, group.session, names,
+            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
+            "settled; look for an outlier among this session's counts",
+        )
+        for group in groups.table[~minimum.converged].itertuples()
+    ]  # fmt: skip
+
+
+INTERVAL_DIFFERENCE = 0.1  # of the quadratic interval's half-width
+MAX_ROOT_PASSES = 8
+ROOT_TOL = 1e-4  # of the distance to the interval's end
+
+
+def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
+    """The parameters of a least-squares fit with both intervals of 95 % beside each other.
+
+    Parameters
+    ----------
+    log : Log
+        The one that was fitted.
+    result : Result
+        Its least-squares fit.
+
+    Returns
+    -------
+    DataFrame
+        `Result.parameters` with profile_low and profile_high, SI, and differs: whether an end is off by
+        more than a tenth of the quadratic interval's half-width, so that the quadratic one misleads.
+
+    Raises
+    ------
+    InputError
+        If `result` is no least-squares fit of `log`.
+    """
+    if result.method != "least-squares" or result.provenance.log_sha256 != log.sha256:
+        raise InputError("profile intervals need the least-squares fit of this very log; fit it again")
+    if any(fit.shared for fit in result.joints.values()):
+        raise InputError("profile intervals are for fits in which each session has all its own parameters")
+    rows = usable_rows(log)
+    ends = [_profile_joint(fit, rows[rows["joint"] == joint]) for joint, fit in result.joints.items()]
+    table = result.parameters
+    table[["profile_low", "profile_high"]] = np.concatenate([end.reshape(-1, 2) for end in ends])
+    half = (table["high"] - table["low"]) / 2
+    off = np.fmax((table["profile_low"] - table["low"]).abs(), (table["profile_high"] - table["high"]).abs())
+    table["differs"] = (off > INTERVAL_DIFFERENCE * half).to_numpy(dtype=bool, na_value=False)
+    return table
+
+
+def _profile_joint(fit: JointFit, rows: pd.DataFrame) -> Array:
+    """Ends of each parameter's interval, shape (g, p, 2); NaN where it is not known."""
+    groups, law = group_rows(rows), fit.law
+    y, rounding = law.response(rows)
+    weight = 1.0 / row_variance(rows, rounding, fit.repeatability)
+    scales = law.scales(mean_step_sizes(groups, rows, y))
+    model = law.model(rows)
+    least = groups.sums(weight * (y - model(fit.values[groups.of_row])[0]) ** 2)
+    reach = interval_half_widths(groups.table, fit.repeatability)
+    ends = np.full((*fit.values.shape, 2), np.nan)
+    for index in range(fit.values.shape[1]):
+        for side, sign in enumerate((-1.0, 1.0)):
+            ends[:, index, side] = _solve_end(
+                fit, model, y, weight, groups, scales, least, index, sign * reach
+            )
+    free = np.diagonal(fit.covariance, axis1=1, axis2=2) > 0
+    return np.where((fit.known & free)[:, :, None], ends, np.nan)
+
+
+def _solve_end(
+    fit: JointFit,
+    model: Model,
+    y: Array,
+    weight: Array,
+    groups: Groups,
+    scales: Array,
+    least: Array,
+    index: int,
+    reach: Array,
+) -> Array:
+    """Where the root of the excess cost is as large as `reach`, its sign saying on which side; shape (g,)."""
+    others = np.arange(fit.values.shape[1]) != index
+    covariance = np.nan_to_num(fit.covariance)
+    error = np.sqrt(covariance[:, index, index])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.nan_to_num(covariance[:, others, index] / error[:, None] ** 2)
+    distance = np.nan_to_num(reach * error)
+    for _ in range(MAX_ROOT_PASSES):
+        fixed = fit.values[:, index] + distance
+        start = fit.values[:, others] + along * distance[:, None]
+        held = _fix_parameter(model, index, fixed[groups.of_row], fit.known[groups.of_row])
+        found = minimize(held, y, weight, groups, start, scales[:, others], damping=0.0)
+        excess = np.sqrt(np.maximum(groups.sums(weight * found.residual**2) - least, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stretch = np.where(excess > 0, np.abs(reach) / excess, 1.0)
+        distance = distance * np.clip(np.nan_to_num(stretch, nan=1.0), 0.5, 2.0)
+        if np.nanmax(np.abs(stretch - 1.0)) < ROOT_TOL:
+            break
+    return fit.values[:, index] + distance
+
+
+def _fix_parameter(model: Model, index: int, fixed: Array, known: npt.NDArray[np.bool_]) -> Model:
+    """The model with one parameter held, as a function of the others; those not known stay where they are."""
+
+    def held(values: Array) -> tuple[Array, Array]:
+        response, jacobian = model(np.insert(values, index, fixed, axis=1))
+        return response, np.delete(jacobian * known, index, axis=1)
+
+    return held

@@ -1,0 +1,279 @@
+"""Noise of log steps: likelihoods, repeatability from replicates or residuals, t intervals; Flag.
+
+The variance of a response is repeatability^2 plus that of the rounding. StudentT weighs residuals as in
+K. Lange, R. Little and J. Taylor, JASA 84:881 (1989). Replicates hours apart contain drift and so bound
+the repeatability from above. Flag says what is wrong with a parameter or a group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+from scipy.stats import t as student_t
+
+from stickslip_fit._format import format_value
+from stickslip_fit._typing import Array
+from stickslip_fit.laws import StepLaw
+
+
+@dataclass(frozen=True)
+class Flag:
+    """Something a person should know about a parameter or a whole group.
+
+    Attributes
+    ----------
+    flag : str
+        ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted`` or
+        ``outlier``.
+    joint : int
+    direction, session : str
+        An empty session stands for all of them.
+    parameters : tuple of str
+        Names of the parameters concerned.
+    message : str
+        What is the matter and what to do.
+    """
+
+    flag: str
+    joint: int
+    direction: str
+    session: str
+    parameters: tuple[str, ...]
+    message: str
+
+
+class Likelihood(Protocol):
+    """The distribution of log steps about the law, up to its scale."""
+
+    @property
+    def method(self) -> str:
+        """What a fit under it is called."""
+
+    @property
+    def information(self) -> float:
+        """Fisher information about the middle, relative to a Gaussian of the same scale."""
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation in units of the scale."""
+
+    def irls_weight(self, squares: Array) -> Array:
+        """Weight of residuals whose squares, over the squared scale, are given; 1 for a Gaussian."""
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Least squares proper."""
+
+    method: str = "least-squares"
+    information: float = 1.0
+    spread: float = 1.0
+
+    def irls_weight(self, squares: Array) -> Array:
+        """See `Likelihood.irls_weight`."""
+        return np.ones_like(squares)
+
+
+@dataclass(frozen=True)
+class StudentT:
+    """Heavier tails: a misheard end stop pulls little (K. Lange et al., JASA 84:881, 1989).
+
+    Parameters
+    ----------
+    freedom : float, optional
+        Above 2.
+
+    Examples
+    --------
+    >>> StudentT(5.0).irls_weight(np.array([0.0, 1.0, 95.0])).round(2)
+    array([1.2 , 1.  , 0.06])
+    """
+
+    df: float = 5.0
+    method: str = "heavy-tailed-least-squares"
+
+    @property
+    def information(self) -> float:
+        """See `Likelihood.information`."""
+        return (self.df + 1.0) / (self.df + 3.0)
+
+    @property
+    def spread(self) -> float:
+        """See `Likelihood.spread`."""
+        return float(np.sqrt(self.df / (self.df - 2.0)))
+
+    def irls_weight(self, squares: Array) -> Array:
+        """See `Likelihood.irls_weight`."""
+        return (self.df + 1.0) / (self.df + squares)
+
+
+GAUSSIAN = Gaussian()
+GIVEN_DF = 10**9  # degrees of freedom of a repeatability that somebody knows
+DOUBT_LEVEL = 1e-3
+CONFIGURATION_COLUMNS = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """One joint's repeatability in one direction.
+
+    Attributes
+    ----------
+    value : float
+        Standard deviation of log steps, i.e. relative; NaN where it cannot be known.
+    freedom : int
+        Degrees of freedom behind it.
+    source : {"replicates", "residuals", "posterior", "given"}
+    """
+
+    value: float
+    df: int
+    source: str
+
+
+def estimate_from_replicates(
+    law: StepLaw, rows: pd.DataFrame, effect: Array | float = 0.0
+) -> dict[str, NoiseLevel]:
+    """Repeatability of each direction from replicates of a configuration within a session.
+
+    Replicates hours apart also carry whatever drifts, so this bounds the repeatability from above; known
+    causes' `effect` on log(steps), shape (n,), is taken out.
+    """
+    y, rounding = law.response(rows)
+    y = y - effect
+    keys = rows[CONFIGURATION_COLUMNS].round(9)
+    configuration = (
+        keys.groupby(CONFIGURATION_COLUMNS, dropna=False, sort=False, observed=True).ngroup().to_numpy()
+    )
+    size = np.bincount(configuration)
+    deviation = y - (np.bincount(configuration, y) / size)[configuration]
+    noise = {}
+    for direction in ("+", "-"):
+        subset = (rows["direction"] == direction).to_numpy()
+        df = int(subset.sum() - len(np.unique(configuration[subset])))
+        noise[direction] = pool_residuals(deviation[subset], rounding[subset], df, "replicates")
+    return noise
+
+
+def pool_residuals(
+    residual: Array, rounding: Array, df: int, source: str, likelihood: Likelihood = GAUSSIAN
+) -> NoiseLevel:
+    """Repeatability under which the weighted squares of the residuals add up to their degrees of freedom."""
+    if df < 1:
+        return NoiseLevel(np.nan, 0, source)
+    squares = residual**2
+    # Rounding is a small part, so this fixed point gains a digit or two a pass; it nears 0 from above.
+    scale2 = float(squares.sum()) / df / likelihood.spread**2
+    for _ in range(200):
+        standard = squares / (scale2 + rounding)
+        excess = float(np.sum(likelihood.irls_weight(standard) * standard)) / df - 1.0
+        scale2 *= 1.0 + excess
+        if abs(excess) < 1e-10:
+            break
+    return NoiseLevel(float(np.sqrt(scale2)) * likelihood.spread, df, source)
+
+
+def row_variance(
+    rows: pd.DataFrame,
+    rounding: Array,
+    repeatability: dict[str, NoiseLevel],
+    likelihood: Likelihood = GAUSSIAN,
+) -> Array:
+    """Squared scale of each row's log steps, rounding included; shape (n,). A Gaussian's is its variance.
+
+    A direction whose repeatability is not known borrows the other's, so that weights stay sensible.
+    """
+    known = [noise.value for noise in repeatability.values() if noise.df > 0]
+    fallback = float(np.mean(known)) if known else 0.0
+    value = {
+        direction: noise.value if noise.df > 0 else fallback for direction, noise in repeatability.items()
+    }
+    forwards = (rows["direction"] == "+").to_numpy()
+    return (np.where(forwards, value["+"], value["-"]) / likelihood.spread) ** 2 + rounding
+
+
+def flag_missing_error_bars(
+    law: StepLaw, groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]
+) -> list[Flag]:
+    """A remark for each direction that has no more traverses than parameters."""
+    names = tuple(parameter.name for parameter in law.parameters)
+    return [
+        Flag(
+            "few_replicates", law.joint, direction, "", names,
+            f"joint {law.joint}, direction {direction}: no error bars, since no traverse is left over to show how "
+            "well one repeats; make each calibration traverse twice",
+        )
+        for direction, noise in repeatability.items()
+        if noise.df < 1 and (groups["direction"] == direction).any()
+    ]  # fmt: skip
+
+
+def flag_doubtful_repeatability(
+    law: StepLaw, given: dict[str, NoiseLevel], estimated: dict[str, NoiseLevel]
+) -> list[Flag]:
+    """A remark for each direction whose residuals do not scatter as the given repeatability says.
+
+    The ratio of variances is judged by chi-square over the estimate's degrees of freedom.
+    """
+    names = tuple(parameter.name for parameter in law.parameters)
+    flags = []
+    for direction, known in given.items():
+        estimate = estimated[direction]
+        squares = estimate.df * (estimate.value / known.value) ** 2 if estimate.df else np.nan
+        if min(chi2.sf(squares, estimate.df), chi2.cdf(squares, estimate.df)) < DOUBT_LEVEL / 2:
+            flags.append(
+                Flag(
+                    "repeatability_doubted", law.joint, direction, "", names,
+                    f"joint {law.joint}, direction {direction}: residuals scatter by "
+                    f"{format_value(estimate.value, '%', 2)}, the repeatability was given as "
+                    f"{format_value(known.value, '%', 2)}; the error bars take it for true",
+                )
+            )  # fmt: skip
+    return flags
+
+
+COVERAGE = 0.95
+
+
+def quadratic_interval(
+    values: Array, covariance: Array, groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]
+) -> Array:
+    """Estimate plus and minus Student's t times its standard error.
+
+    Parameters
+    ----------
+    values : array, shape (g, p)
+    covariance : array, shape (g, p, p)
+    groups : DataFrame
+        Its column direction says whose degrees of freedom count.
+    repeatability : dict of str to Repeatability
+
+    Returns
+    -------
+    array, shape (g, p, 2)
+        NaN where there is no error bar.
+    """
+    half = interval_half_widths(groups, repeatability)[:, None] * np.sqrt(
+        np.diagonal(covariance, axis1=1, axis2=2)
+    )
+    return np.stack([values - half, values + half], axis=-1)
+
+
+def interval_half_widths(groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]) -> Array:
+    """Half-width of each group's intervals in standard errors, shape (g,)."""
+    return np.array([t_quantile(repeatability[direction].df) for direction in groups["direction"]])
+
+
+def t_quantile(df: int) -> float:
+    """Half-width of a 95 % interval in standard errors.
+
+    Examples
+    --------
+    >>> round(t_quantile(4), 3)
+    2.776
+    """
+    return float(student_t.ppf(0.5 + COVERAGE / 2, df)) if df > 0 else np.nan

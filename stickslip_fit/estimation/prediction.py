@@ -1,0 +1,256 @@
+"""Predictions of a fit and their errors: planned traverses, held-out traverses, control chart.
+
+`assess_held_out` compares held-out errors with repeatability and calibration uncertainty by an F test;
+`held_out_errors` sets the law beside the constant step (thesis Ch. 7). The control chart compares each
+session with the prediction interval from earlier sessions (Student's t, Bonferroni over its
+parameters).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+from scipy.stats import t as student_t
+
+from stickslip_fit._format import format_direction
+from stickslip_fit.estimation.closed_form import solve_calibration
+from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.laws import (
+    StepLaw,
+    constant_law,
+    expected_steps,
+    published_law,
+    rounding_variance,
+    traverse_length,
+)
+from stickslip_fit.logs import Log
+from stickslip_fit.units import from_si
+
+
+def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
+    """How the errors of a calibration compare with repeatability and the calibration's own uncertainty.
+
+    Parameters
+    ----------
+    log : Log
+    law : Result
+        A calibration of the same log.
+
+    Returns
+    -------
+    DataFrame
+        joint, direction, traverses, excess (mean square of the errors over what is expected of them, the
+        scatter of replicates left out of both) and p_value. Directions without a repeatability from
+        replicates, or with nothing but replicates, are left out.
+
+    Notes
+    -----
+    All errors of a session come from one calibration and go up and down together, so that the share of
+    traverses outside their intervals says little. With r the n errors in log steps, J their derivatives with
+    respect to the parameters, C the parameters' covariance and s the repeatability, known to nu degrees of
+    freedom from replicates among them, Q = r' (s^2 I + J C J')^-1 r. Without the replicates' own scatter,
+    (Q - nu) / (n - nu) follows F(n - nu, nu) under Gaussian noise where the law holds.
+
+    Examples
+    --------
+    >>> from stickslip_fit.estimation import fit_closed_form
+    >>> from stickslip_fit.logs import read_log
+    >>> log = read_log("data/reference/campaign.csv")
+    >>> bool(assess_held_out(log, fit_closed_form(log))["p_value"].min() > 0.01)
+    True
+    """
+    fresh = law.residuals[~law.residuals["used"].to_numpy(bool) & law.residuals["residual"].notna()]
+    rows = log.usable.loc[fresh.index]
+    records = []
+    for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True):
+        fit = law.joints[int(joint)]
+        known = fit.repeatability[str(direction)]
+        if known.source != "replicates" or not known.df:
+            continue
+        squares, number = 0.0, 0
+        for _, session in subset.groupby("session", observed=True):
+            value = _mahalanobis_square(
+                fit, session, fresh.loc[session.index, "residual"].to_numpy(), known.value
+            )
+            if np.isfinite(value):
+                squares, number = squares + value, number + len(session)
+        if (residual_df := number - known.df) > 0:
+            excess = (squares - known.df) / residual_df
+            p_value = float(f_distribution.sf(excess, residual_df, known.df))
+            records.append((int(joint), str(direction), number, excess, p_value))
+    return pd.DataFrame(records, columns=["joint", "direction", "traverses", "excess", "p_value"])
+
+
+def _mahalanobis_square(fit: JointFit, rows: pd.DataFrame, residual: np.ndarray, noise: float) -> float:
+    """The residuals' squared length in units of what is expected of them; NaN without error bars."""
+    group = fit.group_index(rows)
+    _, jacobian = fit.law.model(rows)(fit.values[group])
+    rounding = rounding_variance(rows["steps"], rows["check_every"])
+    expected = jacobian @ fit.covariance[group[0]] @ jacobian.T + np.diag(noise**2 + rounding)
+    if not np.all(np.isfinite(expected)):
+        return float("nan")
+    return float(residual @ np.linalg.solve(expected, residual))
+
+
+def fit_constant_step(log: Log, result: Result) -> Result:
+    """The constant-step model: one step size per joint, session and direction.
+
+    It is measured as the law's first parameter is, by the first full traverse in the law's first calibration
+    configuration, where neither gravity nor recoil is in play. A session without such a traverse knows no
+    constant step.
+    """
+    rows = log.usable
+    beside = {
+        joint: published_law(joint, rows[rows["joint"] == joint], log.machine) for joint in result.joints
+    }
+    laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in beside.items()}
+    return solve_calibration(
+        log, laws, "constant-step", companion_laws=beside, command=result.provenance.command
+    )
+
+
+def held_out_errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:
+    """Errors of two calibrations on the traverses that neither used.
+
+    Parameters
+    ----------
+    log : Log
+    law, constant : Result
+        Calibrations of the same log.
+
+    Returns
+    -------
+    DataFrame, indexed as the log's rows
+        The log's configuration columns, and measured, law, constant: mean step sizes (rad or m) as
+        measured and as predicted. Traverses that a calibration cannot predict are left out.
+    """
+    fresh = ~(law.residuals["used"] | constant.residuals["used"])
+    rows = log.usable.loc[fresh.index[fresh]]
+    seen = expected_steps(rows["steps"], rows["check_every"])
+    table = rows[["session", "joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]].copy()
+    table["measured"] = traverse_length(rows) / seen
+    table["law"] = law.predict(rows)["step_size"]
+    table["constant"] = constant.predict(rows)["step_size"]
+    return table.dropna(subset=["law", "constant"])
+
+
+def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Bias, rms and worst error of both models over groups of traverses.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As `errors` returns it.
+    by : list of str
+        Columns to group by; configurations are compared with NaN equal to NaN.
+
+    Returns
+    -------
+    DataFrame
+        One row per group: the columns `by`, traverses, and for each model (law, constant) its bias, rms and
+        worst error, absolute (rad or m) and relative (``law_rms``, ``law_rms_relative``, ...), with
+        ``law_rms_low`` and ``law_rms_high``, a 95 % interval of the rms for errors that are Gaussian.
+    """
+    work = table[by].copy()
+    for model in ("law", "constant"):
+        work[f"{model}_"] = table[model] - table["measured"]
+        work[f"{model}_relative_"] = table[model] / table["measured"] - 1.0
+    groups = work.groupby(by, dropna=False, sort=True, observed=True)
+    summary = groups.size().rename("traverses").to_frame()
+    for model in ("law", "constant"):
+        for suffix in ("", "_relative"):
+            error = groups[f"{model}{suffix}_"]
+            bias, high, low = error.mean(), error.max(), error.min()
+            summary[f"{model}_bias{suffix}"] = bias
+            summary[f"{model}_rms{suffix}"] = np.hypot(bias, error.std(ddof=0))
+            summary[f"{model}_worst{suffix}"] = high.where(high >= -low, low)
+        for end, q in (("low", 0.975), ("high", 0.025)):
+            ratio = summary["traverses"] / chi2.ppf(q, summary["traverses"])
+            summary[f"{model}_rms_{end}"] = summary[f"{model}_rms"] * np.sqrt(ratio)
+    return summary.reset_index()
+
+
+MIN_EARLIER_SESSIONS = 3  # sessions before; with two, anything would be as expected
+OUT_OF_CONTROL_LEVEL = 0.01  # over all parameters of a session together
+
+
+def control_chart(result: Result) -> pd.DataFrame:
+    """Every session's parameters beside what the sessions before it predict for them.
+
+    Parameters
+    ----------
+    result : Result
+        By any estimator.
+
+    Returns
+    -------
+    DataFrame
+        name, joint, direction, session, unit, estimate, low, high (its 95 %), expected_low, expected_high
+        (SI) and surprising. The range holds all parameters of a drive that changes from session to session
+        as it did so far in 99 of 100 sessions (Student's t, Bonferroni over the session's parameters that
+        have a range); it is NaN with fewer than three earlier sessions. Parameters that are not known, and
+        those that all sessions share, are not listed.
+    """
+    table = result.parameters.dropna(subset=["estimate", "session"])
+    chart = table[["name", "joint", "direction", "session", "unit", "estimate", "low", "high"]]
+    chart = chart.reset_index(drop=True)
+    histories = chart.groupby(["joint", "direction", "name"], sort=False)["estimate"]
+    earlier = histories.cumcount().to_numpy()
+    middle, spread = np.full(len(chart), np.nan), np.full(len(chart), np.nan)
+    for _, history in histories:
+        middle[history.index], spread[history.index] = _predict_next(history.to_numpy(float))
+    has_limits = earlier >= MIN_EARLIER_SESSIONS
+    n_compared = np.maximum(pd.Series(has_limits).groupby(chart["session"]).transform("sum").to_numpy(), 1)
+    df = np.where(has_limits, earlier - 1, 1)
+    reach = spread * student_t.ppf(1 - OUT_OF_CONTROL_LEVEL / 2 / n_compared, df)
+    chart["expected_low"], chart["expected_high"] = middle - reach, middle + reach
+    chart["surprising"] = np.abs(chart["estimate"] - middle) > reach
+    return chart
+
+
+def latest_control(result: Result) -> pd.DataFrame:
+    """The latest session's parameters beside what the earlier sessions predict for them.
+
+    Returns
+    -------
+    DataFrame
+        The last row of each parameter in `control_chart`. Parameters with fewer than three earlier sessions
+        are not listed.
+    """
+    chart = control_chart(result)
+    latest = chart.groupby(["joint", "direction", "name"], sort=False).tail(1)
+    return latest.dropna(subset=["expected_low"]).reset_index(drop=True)
+
+
+def format_latest_control(found: pd.DataFrame) -> str:
+    """One sentence where all is as expected, else a line for each surprise.
+
+    Parameters
+    ----------
+    found : DataFrame
+        As `expectation` returns it.
+    """
+    if found.empty:
+        return f"Fewer than {MIN_EARLIER_SESSIONS} earlier sessions: too few to say what to expect of the latest."
+    session, odd = found["session"].iloc[-1], found[found["surprising"].astype(bool)]
+    if odd.empty:
+        return f"Session {session} lies where the sessions before it lead one to expect."
+    lines = [
+        f"  joint {row.joint} {format_direction(row.direction)} {row.name}: "
+        f"{from_si(row.estimate, row.unit):.4g}, expected {from_si(row.expected_low, row.unit):.4g} to "
+        f"{from_si(row.expected_high, row.unit):.4g}{'' if row.unit == '1' else ' ' + row.unit}"
+        for row in odd.itertuples(index=False)
+    ]
+    return "\n".join([f"Session {session} is not where the sessions before it lead one to expect:", *lines])
+
+
+def _predict_next(estimates: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Mean and standard deviation of the next estimate after each stretch of the past, shape (2, n)."""
+    predicted = np.full((2, len(estimates)), np.nan)
+    for k in range(MIN_EARLIER_SESSIONS, len(estimates)):
+        past = estimates[:k]
+        predicted[:, k] = past.mean(), past.std(ddof=1) * np.sqrt(1 + 1 / k)
+    return predicted

@@ -1,0 +1,309 @@
+"""Result: the fit of a log by any estimator, its covariance, flags, residuals, provenance and summary.
+
+`JointFit` holds one joint's law with the parameters of each group, a group being a session and a
+direction.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit import __version__
+from stickslip_fit._format import join_words
+from stickslip_fit._summary import Summarized
+from stickslip_fit._typing import Array
+from stickslip_fit.causes import ExtendedLaw
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
+from stickslip_fit.laws import StepLaw, traverse_length
+from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Hashes, versions and command behind a result.
+
+    Attributes
+    ----------
+    log_files : tuple of str
+        Names of the log's files.
+    log_sha256, machine_sha256 : str
+    machine_name : str
+    versions : dict of str to str
+    command : str
+        As typed; empty where the result was made in a notebook.
+    seed : int or None
+        None where nothing random took part.
+    """
+
+    log_files: tuple[str, ...]
+    log_sha256: str
+    machine_name: str
+    machine_sha256: str
+    versions: dict[str, str]
+    command: str = ""
+    seed: int | None = None
+
+    def lines(self) -> tuple[tuple[str, str], ...]:
+        """Name and value of each, for people."""
+        seed = (("seed", str(self.seed)),) if self.seed is not None else ()
+        return (
+            ("log", f"{join_words(self.log_files or ['no file'])}; sha256 {self.log_sha256}"),
+            (f"machine {self.machine_name}", f"sha256 {self.machine_sha256}"),
+            ("versions", ", ".join(f"{name} {version}" for name, version in self.versions.items())),
+            ("command", self.command or "none: made from Python"),
+            *seed,
+        )
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what computes the numbers."""
+    return {
+        "stickslip_fit": __version__,
+        "python": ".".join(str(part) for part in sys.version_info[:3]),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "pandas": version("pandas"),
+    }
+
+
+def build_provenance(log: Log, command: str) -> Provenance:
+    """Where a fit of `log` comes from."""
+    return Provenance(
+        log_files=tuple(name for name, _ in log.sources),
+        log_sha256=log.sha256,
+        machine_name=log.machine.name,
+        machine_sha256=log.machine.sha256,
+        versions=library_versions(),
+        command=command,
+    )
+
+
+AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel; see `report.figures.axes.Panels`
+ALL_JOINTS = 0  # in place of a joint, where something is said of all of them
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """One joint's law with its parameters for each session and direction.
+
+    Attributes
+    ----------
+    law : StepLaw
+    groups : DataFrame
+        Columns session and direction; g rows in order of time.
+    values : array, shape (g, p)
+        Parameters, SI. Where the log knows only a combination of them, one that fits it.
+    known : array of bool, shape (g, p)
+        Which of `values` the log determines one by one.
+    covariance : array, shape (g, p, p)
+        Of `values`; NaN where no error bar can be given.
+    interval : array, shape (g, p, 2)
+        95 % of each parameter, low and high.
+    repeatability : dict of str to Repeatability
+        By direction.
+    shared : tuple of str
+        Parameters with one value in each direction for all sessions; it stands in each of their groups.
+    """
+
+    law: StepLaw
+    groups: pd.DataFrame
+    values: Array
+    known: npt.NDArray[np.bool_]
+    covariance: Array
+    interval: Array
+    repeatability: dict[str, NoiseLevel]
+    shared: tuple[str, ...] = ()
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Parameters of causes, with one value for the whole campaign; it stands in each group."""
+        law = self.law
+        return tuple(each.name for each in law.common) if isinstance(law, ExtendedLaw) else ()
+
+    def group_index(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
+        """Index of each row's group; -1 where the fit has none for its session and direction."""
+        index = pd.MultiIndex.from_frame(self.groups[["session", "direction"]].astype(object))
+        wanted = pd.MultiIndex.from_frame(rows[["session", "direction"]].astype(object))
+        return index.get_indexer(wanted)
+
+
+@dataclass(frozen=True, repr=False)
+class Result(Summarized):
+    """A fitted log.
+
+    Attributes
+    ----------
+    method : str
+        ``closed-form``, ``least-squares``, ``heavy-tailed-least-squares`` or ``bayes``.
+    machine : Machine
+    joints : dict of int to JointFit
+    residuals : DataFrame
+        Indexed as the log's usable rows: joint, residual (log steps seen less predicted), used (whether
+        the traverse took part in the fit).
+    remarks : tuple of Remark
+    provenance : Provenance
+    """
+
+    method: str
+    machine: Machine
+    joints: dict[int, JointFit]
+    residuals: pd.DataFrame
+    flags: tuple[Flag, ...]
+    provenance: Provenance
+
+    def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
+        """Normal approximation of a session's parameters, the latest session's unless named, two by two.
+
+        Raises
+        ------
+        InputError
+            If there is no such session, joint or direction, or its parameters have no error bars.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.parameters import plot_covariance_corner
+
+        return collect_axes(plot_covariance_corner(self, joint, direction, session))
+
+    def plot_forest(self, joint: int) -> AxesArray:
+        """Every session's parameters of a joint with their 95 % intervals.
+
+        Raises
+        ------
+        InputError
+            If the joint was not fitted.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.parameters import plot_forest
+
+        return collect_axes(plot_forest(self, joint))
+
+    def plot_control(self) -> AxesArray:
+        """Every parameter by session, within the limits that the sessions before it set."""
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.parameters import plot_control
+
+        return collect_axes(plot_control(self))
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
+
+        That is standard_error, low, high and flags; session is None for one that all sessions share. A
+        cause's parameter, one for the whole campaign, comes last, with joint 0 and an empty direction.
+        Numbers are SI; unit is the one people read them in. low and high bound 95 %; estimate and what
+        follows are NaN where the log does not know them, and standard_error is where a bound holds the
+        parameter.
+        """
+        table = pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
+        common = table["joint"] == ALL_JOINTS
+        once = table[common].drop_duplicates("name")
+        return pd.concat([table[~common], once], ignore_index=True) if len(once) else table
+
+    def _joint_table(self, fit: JointFit) -> pd.DataFrame:
+        parameters = fit.law.parameters
+        count = len(parameters)
+        names = [parameter.name for parameter in parameters]
+        table = fit.groups.loc[fit.groups.index.repeat(count), ["direction", "session"]].reset_index(
+            drop=True
+        )
+        table.insert(0, "name", names * len(fit.groups))
+        table.insert(1, "joint", fit.law.joint)
+        table["unit"] = [parameter.unit for parameter in parameters] * len(fit.groups)
+        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
+        error = np.sqrt(np.where(variance > 0, variance, np.nan))
+        columns = (fit.values, error, fit.interval[..., 0], fit.interval[..., 1])
+        for name, column in zip(("estimate", "standard_error", "low", "high"), columns, strict=True):
+            table[name] = np.where(fit.known, column, np.nan).ravel()
+        table["flags"] = self._flags(fit, names)
+        common = table["name"].isin(fit.shared)
+        table["session"] = table["session"].astype(object).mask(common, None)
+        everywhere = table["name"].isin(fit.common)
+        table.loc[everywhere, ["joint", "direction", "session"]] = [ALL_JOINTS, "", None]
+        return table[~((common | everywhere) & table.duplicated(["name", "direction"]))]
+
+    def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
+        """What is wrong with each parameter; a shared one has the flags of all its sessions."""
+        raised: dict[tuple[str, str, str], list[str]] = {}
+        for flag in self.flags:
+            if flag.joint in (fit.law.joint, ALL_JOINTS):
+                for name in flag.parameters:
+                    everywhere = not flag.session or name in fit.shared
+                    for session in fit.groups["session"].unique() if everywhere else [flag.session]:
+                        for way in flag.direction or "+-":
+                            raised.setdefault((session, way, name), []).append(flag.flag)
+        return [
+            tuple(dict.fromkeys(raised.get((session, direction, name), ())))
+            for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
+            for name in names
+        ]
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Steps and step size for traverses, each by the parameters of its session and direction.
+
+        Parameters
+        ----------
+        rows : DataFrame
+            A log's columns; steps are not needed.
+
+        Returns
+        -------
+        DataFrame, indexed as `rows`
+            steps, step_size (rad or m), relative_error (of the law, from its parameters), and
+            low, high: 95 % interval of the steps that a new traverse takes, repeatability included.
+
+        Raises
+        ------
+        InputError
+            For a session, direction or joint that was not fitted.
+        """
+        parts = [self._predict_joint(joint, rows[rows["joint"] == joint]) for joint in rows["joint"].unique()]
+        return pd.concat(parts).loc[rows.index] if parts else _empty_predictions()
+
+    def _predict_joint(self, joint: int, rows: pd.DataFrame) -> pd.DataFrame:
+        if joint not in self.joints:
+            raise InputError(f"joint {joint} was not fitted; this result knows joints {list(self.joints)}")
+        fit = self.joints[joint]
+        group = fit.group_index(rows)
+        if np.any(group < 0):
+            missing = rows.iloc[int(np.argmax(group < 0))]
+            fitted = ", ".join(map(str, fit.groups["session"].unique()))
+            raise InputError(
+                f"joint {joint} was not fitted for session {missing['session']!r}, direction "
+                f"{missing['direction']}; sessions fitted: {fitted}"
+            )
+        response, jacobian = fit.law.model(rows)(fit.values[group])
+        spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
+        directions = fit.groups["direction"].to_numpy()[group]
+        found = fit.repeatability.items()
+        noise = (
+            pd.Series({way: repeatability.value for way, repeatability in found}).loc[directions].to_numpy()
+        )
+        reach = (
+            pd.Series({way: t_quantile(repeatability.df) for way, repeatability in found})
+            .loc[directions]
+            .to_numpy()
+        )
+        total = reach * np.hypot(spread, noise)
+        steps = np.exp(response)
+        return pd.DataFrame(
+            {
+                "steps": steps,
+                "step_size": traverse_length(rows) / steps,
+                "relative_error": spread,
+                "low": np.exp(response - total),
+                "high": np.exp(response + total),
+            },
+            index=rows.index,
+        )
+
+
+def _empty_predictions() -> pd.DataFrame:
+    return pd.DataFrame(columns=["steps", "step_size", "relative_error", "low", "high"], dtype=float)

@@ -1,0 +1,128 @@
+"""How rows are weighted: least squares repeated with weights from its own residuals.
+
+The first fit weighs all rows alike. Its residuals give the repeatability of each joint and direction, and
+with the variance of the counts' rounding the variance of each row; under a heavy-tailed likelihood a row's
+own residual lowers its weight further (iteratively reweighted least squares). So on until no weight changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.estimation._optimize import Minimum
+from stickslip_fit.estimation._problem import FitOptions, JointProblem, Problem, columns_of
+from stickslip_fit.estimation.noise import Likelihood, NoiseLevel, pool_residuals, row_variance
+
+MAX_PASSES = 100
+WEIGHT_TOL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ConvergedFit:
+    """A fit whose weights have converged.
+
+    Attributes
+    ----------
+    joints : tuple of JointProblem
+    whole : Problem
+        All of them combined, or the only one itself.
+    minimum : Minimum
+        Of the whole.
+    repeatability : tuple of dict of str to Repeatability
+        Of each joint, by direction.
+    weight, information : array, shape (n,)
+        Of each row in the fit, and its Fisher information about its prediction.
+    """
+
+    joints: tuple[JointProblem, ...]
+    whole: Problem
+    minimum: Minimum
+    repeatability: tuple[dict[str, NoiseLevel], ...]
+    weight: Array
+    information: Array
+
+    def groups(self, number: int) -> slice:
+        """Positions of one joint's groups among those of the whole."""
+        return _place(number, [len(joint.groups) for joint in self.joints])
+
+    def rows(self, number: int) -> slice:
+        """Positions of one joint's rows among those of the whole."""
+        return _place(number, [len(joint.y) for joint in self.joints])
+
+    def columns(self, number: int) -> IntArray:
+        """Positions of one joint's parameters among those of the whole."""
+        return columns_of(self.whole, self.joints[number])
+
+    def minimum_of(self, number: int) -> Minimum:
+        """One joint's share of the minimum."""
+        return _minimum_of(self.joints, self.whole, self.minimum, number)
+
+
+def iterate_weights(
+    joints: Sequence[JointProblem], whole: Problem, options: FitOptions, weight: Array | None = None
+) -> ConvergedFit:
+    """Minimise, weigh the rows by their residuals, and so on until the weights converge.
+
+    Parameters
+    ----------
+    joints : sequence of JointProblem
+    whole : Problem
+        As of `combined_problem`, or the only joint itself.
+    options : FitOptions
+    weight : array, shape (n,), optional
+        To begin with, instead of 1.
+    """
+    likelihood, start = options.likelihood, whole.start
+    weight = np.ones(len(whole.y)) if weight is None else weight
+    for _ in range(MAX_PASSES):
+        minimum = whole.minimize(weight, start)
+        repeatability = tuple(
+            from_residuals(joint, _minimum_of(joints, whole, minimum, number), likelihood)
+            | options.known_noise(joint.law.joint)
+            for number, joint in enumerate(joints)
+        )
+        scale2 = np.concatenate(
+            [
+                row_variance(joint.rows, joint.rounding, by_direction, likelihood)
+                for joint, by_direction in zip(joints, repeatability, strict=True)
+            ]
+        )
+        before, weight = weight, likelihood.irls_weight(minimum.residual**2 / scale2) / scale2
+        start = minimum.values
+        if np.max(np.abs(weight / before - 1.0)) < WEIGHT_TOL:
+            break
+    return ConvergedFit(tuple(joints), whole, minimum, repeatability, weight, likelihood.information / scale2)
+
+
+def from_residuals(joint: JointProblem, minimum: Minimum, likelihood: Likelihood) -> dict[str, NoiseLevel]:
+    """Repeatability of each direction from the residuals of a fit."""
+    repeatability = {}
+    for direction in ("+", "-"):
+        rows = (joint.rows["direction"] == direction).to_numpy()
+        df = int(rows.sum() - minimum.rank[joint.directions == direction].sum())
+        repeatability[direction] = pool_residuals(
+            minimum.residual[rows], joint.rounding[rows], df, "residuals", likelihood
+        )
+    return repeatability
+
+
+def _minimum_of(joints: Sequence[JointProblem], whole: Problem, minimum: Minimum, number: int) -> Minimum:
+    groups = _place(number, [len(joint.groups) for joint in joints])
+    columns = columns_of(whole, joints[number])
+    return Minimum(
+        values=minimum.values[groups, columns],
+        curvature=minimum.curvature[groups][:, columns[:, None], columns],
+        residual=minimum.residual[_place(number, [len(joint.y) for joint in joints])],
+        converged=minimum.converged[groups],
+        rank=minimum.rank[groups],
+        at_bound=minimum.at_bound[groups, columns],
+        iterations=minimum.iterations,
+    )
+
+
+def _place(number: int, sizes: Sequence[int]) -> slice:
+    return slice(sum(sizes[:number]), sum(sizes[: number + 1]))

@@ -1,0 +1,458 @@
+"""Least squares of laws with causes: start values, and calibration with the causes' parameters fixed.
+
+A cause has one set of parameters for the whole campaign. The start is the form of each cause that
+explains most of the residuals of the published laws, one cause after the other. With fixed causes,
+their effect is divided out of the counts and the calibration is solved again until the parameters
+converge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import format_value
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes import Cause, ExtendedLaw
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._problem import (
+    DEFAULT_OPTIONS,
+    FitOptions,
+    JointProblem,
+    Problem,
+    combined_problem,
+    single_problem,
+)
+from stickslip_fit.estimation.noise import Flag, quadratic_interval
+from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.laws import Configuration, Rows, State, StepLaw
+from stickslip_fit.laws.base import Counter
+from stickslip_fit.machine import Machine
+
+MAX_TRIAL_FACTOR = 20.0  # times as large as in a trial
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualProblem:
+    """What published laws, each at its best, leave of the responses of n rows.
+
+    Attributes
+    ----------
+    problems : tuple of JointProblem
+        One for each joint.
+    rows : DataFrame
+        Theirs, one problem's after the other's.
+    values, slopes : tuple of array, shape (rows of each problem, p)
+        The law's parameters of each row, and the derivatives of its response by them.
+    residual : array, shape (n,)
+    """
+
+    problems: tuple[JointProblem, ...]
+    rows: pd.DataFrame
+    values: tuple[Array, ...]
+    slopes: tuple[Array, ...]
+    residual: Array
+
+    def project_out_laws(self, columns: Array) -> Array:
+        """Columns less what the laws' own parameters can follow, group by group; shape (n, m)."""
+        remaining, first = np.empty_like(columns), 0
+        for problem, slopes in zip(self.problems, self.slopes, strict=True):
+            for group in range(len(problem.groups)):
+                subset = np.flatnonzero(problem.groups.of_row == group)
+                size = np.abs(slopes[subset]).max(axis=0)
+                basis, column = slopes[subset] / np.where(size > 0, size, 1.0), columns[first + subset]
+                remaining[first + subset] = column - basis @ np.linalg.lstsq(basis, column, rcond=1e-9)[0]
+            first += len(problem.y)
+        return remaining
+
+    def effects(self, laws: Sequence[StepLaw], start: Array, version: Cause, trials: Array) -> Array:
+        """Change of each response by each trial, in laws that have causes at `start`; shape (n, m)."""
+        changes = []
+        for law, problem, own in zip(laws, self.problems, self.values, strict=True):
+            values = np.column_stack([own, np.tile(start, (len(own), 1))])
+            acts = law.joint in version.joints
+            none = np.zeros((len(own), len(trials)))
+            changes.append(version.changes(law, problem.rows, values, trials) if acts else none)
+        return self.project_out_laws(np.concatenate(changes))
+
+
+def fit_published_laws(problems: Sequence[JointProblem]) -> ResidualProblem:
+    """Fit every joint's published law by itself, all rows alike."""
+    found = [problem.minimize(np.ones(len(problem.y)), problem.start) for problem in problems]
+    values = tuple(each.values[problem.groups.of_row] for problem, each in zip(problems, found, strict=True))
+    slopes = tuple(problem.model(subset)[1] for problem, subset in zip(problems, values, strict=True))
+    rows = pd.concat([problem.rows for problem in problems])
+    return ResidualProblem(
+        tuple(problems), rows, values, slopes, np.concatenate([each.residual for each in found])
+    )
+
+
+def bind_causes(rows: pd.DataFrame, causes: Sequence[Cause], machine: Machine) -> tuple[Cause, ...]:
+    """Causes with the means and ranges of a log.
+
+    Raises
+    ------
+    InputError
+        For one that the log cannot show, and why.
+    """
+    for cause in causes:
+        why = cause.missing(rows)
+        if why is not None:
+            raise InputError(f"{cause.name} cannot be fitted: {why}")
+    return tuple(cause.bind(rows, machine) for cause in causes)
+
+
+def initial_guess(remainder: ResidualProblem, causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], Array]:
+    """The version of each bound cause that explains most, one after the other, and values to begin with.
+
+    Raises
+    ------
+    InputError
+        For a cause that changes no expected count.
+    """
+    laws: list[StepLaw] = [problem.law for problem in remainder.problems]
+    chosen: list[Cause] = []
+    start, remaining = np.zeros(0), remainder.residual
+    for cause in causes:
+        candidates = list(_candidate_starts(remainder, laws, start, cause, remaining))
+        if not candidates:
+            raise InputError(
+                f"{cause.name} changes no expected count of this log, so that there is nothing to fit; "
+                "misfires are met by a fit with heavy tails"
+            )
+        version, values, explained = max(candidates, key=lambda candidate: float(candidate[2] @ remaining))
+        laws = [version.extend(law) for law in laws]
+        chosen.append(version)
+        start, remaining = np.append(start, values), remaining - explained
+    return tuple(chosen), start
+
+
+def _candidate_starts(
+    remainder: ResidualProblem, laws: Sequence[StepLaw], start: Array, cause: Cause, remaining: Array
+) -> Iterator[tuple[Cause, Array, Array]]:
+    """Each version of a cause, values for it, and what these explain of what is left, shape (n,)."""
+    for version, trials in cause.trials(remainder.rows):
+        effects = remainder.effects(laws, start, version, trials)
+        if version.joined:
+            share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
+            yield version, share @ trials, effects @ share
+            continue
+        absent = version.absent[0]
+        for trial, effect in zip(trials, effects.T, strict=True):
+            if effect @ effect > 0:
+                share = np.clip(effect @ remaining / (effect @ effect), -MAX_TRIAL_FACTOR, MAX_TRIAL_FACTOR)
+                values = np.append(absent + share * (trial[0] - absent), trial[1:])
+                yield version, values, share * effect
+
+
+def problems_with_causes(
+    causes: Sequence[Cause],
+    laws: dict[int, StepLaw],
+    by_joint: dict[int, pd.DataFrame],
+    machine: Machine,
+    options: FitOptions,
+) -> tuple[list[JointProblem], Problem]:
+    """Each joint's problem, the causes' versions chosen and their parameters last, and all of them combined.
+
+    Raises
+    ------
+    InputError
+        If a cause cannot be seen in these rows, or other parameters are to be shared, too.
+    """
+    if options.shared:
+        raise InputError(
+            f"{', '.join(options.shared)} cannot be the same in all sessions while causes are fitted; fit "
+            "one or the other"
+        )
+    published = [single_problem(laws[joint], subset, DEFAULT_OPTIONS) for joint, subset in by_joint.items()]
+    remainder = fit_published_laws(published)
+    chosen, start = initial_guess(remainder, bind_causes(remainder.rows, causes, machine))
+    options.check([*laws.values(), *(ExtendedLaw(law, chosen) for law in laws.values())])
+    problems = []
+    for problem, values in zip(published, remainder.values, strict=True):
+        extended = single_problem(ExtendedLaw(problem.law, chosen), problem.rows, options)
+        of_group = values[np.unique(problem.groups.of_row, return_index=True)[1]]
+        first = np.column_stack([of_group, np.tile(start, (len(of_group), 1))])
+        problems.append(replace(extended, start=np.clip(first, extended.lower, extended.upper)))
+    return problems, combined_problem(problems, len(start))
+
+
+def published_problem(problem: JointProblem) -> JointProblem:
+    """The problem as far as it is the published law's."""
+    if not isinstance(problem.law, ExtendedLaw):
+        return problem
+    own = slice(0, len(problem.law.law.parameters))
+    parts = {name: getattr(problem, name)[:, own] for name in ("start", "scales", "lower", "upper")}
+    sharing = replace(problem.sharing, parameters=problem.sharing.parameters[own])
+    return replace(problem, law=problem.law.law, sharing=sharing, **parts)
+
+
+def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> list[Flag]:
+    """What is to be said of the causes' parameters, once for all joints.
+
+    Parameters
+    ----------
+    fits : sequence of JointFit
+        With extended laws.
+    at_bound : sequence of array of bool, shape (g, p)
+        Of each fit.
+    """
+    flags = []
+    law = fits[0].law
+    assert isinstance(law, ExtendedLaw)
+    places = iter(range(-len(law.common), 0))
+    for cause in law.causes:
+        for _ in cause.parameters:
+            k = next(places)
+            name, value = law.common[k].name, format_value(fits[0].values[0, k], law.common[k].unit, 4)
+            if law.common[k].sudden:
+                text = f"{name} = {value} was chosen among the gaps between traverses; it has no error bar"
+                flags.append(_cause_flag("chosen", name, text))
+            elif any(held[:, k].any() for held in at_bound):
+                text = f"{name} is held back by its bound at {value}; the other error bars take it for true"
+                flags.append(_cause_flag("at_bound", name, text))
+            elif not all(fit.known[:, k].all() for fit in fits):
+                text = (
+                    f"{name} cannot be known from the whole campaign; what would show it: {cause.shows_best}"
+                )
+                flags.append(_cause_flag("not_identified", name, text))
+    return flags
+
+
+def _cause_flag(flag: str, name: str, message: str) -> Flag:
+    return Flag(flag, ALL_JOINTS, "", "", (name,), message)
+
+
+CalibrationSolver = Callable[[Array], Array]
+"""Steps of each calibration traverse to parameters of the published law, (g, p) -> (g, p)."""
+
+MAX_PASSES = 100
+PARAMETER_TOL = 1e-10  # of a change of the parameter that matters
+DIFFERENCE_STEP = 1e-3  # of a cause's scale
+EFFECT_TOL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FixedCauses:
+    """Causes as a result has them.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+    values : array, shape (q,)
+    covariance : array, shape (q, q)
+    interval : array, shape (q, 2)
+    """
+
+    causes: tuple[Cause, ...]
+    values: Array
+    covariance: Array
+    interval: Array
+
+
+def fixed_causes(result: Result) -> FixedCauses:
+    """The causes of a result.
+
+    Raises
+    ------
+    InputError
+        If its laws have none, or their sizes are not all known.
+    """
+    fits = list(result.joints.values())
+    law = fits[0].law
+    if not isinstance(law, ExtendedLaw):
+        raise InputError("the laws of this result have no causes in them; fit a log with --cause, save that")
+    last = slice(-len(law.common), None)
+    known = np.all([fit.known[:, last].all(axis=0) for fit in fits], axis=0)
+    if not known.all():
+        unknown = ", ".join(each.name for each, fine in zip(law.common, known, strict=True) if not fine)
+        raise InputError(f"this result does not know {unknown}; fit its log without that cause")
+    # They are the same in all groups, but for those that have no error bars of their own.
+    covariance = np.concatenate([fit.covariance[:, last, last] for fit in fits])
+    interval = np.concatenate([fit.interval[:, last] for fit in fits])
+    best = int(np.argmax(np.isfinite(covariance).all(axis=(1, 2))))
+    return FixedCauses(law.causes, fits[0].values[0, last], covariance[best], interval[best])
+
+
+class FixedCauseLaw(StepLaw):
+    """A published law with causes in it whose sizes are not to be fitted.
+
+    Parameters
+    ----------
+    law : StepLaw
+        Published.
+    causes : sequence of Cause
+    sizes : array, shape (q,)
+        Of their parameters.
+    """
+
+    name = "held"
+
+    def __init__(self, law: StepLaw, causes: Sequence[Cause], sizes: Array) -> None:
+        self.law = law
+        self.extended = ExtendedLaw(law, causes)
+        self.sizes = sizes
+        self.joint = law.joint
+        self.parameters = law.parameters
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `StepLaw.columns`."""
+        return self.extended.columns
+
+    @property
+    def max_panel(self) -> float:  # type: ignore[override]
+        """See `StepLaw.widest`."""
+        return self.extended.max_panel
+
+    def whole(self, values: Array) -> Array:
+        """Parameters of the extended law, (..., p) -> (..., p + q)."""
+        sizes = np.broadcast_to(self.sizes, (*values.shape[:-1], len(self.sizes)))
+        return np.concatenate([values, sizes], axis=-1)
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        return self.extended.gamma(state, self.whole(values))
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        return self.extended.gamma_slopes(state, self.whole(values))[..., : len(self.parameters)]
+
+    def counter(self, rows: Rows) -> Counter:
+        """See `StepLaw.counter`."""
+        count, own = self.extended.counter(rows), len(self.parameters)
+
+        def held(values: Array) -> tuple[Array, Array]:
+            counts, slopes = count(self.whole(values))
+            return counts, slopes[:, :own]
+
+        return held
+
+    def effect(self, rows: Rows, values: Array) -> Array:
+        """By how much the causes change log(steps), shape (n,)."""
+        return self.extended.predict(rows, self.whole(values)) - self.law.predict(rows, values)
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`."""
+        return self.law.start_values(mean_step)
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return self.law.scales(mean_step)
+
+    def features(self, rows: Rows) -> Array:
+        """See `StepLaw.features`: those of the published law, whose calibration is asked for."""
+        return self.law.features(rows)
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """See `StepLaw.calibration`."""
+        return self.law.calibration()
+
+
+def solve_with_fixed_causes(
+    law: FixedCauseLaw,
+    rows: pd.DataFrame,
+    picked: IntArray,
+    steps: Array,
+    mean_step: Array,
+    solve: CalibrationSolver,
+) -> Array:
+    """Parameters that give the steps of each calibration traverse with the causes at work, (g, p) -> (g, p).
+
+    What the causes do is divided out of the counts, and again with the better parameters, until these rest.
+
+    Parameters
+    ----------
+    law : HeldLaw
+    rows : DataFrame
+    picked : array of int, shape (g, p)
+        Calibration traverses; -1 where there is none.
+    steps : array, shape (g, p)
+    mean_step : array, shape (g,)
+    solve : callable
+        For the published law.
+
+    Returns
+    -------
+    array, shape (g, p)
+        NaN where a traverse is missing, or a cause makes one that is there depend on what is not known.
+    """
+    values, scales = solve(steps), law.scales(mean_step)
+    for _ in range(MAX_PASSES):
+        before, values = values, solve(steps / np.exp(_fixed_effects(law, rows, picked, values, mean_step)))
+        if np.nan_to_num(np.abs(values - before) / scales).max(initial=0.0) < PARAMETER_TOL:
+            return values
+    return np.full_like(values, np.nan)
+
+
+def _fixed_effects(
+    law: FixedCauseLaw, rows: pd.DataFrame, picked: IntArray, values: Array, mean_step: Array
+) -> Array:
+    """What the causes do to each calibration traverse; NaN where that depends on what is not known."""
+    made = picked >= 0
+    taken, group = rows.iloc[picked[made]], np.nonzero(made)[0]
+    one, other = (
+        law.effect(taken, np.where(np.isnan(values), stand_in, values)[group])
+        for stand_in in _typical_parameters(law, mean_step)
+    )
+    effects = np.full(picked.shape, np.nan)
+    effects[made] = np.where(np.abs(one - other) < EFFECT_TOL, one, np.nan)
+    return effects
+
+
+def _typical_parameters(law: FixedCauseLaw, mean_step: Array) -> tuple[Array, Array]:
+    """Two sets of parameters that a drive might have, each shape (g, p)."""
+    usual = law.start_values(mean_step)
+    return usual, usual + 0.1 * law.scales(mean_step)
+
+
+def fixed_cause_effect(law: StepLaw, rows: pd.DataFrame, values: Array, mean_step: Array) -> Array | float:
+    """By how much known causes change each row's log(steps), about where a parameter is not known.
+
+    Parameters
+    ----------
+    law : StepLaw
+        With held causes, or without.
+    rows : DataFrame
+    values : array, shape (n, p)
+    mean_step : array, shape (n,)
+    """
+    if not isinstance(law, FixedCauseLaw):
+        return 0.0
+    return law.effect(rows, np.where(np.isnan(values), law.start_values(mean_step), values))
+
+
+def release_causes(fit: JointFit, known: FixedCauses, solve: Callable[[FixedCauseLaw], Array]) -> JointFit:
+    """A calibration under a held law as one of the extended law; what is not sure of the causes goes with it.
+
+    Parameters
+    ----------
+    fit : JointFit
+        Of a HeldLaw.
+    known : KnownCauses
+    solve : callable
+        From a held law to its calibrated parameters, shape (g, p).
+    """
+    law = fit.law
+    assert isinstance(law, FixedCauseLaw)
+    groups, own, q = len(fit.values), len(law.parameters), len(known.values)
+    follow = np.zeros((groups, own, q))
+    for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
+        step = DIFFERENCE_STEP * law.extended.sizes[k] * (np.arange(q) == k)
+        upper, lower = (
+            solve(FixedCauseLaw(law.law, known.causes, known.values + sign * step)) for sign in (1, -1)
+        )
+        follow[:, :, k] = (upper - lower) / (2 * step[k])
+    both = np.concatenate([follow, np.broadcast_to(np.eye(q), (groups, q, q))], axis=1)
+    covariance = both @ known.covariance @ both.swapaxes(1, 2)
+    covariance[:, :own, :own] += fit.covariance
+    values = law.whole(fit.values)
+    interval = quadratic_interval(values, covariance, fit.groups, fit.repeatability)
+    interval[:, own:] = known.interval
+    settled = np.concatenate([fit.known, np.ones((groups, q), dtype=bool)], axis=1)
+    return replace(
+        fit, law=law.extended, values=values, covariance=covariance, interval=interval, known=settled
+    )

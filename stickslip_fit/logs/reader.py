@@ -1,0 +1,416 @@
+"""read_log: from files to a checked Log in order of time, with its history. Start reading here.
+
+Each file becomes a table (`_files`, `_csv`); its columns are matched to the format (`schema`). Session,
+time, joint and steps are read over all files, sessions are selected, the rules of each row are checked,
+the rows are put in order and `history` is added. All faults are raised in one InputError.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime, timedelta
+from functools import cached_property, partial
+from itertools import repeat
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from stickslip_fit._typing import Array, BoolArray, Int64Array
+from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.logs._files import SourcePath, hash_sources, open_sources
+from stickslip_fit.logs._table import FileTable, IssueCollector, IssueMessage, label_codes, run_in_threads
+from stickslip_fit.logs.history import add_session_history, steps_before
+from stickslip_fit.logs.log import Log
+from stickslip_fit.logs.plan import read_traverses, report_outside_range
+from stickslip_fit.logs.schema import (
+    CHECK_EVERY,
+    CONDITIONS,
+    LogCells,
+    locate_row,
+    match_columns,
+    read_covariates,
+    split_by_file,
+)
+from stickslip_fit.machine import Machine, load_machine
+from stickslip_fit.units import JOINTS
+
+_BAD_JOINT_MESSAGE = "is no joint; write 1 or 2 (rotary) or 3 (prismatic)"
+_BAD_COUNT_MESSAGE = "is no positive integer; write the steps driven, such as 12540"
+
+
+@dataclass(frozen=True)
+class RowKeys:
+    """Rows of all files, one file after the other.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        All sessions, in alphabetical order.
+    session : array of int, shape (n,)
+        Place of each row's session among the labels.
+    time : array of int, shape (n,)
+        Nanoseconds since 1970.
+    has_zone : array of bool, shape (n,)
+        Whether the time came with a zone (and is UTC).
+    joint, steps : array of int, shape (n,)
+        0 where the cell is faulty.
+    valid : array of bool, shape (n,)
+        Whether session, time and joint can be relied on.
+    """
+
+    labels: tuple[str, ...]
+    session: Int64Array
+    time: Int64Array
+    has_zone: BoolArray
+    joint: Int64Array
+    steps: Int64Array
+    valid: BoolArray
+
+    @cached_property
+    def order(self) -> Int64Array:
+        """Rows by time, joint and session: the one order that doesn't depend on the files'."""
+        if np.all(self.time[1:] > self.time[:-1]):
+            return np.arange(len(self.time))
+        return np.lexsort((self.session, self.joint, self.time))
+
+    @property
+    def steps_before(self) -> Int64Array:
+        """Steps of each row's joint in all rows before it; rows in the order of time."""
+        return steps_before(self.joint[self.order], self.steps[self.order])
+
+    def take(self, chosen: BoolArray) -> RowKeys:
+        """Only these rows."""
+        return RowKeys(
+            self.labels,
+            self.session[chosen],
+            self.time[chosen],
+            self.has_zone[chosen],
+            self.joint[chosen],
+            self.steps[chosen],
+            self.valid[chosen],
+        )
+
+    def columns(self) -> dict[str, pd.Series]:
+        """The Log's columns; times are in UTC where the log has zones."""
+        time = pd.Series(self.time.view("datetime64[ns]"), copy=False)
+        return {
+            "session": label_codes(self.session, self.labels),
+            "time": time.dt.tz_localize("UTC") if self.has_zone.any() else time,
+            "joint": pd.Series(self.joint, copy=False),
+            "steps": pd.Series(self.steps, copy=False),
+        }
+
+
+def read_row_keys(files: list[LogCells]) -> RowKeys:
+    """Read the columns by which a row is known, and tell of what is wrong with them."""
+    read = run_in_threads(
+        {
+            "sessions": lambda: _read_sessions(files),
+            "times": lambda: [cells.times("time") for cells in files],
+            "joint": lambda: np.concatenate(
+                [cells.counts("joint", _BAD_JOINT_MESSAGE, maximum=3, needed=True) for cells in files]
+            ),
+            "steps": lambda: np.concatenate(
+                [cells.counts("steps", _BAD_COUNT_MESSAGE, needed=True) for cells in files]
+            ),
+        }
+    )
+    labels, session = read["sessions"]
+    timed = ~np.concatenate([time.empty | time.bad for time in read["times"]])
+    identity = RowKeys(
+        labels=labels,
+        session=session,
+        time=np.concatenate([time.values for time in read["times"]]),
+        has_zone=np.concatenate([time.has_zone for time in read["times"]]),
+        joint=read["joint"],
+        steps=read["steps"],
+        valid=timed & (read["joint"] > 0) & np.array([bool(label) for label in labels], np.bool_)[session],
+    )
+    _report_mixed_zones(files, identity.has_zone & timed, ~identity.has_zone & timed)
+    _report_duplicates(files, identity)
+    return identity
+
+
+def _read_sessions(files: list[LogCells]) -> tuple[tuple[str, ...], Int64Array]:
+    encoded = pa.concat_arrays([cells.texts("session") for cells in files]).dictionary_encode()
+    found = np.array(encoded.dictionary.to_pylist(), dtype=object)
+    order = np.argsort(found)
+    session = np.argsort(order)[encoded.indices.to_numpy()]
+    labels = tuple(found[order])
+    blank = np.array([not label.strip() for label in labels], np.bool_)[session]
+    for cells, blank_here in zip(files, split_by_file(files, blank), strict=True):
+        cells.add_issue("session", blank_here, "is empty; write a label, such as the date 2012-03-05")
+    return labels, session
+
+
+def _report_mixed_zones(files: list[LogCells], zoned: BoolArray, local: BoolArray) -> None:
+    """Tell of zones on some rows only; the rarer kind is held to be the mistake."""
+    if not (zoned.any() and local.any()):
+        return
+    if zoned.sum() < local.sum():
+        wrong, right, said = zoned, local, "has a time zone, but {} has none; give all rows one, or none"
+    else:
+        wrong, right, said = local, zoned, "has no time zone, but {} has one; give all rows one, or none"
+    message = said.format(locate_row(files, int(np.argmax(right))))
+    for cells, wrong_here in zip(files, split_by_file(files, wrong), strict=True):
+        cells.add_issue("time", wrong_here, message)
+
+
+def _report_duplicates(files: list[LogCells], identity: RowKeys) -> None:
+    order = identity.order
+    # Times seldom repeat: joint and session need a look only where they do.
+    again = np.flatnonzero(np.diff(identity.time[order]) == 0)
+    one, other = order[again], order[again + 1]
+    same = identity.valid[one] & identity.valid[other] & (identity.joint[one] == identity.joint[other])
+    same &= identity.session[one] == identity.session[other]
+    twin = dict(zip(other[same].tolist(), one[same].tolist(), strict=True))
+    wrong = np.zeros(len(order), np.bool_)
+    wrong[list(twin)] = True
+    start = 0
+    for cells, wrong_here in zip(files, split_by_file(files, wrong), strict=True):
+        cells.add_issue("time", wrong_here, _describe_duplicate(files, twin, start))
+        start += cells.table.count
+
+
+def _describe_duplicate(files: list[LogCells], twin: dict[int, int], start: int) -> IssueMessage:
+    def message(row: int, value: str) -> str:
+        other = locate_row(files, twin[start + row])
+        return f"repeats the session, time and joint of {other}; correct one of the two, or delete a copy"
+
+    return message
+
+
+TimeLike = str | date | datetime
+
+_EPOCH = datetime(1970, 1, 1)
+
+
+def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike | None) -> BoolArray:
+    """Say which rows belong to the sessions whose first traverse falls in [since, until).
+
+    Raises
+    ------
+    InputError
+        If a bound is no date or time, has a zone where the log has none, or no session is left.
+    """
+    zoned = bool(identity.has_zone.any())
+    began = np.full(len(identity.labels), np.iinfo(np.int64).max)
+    np.minimum.at(began, identity.session, identity.time)
+    inside = np.ones(len(began), np.bool_)
+    if since is not None:
+        inside &= began >= _to_nanoseconds("since", since, zoned)
+    if until is not None:
+        inside &= began < _to_nanoseconds("until", until, zoned)
+    if not inside.any():
+        first, last = (
+            np.datetime_as_string(end.view("M8[ns]"), unit="m") for end in (began.min(), began.max())
+        )
+        span = " and ".join(
+            f"{name} {bound}" for name, bound in (("since", since), ("until", until)) if bound
+        )
+        raise InputError(f"no session began {span}; the log's sessions began from {first} to {last}")
+    return inside[identity.session]
+
+
+def note_similar_sessions(identity: RowKeys) -> tuple[str, ...]:
+    """Notes on sessions whose labels differ only in spaces or capitals, which may be one session."""
+    groups = defaultdict(list)
+    for label in identity.labels:
+        groups["".join(label.split()).casefold()].append(label)
+    return tuple(
+        f"sessions {', '.join(map(repr, same))} differ only in spaces or capitals, and count as {len(same)}"
+        for same in groups.values()
+        if len(same) > 1
+    )
+
+
+def _to_nanoseconds(name: str, moment: TimeLike, zoned: bool) -> int:
+    try:
+        when = datetime.fromisoformat(moment) if isinstance(moment, str) else moment
+    except ValueError:
+        message = "is no date or time; write it like 2012-03-05 or 2012-03-05T09:41"
+        raise InputError(InputIssue(message, column=name, value=str(moment))) from None
+    if not isinstance(when, datetime):
+        when = datetime(when.year, when.month, when.day)
+    if when.tzinfo is not None:
+        if not zoned:
+            message = "has a time zone, but the log's times have none; leave it out"
+            raise InputError(InputIssue(message, column=name, value=str(moment)))
+        when = when.astimezone(UTC).replace(tzinfo=None)
+    return (when - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+DIRECTIONS = ("+", "-")
+STATUSES = ("ok", "interrupted", "excluded", "")
+
+
+def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int64Array) -> pd.DataFrame:
+    """Read what a file says of its rows beyond their identity, and tell of what breaks the rules.
+
+    Parameters
+    ----------
+    cells : Cells
+    machine : Machine
+        Its ranges bound every position, and end the traverses that say nothing else.
+    joint, steps : array of int, shape (n,)
+        Read already; 0 where faulty.
+
+    Returns
+    -------
+    DataFrame
+        The Log's columns but identity, history and the lab's own, in the file's order.
+    """
+    direction = cells.choices("direction", DIRECTIONS, "is no direction; write + or -")
+    forward = np.array([1, -1, 0])[direction]
+    columns = run_in_threads(
+        {
+            "direction": lambda: label_codes(direction, DIRECTIONS),
+            **{f"q{other}": partial(_read_position, cells, machine, joint, other) for other in JOINTS},
+            "theta": lambda: cells.numbers("theta", needed=True),
+            "psi": lambda: cells.numbers("psi", needed=True),
+            "traverse": lambda: read_traverses(cells, machine, joint, forward),
+            "check_every": lambda: _read_check_every(cells, steps),
+            "status": lambda: _read_status(cells),
+            **{name: partial(_read_condition, cells, name) for name in CONDITIONS},
+            "note": lambda: cells.texts("note").to_pandas(),
+        }
+    )
+    columns["start"], columns["stop"] = columns.pop("traverse")
+    return pd.DataFrame(columns, copy=False)
+
+
+def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: int) -> Array:
+    """Where another joint stood; the moving joint's own cell is ignored, whatever it holds."""
+    field = f"q{other}"
+    position = cells.numbers(field, needed=joint > 0, ignored=joint == other)
+    report_outside_range(cells, machine, field, other, position)
+    return position
+
+
+def _read_check_every(cells: LogCells, steps: Int64Array) -> Int64Array:
+    given = cells.counts("check_every", "is no positive integer; write 5, or 1 where the count is exact")
+    check_every = np.where(given > 0, given, CHECK_EVERY)
+    # A faulty cell is no empty one: what 5 would say of its row is beside the point.
+    known = (given > 0) | ~cells.is_filled("check_every")
+
+    def message(row: int, value: str) -> str:
+        return f"is no multiple of check_every, {check_every[row]}; correct the one or the other"
+
+    cells.add_issue("steps", known & (steps % check_every != 0), message)
+    return check_every
+
+
+def _read_status(cells: LogCells) -> pd.Series:
+    """Read the status; an empty cell is ok."""
+    if not cells.has("status"):
+        return label_codes(np.zeros(cells.table.count, np.int8), STATUSES)
+    status = cells.choices("status", STATUSES, "is no status; write ok, interrupted or excluded")
+    return label_codes(np.where(status == STATUSES.index(""), 0, status), STATUSES)
+
+
+def _read_condition(cells: LogCells, name: str) -> Array:
+    values = cells.numbers(name)
+    if fault := CONDITIONS[name].fault:
+        cells.add_issue(name, values <= 0, fault)
+    return values
+
+
+_LEADING_COLUMNS = ["session", "time", "joint", "direction", "steps"]
+
+
+def read_log(
+    source: SourcePath | Iterable[SourcePath],
+    *,
+    machine: Machine | None = None,
+    since: TimeLike | None = None,
+    until: TimeLike | None = None,
+) -> Log:
+    """Read and check a campaign log, CSV or Parquet, in one file or many.
+
+    Parameters
+    ----------
+    source : path or iterable of paths
+        Files, or folders, which are searched for ``*.csv`` and ``*.parquet`` (hidden files left out).
+    machine : Machine, optional
+        The nominal one if not given.
+    since, until : str, date or datetime, optional
+        Select the sessions whose first traverse falls in [since, until); without a zone, they are UTC
+        where the log has zones. Of the other sessions only session, time, joint and steps are looked at,
+        which history needs; of a Parquet file, no other column of their row groups is read.
+
+    Returns
+    -------
+    Log
+
+    Raises
+    ------
+    InputError
+        With every fault of every file: file, line, column, value and what to do.
+    """
+    machine = machine or load_machine()
+    issues = IssueCollector()
+    sources = open_sources(source, issues)
+    files = [_match_table(each.table, issues) for each in sources]
+    if not files:
+        issues.raise_if_any()
+    identity = kept = read_row_keys(files)
+    chosen = np.ones(len(identity.time), np.bool_)
+    if since is not None or until is not None:
+        issues.raise_if_any()
+        chosen = select_sessions(identity, since, until)
+        files, kept = _select_rows(files, chosen), identity.take(chosen)
+    columns, notes = _build_columns(files, kept, machine)
+    issues.raise_if_any()
+    rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order])
+    return Log(
+        rows=rows.assign(steps_before=identity.steps_before[chosen[identity.order]]),
+        sources=tuple((each.table.file, each.sha256) for each in sources),
+        sha256=hash_sources(sources),
+        machine=machine,
+        notes=(
+            *(note for cells in files for note in cells.layout.notes),
+            *notes,
+            *note_similar_sessions(identity),
+        ),
+    )
+
+
+def _match_table(table: FileTable, issues: IssueCollector) -> LogCells:
+    return LogCells(table, match_columns(table.names, table.file, table.header_line, issues), issues)
+
+
+def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:
+    """Only the chosen rows, and only the files that have any."""
+    return [
+        replace(cells, table=cells.table.take(np.flatnonzero(subset)))
+        for cells, subset in zip(files, split_by_file(files, chosen), strict=True)
+        if subset.any()
+    ]
+
+
+def _build_columns(
+    files: list[LogCells], identity: RowKeys, machine: Machine
+) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
+    """All columns but history, in the files' order, and notes about the lab's own columns."""
+    joints, steps = split_by_file(files, identity.joint), split_by_file(files, identity.steps)
+    read = run_in_threads(
+        {
+            "checked": lambda: list(map(check_rows, files, repeat(machine), joints, steps)),
+            "own": lambda: read_covariates(files),
+        }
+    )
+    own, notes = read["own"]
+    # A single file's columns are not copied: a million rows take their time.
+    checked = read["checked"][0] if len(files) == 1 else pd.concat(read["checked"], ignore_index=True)
+    return {**identity.columns(), **dict(checked.items()), **own}, notes
+
+
+def _order_columns(columns: dict[str, pd.Series], order: Int64Array) -> pd.DataFrame:
+    names = _LEADING_COLUMNS + [name for name in columns if name not in _LEADING_COLUMNS]
+    rows = pd.DataFrame({name: columns[name] for name in names}, copy=False)
+    if np.all(order[1:] > order[:-1]):
+        return rows
+    return rows.take(order).reset_index(drop=True)

@@ -1,0 +1,455 @@
+"""The columns of the log format, and the reading of a file's columns into SI arrays.
+
+`FIELDS` lists every quantity with the units that its column name may end in; `CONDITIONS` are those
+recorded beside positions and steps. Numeric columns that the format does not know become covariates.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pyarrow as pa
+
+from stickslip_fit._typing import Array, BoolArray, Int64Array
+from stickslip_fit.logs._table import (
+    FileTable,
+    IssueCollector,
+    IssueMessage,
+    ParsedTimes,
+    is_filled,
+    parse_choices,
+    parse_numbers,
+    parse_times,
+    to_text,
+)
+from stickslip_fit.units import SUFFIXES, to_si
+
+ANGLE_SUFFIXES = ("deg", "rad")
+LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity of the format.
+
+    Attributes
+    ----------
+    name : str
+        Inside the program.
+    stem : str
+        In a file, without its unit.
+    suffixes : tuple of str
+        Units it may be written in, the usual one first; none for text and counts.
+    required : bool
+    """
+
+    name: str
+    stem: str
+    suffixes: tuple[str, ...] = ()
+    required: bool = False
+
+    @property
+    def spellings(self) -> tuple[str, ...]:
+        """Column names that stand for it, the usual one first."""
+        return tuple(f"{self.stem}_{suffix}" for suffix in self.suffixes) or (self.stem,)
+
+
+@dataclass(frozen=True)
+class Condition(Field):
+    """What the room or the drive is like in a traverse, as far as a log says it.
+
+    Attributes
+    ----------
+    label : str
+        As sentences have it.
+    beyond : float
+        How far one may go beyond a log in which it never changed, SI.
+    fault : str
+        What is wrong with a value that is not above 0, SI; empty where any value will do.
+    """
+
+    label: str = ""
+    beyond: float = 0.0
+    fault: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Symbol of the usual unit."""
+        return SUFFIXES[self.suffixes[0]]
+
+    @property
+    def axis(self) -> str:
+        """As the axis of a figure has it, with its unit."""
+        return f"{self.stem.replace('_', ' ')} ({self.unit})"
+
+
+FIELDS = (
+    Field("session", "session", required=True),
+    Field("time", "time", required=True),
+    Field("joint", "joint", required=True),
+    Field("direction", "direction", required=True),
+    Field("steps", "steps", required=True),
+    Field("q1", "q1", ANGLE_SUFFIXES, required=True),
+    Field("q2", "q2", ANGLE_SUFFIXES, required=True),
+    Field("q3", "q3", LENGTH_SUFFIXES, required=True),
+    Field("theta", "theta", ANGLE_SUFFIXES, required=True),
+    Field("psi", "psi", ANGLE_SUFFIXES, required=True),
+    Field("from_angle", "from", ANGLE_SUFFIXES),
+    Field("to_angle", "to", ANGLE_SUFFIXES),
+    Field("from_length", "from", LENGTH_SUFFIXES),
+    Field("to_length", "to", LENGTH_SUFFIXES),
+    Field("check_every", "check_every"),
+    Field("status", "status"),
+    Condition(
+        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0,
+        fault="is at or below absolute zero; correct it, or the column's unit",
+    ),
+    Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
+    Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
+    Condition(
+        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005,
+        fault="is no period; write a time above 0",
+    ),
+    Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
+    Field("note", "note"),
+)  # fmt: skip
+# What an empty cell means.
+CHECK_EVERY = 5
+CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
+COVARIATE_PREFIX = "covariate:"  # begins the names of the lab's own columns that hold numbers
+
+CONDITION_SPELLINGS = {
+    f"{condition.stem}_{suffix}": (condition.name, SUFFIXES[suffix])
+    for condition in CONDITIONS.values()
+    for suffix in condition.suffixes
+}
+_FIELD_BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.spellings}
+_COUNT_FIELDS = ("joint", "steps", "check_every")
+_STEMS_WITH_UNIT = {field.stem for field in FIELDS if field.suffixes}
+_UNNAMED_MESSAGE = "has no name; give it one, or delete the column"
+# What pandas adds to a Parquet file to remember its row labels: bookkeeping, not a measurement.
+_ROW_LABELS = re.compile(r"__index_level_\d+__")
+
+
+@dataclass(frozen=True)
+class SourceColumn:
+    """A column of a file and the unit its numbers are in (a symbol of `units.UNITS`)."""
+
+    name: str
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """What the columns of one file stand for.
+
+    Attributes
+    ----------
+    known : dict of str to Column
+        Field name to column.
+    others : tuple of str
+        The lab's own columns.
+    notes : tuple of str
+        What a person should know about the columns.
+    """
+
+    known: dict[str, SourceColumn]
+    others: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def match_columns(
+    names: tuple[str, ...], file: str, line: int | None, issues: IssueCollector
+) -> ColumnLayout:
+    """Say what each column of a file stands for.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The header, as it stands in the file.
+    file : str
+    line : int, optional
+        Line of the header.
+    issues : Faults
+        Told of missing, doubled, unnamed and unit-less columns.
+
+    Examples
+    --------
+    >>> layout = match_columns(("theta_rad", "pressure_hPa"), "day.csv", 1, IssueCollector())
+    >>> layout.known["theta"], layout.others
+    (Column(name='theta_rad', unit='rad'), ('pressure_hPa',))
+    """
+    known: dict[str, SourceColumn] = {}
+    others: list[str] = []
+    notes: list[str] = []
+    intended: set[str] = set()
+    for name, count in Counter(name for name in names if name.strip()).items():
+        field = _FIELD_BY_SPELLING.get(name)
+        fault = _duplicate_message(count) or explain_bad_unit(name)
+        if fault:
+            issues.place(file, fault, line=line, column=name)
+            intended |= _intended_fields(name)
+        elif _ROW_LABELS.fullmatch(name):
+            notes.append(f"{file}: column {name} holds pandas' row labels and is left out")
+        elif field is None:
+            others.append(name)
+        elif field.name in known:
+            fault = f"is a second column for {field.stem}, beside {known[field.name].name}; keep one of them"
+            issues.place(file, fault, line=line, column=name)
+        else:
+            known[field.name] = SourceColumn(name, _unit_of_name(name, field))
+    unnamed = [position for position, name in enumerate(names, start=1) if not name.strip()]
+    issues.lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
+    for field in FIELDS:
+        if field.required and field.name not in known and field.name not in intended:
+            message = f"is missing; every log needs it{_spelling_hint(field, others)}"
+            issues.place(file, message, line=line, column=field.spellings[0])
+    notes += _note_lookalikes(file, known, others)
+    return ColumnLayout(known, tuple(others), tuple(notes))
+
+
+def holds_numbers(name: str) -> bool:
+    """Say whether a name is a column of the format that holds numbers."""
+    field = _FIELD_BY_SPELLING.get(name)
+    return field is not None and (bool(field.suffixes) or field.name in _COUNT_FIELDS)
+
+
+def is_known(name: str) -> bool:
+    """Say whether a name is a column of the format."""
+    return name in _FIELD_BY_SPELLING
+
+
+def _unit_of_name(name: str, field: Field) -> str:
+    return SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
+
+
+def _duplicate_message(times: int) -> str | None:
+    return f"stands {times} times in the header; rename or delete all but one" if times > 1 else None
+
+
+def explain_bad_unit(name: str) -> str | None:
+    """What is wrong with the unit of a column's name, if anything.
+
+    Examples
+    --------
+    >>> explain_bad_unit("temperature")
+    'has no unit; write temperature_C or temperature_K'
+    """
+    if name in _FIELD_BY_SPELLING:
+        return None
+    stem, _, suffix = name.rpartition("_")
+    if name in _STEMS_WITH_UNIT:
+        return f"has no unit; write {_unit_choices(name)}"
+    if stem in _STEMS_WITH_UNIT:
+        return f"{suffix!r} is no unit of {stem}; write {_unit_choices(stem)}"
+    return None
+
+
+def _unit_choices(stem: str) -> str:
+    spellings = [spelling for spelling, field in _FIELD_BY_SPELLING.items() if field.stem == stem]
+    return " or ".join([", ".join(spellings[:-1])] * (len(spellings) > 1) + spellings[-1:])
+
+
+def _intended_fields(name: str) -> set[str]:
+    """Fields that a column with a faulty name was meant to be, so that they aren't called missing too."""
+    return {field.name for field in FIELDS if field.stem in (name, name.rpartition("_")[0])}
+
+
+def _spelling_hint(field: Field, others: list[str]) -> str:
+    for other in others:
+        if _guess_field(other) is field:
+            return f" (found {other!r}: write {_closest_spelling(other, field)})"
+    return ""
+
+
+def _note_lookalikes(file: str, known: dict[str, SourceColumn], others: list[str]) -> list[str]:
+    """Optional columns that are written almost as the format has them: kept literally, but not silently."""
+    notes = []
+    for other in others:
+        field = _guess_field(other)
+        if field and not field.required and field.name not in known:
+            spelling = _closest_spelling(other, field)
+            notes.append(
+                f"{file}: column {other!r} is kept as the lab's own; if it is {spelling}, write it so"
+            )
+    return notes
+
+
+def _guess_field(name: str) -> Field | None:
+    plain = _normalize_name(name)
+    for spelling, field in _FIELD_BY_SPELLING.items():
+        if plain in (_normalize_name(spelling), field.stem):
+            return field
+    return None
+
+
+def _closest_spelling(name: str, field: Field) -> str:
+    alike = [spelling for spelling in field.spellings if _normalize_name(spelling) == _normalize_name(name)]
+    return (alike or list(field.spellings))[0]
+
+
+def _normalize_name(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+# More than a drive steps in thirty years; sums over any log stay within 64 bits.
+MAX_STEPS = 10**12
+
+
+@dataclass(frozen=True)
+class LogCells:
+    """One file's columns, by the format's names.
+
+    A cell that is empty though needed, or no number where one belongs, is told to `faults` and comes
+    back as NaN (counts: 0, choices: -1), so that what depends on it can be left unchecked. A column
+    that is missing comes back as if all its cells were empty, without complaint: the header was told.
+    """
+
+    table: FileTable
+    layout: ColumnLayout
+    faults: IssueCollector
+
+    def has(self, field: str) -> bool:
+        """Say whether the file has a column for this quantity."""
+        return field in self.layout.known
+
+    def is_filled(self, field: str) -> BoolArray:
+        """Say where the quantity's cell is not empty."""
+        if not self.has(field):
+            return self._none()
+        return is_filled(self._column(field))
+
+    def add_issue(self, field: str, wrong: BoolArray, message: IssueMessage) -> None:
+        """Tell of cells of a quantity, unless the file lacks its column."""
+        if self.has(field):
+            self.faults.cells(self.table, wrong, self.layout.known[field].name, message)
+
+    def numbers(
+        self, field: str, *, needed: BoolArray | bool = False, ignored: BoolArray | bool = False
+    ) -> Array:
+        """Read finite numbers in SI, NaN where empty or ignored."""
+        if not self.has(field):
+            return np.full(self.table.count, np.nan)
+        written = parse_numbers(self._column(field))
+        with np.errstate(over="ignore"):
+            values = to_si(written.values, self.layout.known[field].unit)
+        usable = np.isfinite(values) & np.logical_not(ignored)
+        missed = ~(usable | ignored)
+        self.add_issue(field, missed & ~written.empty, _bad_number_message)
+        self.add_issue(field, missed & written.empty & needed, "is empty; write the number")
+        np.copyto(values, np.nan, where=~usable)
+        return values
+
+    def counts(
+        self, field: str, message: str, *, maximum: int = MAX_STEPS, needed: bool = False
+    ) -> Int64Array:
+        """Read integers from 1 to `most`, 0 where empty or bad."""
+        if not self.has(field):
+            return np.zeros(self.table.count, np.int64)
+        found = parse_numbers(self._column(field))
+        fits = (found.values >= 1) & (found.values <= maximum) & (found.values == np.floor(found.values))
+        self.add_issue(field, ~fits if needed else ~(fits | found.empty), message)
+        return np.where(fits, found.values, 0.0).astype(np.int64)
+
+    def choices(self, field: str, choices: tuple[str, ...], message: IssueMessage) -> npt.NDArray[np.int8]:
+        """Find the place of each cell's text among `choices`, -1 where it is none of them."""
+        if not self.has(field):
+            return np.full(self.table.count, -1, np.int8)
+        found = parse_choices(self._column(field), choices)
+        self.add_issue(field, found < 0, message)
+        return found
+
+    def times(self, field: str) -> ParsedTimes:
+        """Read times, 0 where empty or bad."""
+        if not self.has(field):
+            zeros = np.zeros(self.table.count, np.int64)
+            return ParsedTimes(zeros, self._none(), ~self._none(), self._none())
+        found = parse_times(self._column(field))
+        self.add_issue(field, found.empty, "is empty; write when the traverse began")
+        self.add_issue(field, found.bad, "is no date with a time of day; write it like 2012-03-05T09:41:10")
+        return found
+
+    def texts(self, field: str) -> pa.Array:
+        """Read cells as text, literally; empty where the column is missing."""
+        if not self.has(field):
+            return pa.repeat(pa.scalar("", pa.large_string()), self.table.count)
+        return self.table.text(self.layout.known[field].name)
+
+    def _column(self, field: str) -> pa.Array:
+        return self.table.column(self.layout.known[field].name)
+
+    def _none(self) -> BoolArray:
+        return np.zeros(self.table.count, np.bool_)
+
+
+def split_by_file(files: list[LogCells], rows: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+    """Cut an array over the rows of all files into one for each."""
+    return np.split(rows, np.cumsum([cells.table.count for cells in files])[:-1])
+
+
+def locate_row(files: list[LogCells], row: int) -> str:
+    """Say where a row of all files stands."""
+    counts = [cells.table.count for cells in files]
+    which = int(np.searchsorted(np.cumsum(counts), row, side="right"))
+    return files[which].table.place(row - sum(counts[:which]))
+
+
+def _bad_number_message(row: int, value: str) -> str:
+    text = value.strip()
+    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
+        return f"is no number; write a decimal point, not a comma: {text.replace(',', '.')}"
+    if text.startswith("\N{MINUS SIGN}"):
+        return f"is no number; write a plain minus sign: -{text[1:]}"
+    if re.fullmatch(r"[+-]?(nan|inf|infinity|[0-9.]+e[+-]?[0-9]+)", text, re.IGNORECASE):
+        return "is no finite number; write the number, or leave the cell empty where it may be"
+    return "is no number; write digits and a decimal point, such as 12.5"
+
+
+def read_covariates(files: list[LogCells]) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
+    """Read the columns that the format doesn't know, over all files.
+
+    A column is numeric if every cell that isn't empty holds a finite number, in whichever file.
+
+    Returns
+    -------
+    columns : dict of str to Series
+        ``covariate:<column>`` (NaN where empty) and ``text:<column>``.
+    notes : tuple of str
+        Columns that are text because of a few cells.
+    """
+    columns: dict[str, pd.Series] = {}
+    notes: list[str] = []
+    for name in dict.fromkeys(name for cells in files for name in cells.layout.others):
+        parts = [_raw_column(cells, name) for cells in files]
+        numbers = [parse_numbers(part) for part in parts]
+        empty = np.concatenate([part.empty for part in numbers])
+        bad = np.concatenate([part.bad for part in numbers])
+        if not bad.any() and not empty.all():
+            columns[COVARIATE_PREFIX + name] = pd.Series(
+                np.concatenate([part.values for part in numbers]), copy=False
+            )
+            continue
+        text = pa.concat_arrays([_text_column(cells, name) for cells in files]).to_pandas()
+        columns[f"text:{name}"] = text
+        if 0 < 2 * bad.sum() < len(empty) - empty.sum():
+            first = int(np.argmax(bad))
+            count = f"{bad.sum():,} of {len(bad):,} cells {'is' if bad.sum() == 1 else 'are'} no number"
+            example = f"{text.iloc[first]!r} in {locate_row(files, first)}"
+            notes.append(f"column {name}: {count} ({example}), so the column is kept as text")
+    return columns, tuple(notes)
+
+
+def _text_column(cells: LogCells, name: str) -> pa.Array:
+    return cells.table.text(name) if name in cells.layout.others else to_text(_raw_column(cells, name))
+
+
+def _raw_column(cells: LogCells, name: str) -> pa.Array:
+    if name in cells.layout.others:
+        return cells.table.column(name)
+    return pa.nulls(cells.table.count, pa.large_string())

@@ -1,0 +1,307 @@
+"""CalibratedArm: one session of a fit in use, with the base in one orientation and its conditions.
+
+It gives the law, parameters and history for each joint's next drive. Laws with causes may need
+conditions such as temperature, spelled as the columns of a log are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import format_value
+from stickslip_fit._typing import Array
+from stickslip_fit.causes import ExtendedLaw
+from stickslip_fit.causes.parameters import FIRST, NEEDED
+from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.estimation import Result
+from stickslip_fit.laws import StepLaw
+from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
+from stickslip_fit.machine import Machine, mean_load
+from stickslip_fit.units import to_si
+
+Z_95 = 1.96  # standard deviations on either side of 95 %
+
+
+@dataclass(frozen=True)
+class JointTravel:
+    """What the law says of one joint's way to another position.
+
+    Attributes
+    ----------
+    row : DataFrame
+        The traverse, one row of a log.
+    law : StepLaw
+    values : array, shape (p,)
+    counts : float
+        Steps it takes.
+    slopes : array, shape (p,)
+        Relative change of the counts with each parameter.
+    spread : float
+        Relative standard deviation of the counts, from the parameters and the repeatability.
+    """
+
+    row: pd.DataFrame
+    law: StepLaw
+    values: Array
+    counts: float
+    slopes: Array
+    spread: float
+
+
+@dataclass(frozen=True)
+class CalibratedArm:
+    """One session of a result, with the base standing one way.
+
+    Attributes
+    ----------
+    result : Result
+    session : str
+    theta, psi : float
+        Orientation of the base, rad.
+    conditions : mapping of str to object
+        What a law with causes in it needs to know of a drive besides, by the log's columns, SI: e.g.
+        ``session_seconds``, how long the drive has been running. What is not given has no effect, as for a
+        joint's first drive under mean conditions; what has no such value is asked for.
+    before : mapping of int to mapping of str to object
+        For joints that have been driven since, what their next drive follows, by the log's columns.
+    """
+
+    result: Result
+    session: str
+    theta: float = 0.0
+    psi: float = 0.0
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+    before: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def machine(self) -> Machine:
+        """The manipulator that the result was fitted for."""
+        return self.result.machine
+
+    def drive(self, q: Array, joint: int, stop: float) -> pd.DataFrame:
+        """The traverse that takes `joint` from where it stands in `q` to `stop`; one row of a log."""
+        direction = "+" if stop > q[joint - 1] else "-"
+        return pd.DataFrame(
+            {
+                "session": [self.session], "joint": [joint], "direction": [direction],
+                "q1": [q[0]], "q2": [q[1]], "q3": [q[2]], "theta": [self.theta], "psi": [self.psi],
+                "start": [q[joint - 1]], "stop": [stop],
+            }
+        ).assign(**{**self.conditions, **self.before.get(joint, {})})  # fmt: skip
+
+    def driven(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
+        """The same after a drive, `row` as `drive` gives it; how long that takes is not counted."""
+        joint, counted = int(row["joint"].iloc[0]), row.get("steps_before")
+        travel_columns = {
+            name: row[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi")
+        }
+        follows: dict[str, Any] = {
+            "before_direction": row["direction"].iloc[0],
+            "before_load": float(mean_load(joint, **travel_columns)[0]),
+        }
+        if counted is not None:
+            follows["steps_before"] = counted.iloc[0] + steps
+        return replace(self, before={**self.before, joint: follows})
+
+    def traverse(self, q: Array, joint: int, stop: float) -> JointTravel:
+        """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.
+
+        Raises
+        ------
+        InputError
+            If the law is not known, or stalls on the way.
+        """
+        row = self.drive(q, joint, stop)
+        law, values, covariance, repeatability = self.law(joint, str(row["direction"].iloc[0]))
+        counts, slopes = law.counts(row, values)
+        if not np.isfinite(counts[0]):
+            raise InputError(
+                f"joint {joint} would stall on its way: the law gives a step size of zero or less there"
+            )
+        relative = slopes[0] / counts[0]
+        spread = float(np.hypot(np.sqrt(relative @ covariance @ relative), repeatability))
+        return JointTravel(row, law, values, float(counts[0]), relative, spread)
+
+    def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
+        """The law of a joint in motion, its parameters, their covariance, and the repeatability.
+
+        Steps that are lost in hearing the stop are left out: a drive that ends before it hears none.
+
+        Raises
+        ------
+        InputError
+            If this session's log did not make them known.
+        """
+        fit = self.result.joints.get(joint)
+        group = fit.groups if fit else pd.DataFrame({"session": [], "direction": []})
+        found = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
+        if fit is None or not len(found):
+            raise InputError(
+                f"joint {joint} has no calibration for session {self.session!r}, direction {direction}: "
+                "the log holds no such traverse; measure some or choose another session"
+            )
+        index = int(found[0])
+        if not fit.known[index].all():
+            reasons = [
+                InputIssue(flag.message)
+                for flag in self.result.flags
+                if (flag.joint, flag.session, flag.direction) == (joint, self.session, direction)
+            ]
+            raise InputError(reasons)
+        values, covariance = fit.values[index], fit.covariance[index]
+        if isinstance(fit.law, ExtendedLaw):
+            moving = fit.law.in_motion(np.stack([values, np.full_like(values, np.nan)]))
+            values, counts = moving[0], np.isnan(moving[1])
+            covariance = covariance * np.outer(counts, counts)
+        return fit.law, values, covariance, fit.repeatability[direction].value
+
+
+def calibrated_arm(
+    result: Result,
+    session: str | None = None,
+    theta: float = 0.0,
+    psi: float = 0.0,
+    conditions: Mapping[str, Any] | None = None,
+) -> CalibratedArm:
+    """The calibration of a session, the latest unless named; see `Calibrated` for the others.
+
+    Raises
+    ------
+    InputError
+        If the result has no such session.
+    """
+    sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
+    latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
+    if session is None:
+        session = next(name for name in reversed(sessions) if name in latest)
+    if session not in sessions:
+        raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
+    return CalibratedArm(result, session, theta, psi, conditions or {})
+
+
+CONDITION_KEYS = {
+    "session_min": ("session_seconds", "min"),
+    "session_s": ("session_seconds", "s"),
+    "session_h": ("session_seconds", "h"),
+    "steps_before": ("steps_before", "steps"),
+    **CONDITION_SPELLINGS,
+}
+CONDITION_MEANINGS = {
+    "session_seconds": "how long the session has run",
+    "steps_before": NEEDED["steps_before"],
+}
+# What follows from the drives themselves, and from which session is asked for.
+OWN_COLUMNS = ("session", *FIRST)
+# What is asked for, or a plan's own.
+REQUIRED_CONDITIONS = (*NEEDED, "step_period")
+
+
+def required_columns(laws: Iterable[StepLaw]) -> tuple[str, ...]:
+    """Columns of a log, beside positions and angles, on which laws depend."""
+    causes = [cause for law in laws if isinstance(law, ExtendedLaw) for cause, _ in law.active_causes]
+    return tuple(dict.fromkeys(name for cause in causes for name in cause.columns if name not in OWN_COLUMNS))
+
+
+def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[str, float]:
+    """Conditions such as "temperature_C=23" or "session_min=30", by a log's columns, SI.
+
+    Parameters
+    ----------
+    texts : iterable of str
+    result : Result
+        A condition at which none of its laws looks is refused, since it would change nothing.
+    option : str
+        As messages call it.
+
+    Raises
+    ------
+    InputError
+    """
+    wanted, found = _result_columns(result), dict[str, float]()
+    known = CONDITION_KEYS | {
+        name.removeprefix(COVARIATE_PREFIX): (name, "1")
+        for name in wanted
+        if name.startswith(COVARIATE_PREFIX)
+    }
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        column, unit = known.get(name, ("", "1"))
+        if column not in wanted:
+            told = ", ".join(map(column_key, wanted)) or "nothing beside positions and angles"
+            message = f"this law looks at {told}; leave {name or text} out"
+            raise InputError(InputIssue(message, column=option, value=text))
+        try:
+            found[column] = to_si(float(value), unit)
+        except ValueError:
+            message = f"give a number, e.g. {name}=20"
+            raise InputError(InputIssue(message, column=option, value=text)) from None
+    return found
+
+
+def check_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> None:
+    """Ask for what no law can do without.
+
+    Raises
+    ------
+    InputError
+        Naming each such condition as `conditions_from` reads it.
+    """
+    lacking = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
+    if lacking:
+        raise InputError(
+            [
+                InputIssue(
+                    f"the law looks at {CONDITION_MEANINGS[name]}: say {option} {column_key(name)}=NUMBER"
+                )
+                for name in lacking
+            ]
+        )
+
+
+def describe_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> str:
+    """What is taken for granted because it was not given; empty where there is nothing."""
+    standing_in = [
+        f"{option} {column_key(name)}"
+        for name in _result_columns(result)
+        if name not in {*conditions, *REQUIRED_CONDITIONS}
+    ]
+    return f"as on average in the log, since not given: {', '.join(standing_in)}" if standing_in else ""
+
+
+def column_key(column: str) -> str:
+    """A column as a person types it, the usual unit in its name.
+
+    Examples
+    --------
+    >>> [column_key(name) for name in ("temperature", "session_seconds", "covariate:pressure_hPa")]
+    ['temperature_C', 'session_min', 'pressure_hPa']
+    """
+    usual = [typed for typed, (name, _) in CONDITION_KEYS.items() if name == column]
+    return usual[0] if usual else column.removeprefix(COVARIATE_PREFIX)
+
+
+def _result_columns(result: Result) -> tuple[str, ...]:
+    return required_columns(fit.law for fit in result.joints.values())
+
+
+def check_positions(machine: Machine, q: Array, name: str) -> None:
+    """Refuse joint positions outside the machine's ranges.
+
+    Raises
+    ------
+    InputError
+        Naming the first such joint, with where it stands and its range.
+    """
+    for joint, (low, high) in machine.ranges.items():
+        if not low - 1e-9 <= q[joint - 1] <= high + 1e-9:
+            shown = [_format_joint_position(joint, value) for value in (q[joint - 1], low, high)]
+            raise InputError(f"{name} q{joint} = {shown[0]} is outside its range, {shown[1]} to {shown[2]}")
+
+
+def _format_joint_position(joint: int, value: float) -> str:
+    return format_value(value, "mm" if joint == 3 else "deg", 2)

@@ -1,1 +1,0 @@
-"""What a page's script is given, and a policy that lets nothing else run."""

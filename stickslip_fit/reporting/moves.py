@@ -1,0 +1,291 @@
+"""Output for moves and plans: moves and poses as text, predicted counts, printable session sheets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import (
+    format_configuration,
+    format_direction,
+    format_plain,
+    format_value,
+    pluralize,
+    step_unit,
+)
+from stickslip_fit._io import write_atomically
+from stickslip_fit._summary import text_table
+from stickslip_fit.errors import shorten
+from stickslip_fit.estimation import Result
+from stickslip_fit.logs.plan import Plan, build_sheet
+from stickslip_fit.moves import CalibratedArm, MovePlan, PoseEstimate, steps_before_recalibration
+from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import PRISMATIC, from_si
+
+
+def format_move(arm: CalibratedArm, move: MovePlan) -> str:
+    """The legs of a move, and where the tip ends."""
+    if not move.segments:
+        return "the joints are there already: nothing to drive"
+    rows = [
+        [
+            f"{leg.joint} {leg.direction}",
+            format_joint_value(leg.joint, leg.start),
+            format_joint_value(leg.joint, leg.stop),
+            f"{leg.steps:,}",
+            f"{leg.low:,.0f} to {leg.high:,.0f}",
+            format_joint_error(leg.joint, leg.error),
+        ]
+        for leg in move.segments
+    ]
+    header = ["joint", "from", "to", "steps", "95 % of moves need", "ends within ±"]
+    return "\n".join(
+        [
+            _calibration_heading(arm),
+            "",
+            text_table(header, rows),
+            "",
+            f"tip at {format_tip(move.tip)}; known to ± {_format_micrometres(Z_95 * move.tip_error)} (95 %)",
+            "drive the legs in this order: a step depends on where the other joints stand",
+        ]
+    )
+
+
+def format_pose(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> str:
+    """Where joints and tip are, and how far one may go on before going back to a stop."""
+    rows = [
+        [
+            f"q{joint}",
+            format_joint_value(joint, at.q[joint - 1]),
+            format_joint_error(joint, at.q_error[joint - 1]),
+            "at its stop" if joint in at.at_stop else "",
+        ]
+        for joint in arm.machine.ranges
+    ]
+    lines = [
+        _calibration_heading(arm),
+        "",
+        text_table(["joint", "stands at", "known to ±", ""], rows),
+        "",
+        f"tip at {format_tip(at.tip)}; known to ± {_format_micrometres(Z_95 * at.tip_error)} (95 %)",
+    ]
+    if Z_95 * at.tip_error > tolerance:
+        return "\n".join(
+            [*lines, f"that is more than {_format_micrometres(tolerance)}: go back to a stop now"]
+        )
+    return "\n".join([*lines, "", *_describe_range(arm, at, tolerance)])
+
+
+def format_tip(tip: np.ndarray) -> str:
+    """A tip position in mm."""
+    return "({}) mm".format(", ".join(f"{from_si(value, 'mm'):.3f}" for value in tip))
+
+
+def format_joint_value(joint: int, value: float) -> str:
+    """A joint's position in people's units."""
+    return format_value(float(value), "mm" if joint == PRISMATIC else "deg", 3)
+
+
+def format_joint_error(joint: int, error: float) -> str:
+    """A joint's 95 % error in people's units."""
+    unit = "µm" if joint == PRISMATIC else "mrad"
+    return format_value(Z_95 * float(error), unit, 2)
+
+
+def _describe_range(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> list[str]:
+    lines = [f"within {_format_micrometres(tolerance)} (95 %) you may go on for"]
+    sessions = {
+        (joint, direction)
+        for joint, fit in arm.result.joints.items()
+        for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
+        if session == arm.session
+    }
+    for joint, direction in sorted(sessions):
+        further = steps_before_recalibration(arm, at, joint, direction, tolerance)
+        text = "all the way to its stop" if further is None else f"{further:,} steps, then go back to a stop"
+        lines.append(f"  joint {joint} {direction}  {text}")
+    return lines
+
+
+def _calibration_heading(arm: CalibratedArm) -> str:
+    theta, psi = (format_value(angle, "deg", 1) for angle in (arm.theta, arm.psi))
+    return f"calibration of session {arm.session}; base at theta = {theta}, psi = {psi}"
+
+
+def _format_micrometres(value: float) -> str:
+    return format_value(value, "µm", 2)
+
+
+MAX_ROWS = 40
+NEW_SESSION = "a session to come"
+STEP_SIZES = {"step_size_nm": "nm", "step_size_urad": "µrad"}
+
+
+def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> str:
+    """The first traverses of a plan with their counts, and why some have no interval.
+
+    Parameters
+    ----------
+    result : Result
+        What `predicted` was worked out from.
+    plan : Plan
+    predicted : DataFrame
+        As `fit.predict.predict_plan` returns it.
+    """
+    rows = plan.rows()
+    both = pd.concat([rows, predicted], axis=1).head(MAX_ROWS)
+    cells = [
+        [
+            shorten(str(row["session"]), 20),
+            f"{row['joint']} {row['direction']}",
+            format_configuration(row, result.machine.span(int(row["joint"]))),
+            f"{row['steps']:,.0f}",
+            f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else "–",
+            format_value(row["step_size"], step_unit(int(row["joint"])), 2),
+        ]
+        for _, row in both.iterrows()
+    ]
+    header = ["session", "joint", "configuration", "steps", "95 % of counts", "step size"]
+    lines = [_predictions_heading(plan, predicted), "", text_table(header, cells, left=3)]
+    if len(rows) > MAX_ROWS:
+        lines.append(f"(the first {MAX_ROWS} of {len(rows):,} traverses; -o writes them all)")
+    return "\n".join([*lines, *_without_interval(result, rows, predicted)])
+
+
+def predictions_csv(plan: Plan, predicted: pd.DataFrame) -> str:
+    """Every traverse in a log's columns, with steps, low, high, step size and whose calibration it is."""
+    sheet = build_sheet(plan).drop(columns=["time", "steps", "step_period_ms", "status", "note"])
+    prismatic = (plan.rows()["joint"] == PRISMATIC).to_numpy()
+    for name in ("steps", "low", "high"):
+        sheet[name] = predicted[name].astype("Int64").to_numpy()
+    for (name, unit), subset in zip(STEP_SIZES.items(), (prismatic, ~prismatic), strict=True):
+        shown = from_si(predicted["step_size"].to_numpy(float), unit)
+        sheet[name] = [f"{value:.6g}" if own else "" for value, own in zip(shown, subset, strict=True)]
+    sheet["calibration"] = predicted["calibration"].replace("", NEW_SESSION).to_numpy()
+    return sheet.to_csv(index=False, lineterminator="\n")
+
+
+def _predictions_heading(plan: Plan, predicted: pd.DataFrame) -> str:
+    sources = [
+        f"session {shorten(name, 30)}" if name else NEW_SESSION for name in predicted["calibration"].unique()
+    ]
+    return f"{plan.name}: counts as they will be noted, by the calibration of {', '.join(sources)}"
+
+
+def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:
+    """The remarks that say why there are no error bars."""
+    bare = {
+        (int(j), str(direction))
+        for j, direction in rows.loc[predicted["low"].isna(), ["joint", "direction"]].to_numpy()
+    }
+    messages = [
+        f"! {flag.message}"
+        for flag in result.flags
+        if (flag.joint, flag.direction) in bare and flag.flag == "few_replicates"
+    ]
+    return list(dict.fromkeys(messages))
+
+
+UNIT_OF = {"theta": "deg", "psi": "deg", "q1": "deg", "q2": "deg", "q3": "mm"}
+MOVES = "moves"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One thing that a person sets before a visit; `emphasis` says whether it differs from the one before."""
+
+    text: str
+    emphasis: str
+
+
+@dataclass(frozen=True)
+class SheetTraverse:
+    """One traverse: its number within the session, and which joint goes which way between which ends."""
+
+    number: int
+    joint: int
+    direction: str
+    ends: str
+    emphasis: str
+
+
+@dataclass(frozen=True)
+class SheetVisit:
+    """Traverses in a row for which nothing needs to be set in between; `title` where a sweep begins."""
+
+    title: str
+    settings: list[Setting]
+    drives: list[SheetTraverse]
+
+
+@dataclass(frozen=True)
+class SessionSheet:
+    """What is to be done in one session."""
+
+    label: str
+    begins: datetime
+    traverses: str
+    visits: list[SheetVisit]
+
+
+def sheet_html(plan: Plan) -> str:
+    """The page as HTML, self-contained; each session begins on a sheet of its own."""
+    from stickslip_fit._summary import load_template
+
+    rows = plan.rows()
+    by_label = dict(list(rows.groupby("session")))
+    sessions = [_make_session(each.label, each.begins, by_label[each.label]) for each in plan.sessions]
+    period = f"{from_si(plan.timing.step_period, 'ms'):g} ms"
+    return load_template("sheet.html.j2").render(plan=plan, period=period, sessions=sessions)
+
+
+def write_sheet_page(plan: Plan, path: str | Path) -> None:
+    """Write the page.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    write_atomically(path, sheet_html(plan))
+
+
+def _make_session(label: str, begins: datetime, rows: pd.DataFrame) -> SessionSheet:
+    visits: list[SheetVisit] = []
+    number = 1
+    before, stretch, sweep = dict.fromkeys(UNIT_OF, ""), (0, 0.0, 0.0), ""
+    for _, visited in rows.groupby("visit", sort=False):
+        first = visited.iloc[0]
+        texts = {name: _format_position(first, name) for name in UNIT_OF}
+        changed = {name: text not in (before[name], MOVES) for name, text in texts.items()}
+        settings = [Setting(text, _emphasize_changes(changed[name])) for name, text in texts.items()]
+        here = (first["joint"], *sorted(first[["start", "stop"]]))
+        drives = [
+            _make_traverse(number + offset, row, _emphasize_changes(here != stretch))
+            for offset, (_, row) in enumerate(visited.iterrows())
+        ]
+        visits.append(SheetVisit(first["sweep"] if first["sweep"] != sweep else "", settings, drives))
+        number, before, stretch, sweep = number + len(visited), texts, here, first["sweep"]
+    return SessionSheet(label, begins, pluralize(len(rows), "traverse"), visits)
+
+
+def _emphasize_changes(changed: bool) -> str:
+    return "changed" if changed else "same"
+
+
+def _format_position(row: pd.Series, name: str) -> str:
+    if name == f"q{row['joint']}":
+        return MOVES
+    return format_plain(from_si(float(row[name]), UNIT_OF[name]))
+
+
+def _make_traverse(number: int, row: pd.Series, emphasis: str) -> SheetTraverse:
+    unit = "mm" if row["joint"] == PRISMATIC else "deg"
+    start, stop = (format_plain(from_si(float(row[end]), unit)) for end in ("start", "stop"))
+    return SheetTraverse(
+        number, int(row["joint"]), format_direction(row["direction"]), f"{start} to {stop} {unit}", emphasis
+    )

@@ -1,0 +1,310 @@
+"""LawValues: the true laws, parameters and causes of a simulated campaign, read from a TOML file."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from annotated_types import MinLen
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
+
+from stickslip_fit._format import format_value
+from stickslip_fit._toml import Give, Quantity, Table, Text, chosen_by, fault, read_toml
+from stickslip_fit._typing import Array
+from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
+from stickslip_fit.errors import InputError
+from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
+from stickslip_fit.logs.plan_reader import JOINT, Joint
+from stickslip_fit.logs.reader import DIRECTIONS
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import UNITS, to_si
+
+DEFAULT_REFERENCES = {"half": "1 K"}  # only a bent response asks for it
+_QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
+
+
+class CauseTable(Table, extra="ignore"):
+    """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
+
+    A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
+    of such, ``k = {"3+" = "2 %"}``.
+    """
+
+    name: Text
+    """One of the library's, or ``covariate:`` and a column of the lab's own."""
+    _cause: Any = PrivateAttr()
+
+    def hidden(self) -> tuple[Cause, list[float]]:
+        """The cause, and the values of its parameters, SI."""
+        values = {each.name: iter(getattr(self, each.name)) for each in self._cause.parameters}
+        cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
+        return cause, [next(values[each.name]) for each in self._cause.parameters]
+
+
+def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
+    """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
+    hidden = [table.hidden() for table in tables]
+    values = [value for _, own in hidden for value in own]
+    return tuple(cause for cause, _ in hidden), np.array(values, dtype=float)
+
+
+def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
+    named = inner(written)
+    known = {cause.name: cause for cause in library()}
+    if named.name.startswith(COVARIATE_PREFIX) and named.name != COVARIATE_PREFIX:
+        known[named.name] = Covariate(named.name.removeprefix(COVARIATE_PREFIX))
+    if named.name not in known:
+        named.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
+    cause = known[named.name]
+    keys: dict[str, Any] = {
+        name: _read_reference(cause, name, own) for name, own in _references(cause).items()
+    }
+    for name in dict.fromkeys(each.name for each in cause.parameters):
+        own = [each for each in cause.parameters if each.name == name]
+        given = Give(f"give {_example_entry(own[0])}: {own[0].meaning}")
+        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
+    model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
+    table = model.model_validate(written)
+    table._cause = cause
+    return table
+
+
+Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
+
+
+def _references(cause: Any) -> dict[str, str | float]:
+    """What a cause refers to beside its parameters, with what is usual."""
+    given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
+    return {name: usual for name, usual in given.items() if name != "column"}
+
+
+def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, Any]:
+    """A field for it; a number has no default."""
+    if isinstance(usual, float):
+        given = Give('give a number, with its unit where it has one, e.g. "21 °C"')
+        default = _si(DEFAULT_REFERENCES[name]) if name in DEFAULT_REFERENCES else ...
+        return Annotated[float, BeforeValidator(_si), given], default
+    if name == "session" and "session" in cause.columns:
+        return Annotated[Text, Give("give the session in which it happens, in quotes")], usual or ...
+    if forms := cause.forms:
+        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], usual
+    return Text, usual
+
+
+def _sizes(own: Sequence[CauseParameter], written: Any) -> list[float]:
+    """A value for each of the parameters that one key gives."""
+    if own[0].joint is None or not isinstance(written, dict):
+        return [_size(each, written) for each in own]
+    drives = [f"{each.joint}{each.direction}" for each in own]
+    if not written.keys() <= set(drives):
+        raise fault(f"name joints and directions as {', '.join(drives)}")
+    # Joints and directions that are left out have none of it.
+    return [_size(each, written.get(drive, 0.0)) for each, drive in zip(own, drives, strict=True)]
+
+
+def _size(parameter: CauseParameter, written: Any) -> float:
+    (number, unit), wanted = _parse_quantity(written), parameter.unit
+    if number and unit != wanted:
+        raise ValueError("another unit")
+    value = to_si(number, wanted)
+    if not parameter.lower <= value <= parameter.upper:
+        low, high = (format_value(end, wanted, 2) for end in (parameter.lower, parameter.upper))
+        raise fault(f"lies outside what is possible, {low} to {high} (– for no limit)")
+    return value
+
+
+def _example_entry(parameter: CauseParameter) -> str:
+    if parameter.unit == "1":
+        return "a number"
+    written = f'"2 {parameter.unit}"'
+    if parameter.joint is None:
+        return f"a number and its unit as text, e.g. {written}"
+    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {written}}}'
+
+
+def _si(written: Any) -> float:
+    number, unit = _parse_quantity(written)
+    if unit not in UNITS:
+        raise ValueError("no unit")
+    return to_si(number, unit)
+
+
+def _parse_quantity(written: Any) -> tuple[float, str]:
+    """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
+    if type(written) in (int, float) and abs(written) <= sys.float_info.max:
+        return float(written), "1"
+    match = _QUANTITY_PATTERN.fullmatch(written.strip()) if isinstance(written, str) else None
+    if match is None:
+        raise ValueError("no number")
+    unit = match[2].replace("urad", "µrad").replace("^2", "²")
+    return float(match[1]), unit or "1"
+
+
+Group = tuple[int, str]
+MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
+
+
+@dataclass(frozen=True, eq=False)
+class LawValues:
+    """The laws of a campaign and their parameters.
+
+    Attributes
+    ----------
+    laws : mapping of int to StepLaw
+        One for each joint.
+    values : mapping of (int, str, str or None) to array, shape (p,)
+        Parameters, SI, of a joint, direction and session; without a session, of all sessions that have
+        no entry of their own.
+    day_to_day : mapping of (int, str) to float
+        Standard deviation of the factor by which a session's step sizes differ from the values of all
+        sessions. A session with an entry of its own has exactly that.
+    """
+
+    laws: Mapping[int, StepLaw]
+    values: Mapping[tuple[int, str, str | None], Array]
+    day_to_day: Mapping[Group, float] = field(default_factory=dict)
+
+    def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """The parameters of each row of one joint.
+
+        Returns
+        -------
+        values : array, shape (n, p)
+        shared : array of bool, shape (n,)
+            Where they are those of all sessions, which change from day to day.
+
+        Raises
+        ------
+        InputError
+            If there are none for a row's joint, direction and session.
+        """
+        if joint not in self.laws:
+            raise InputError(f"joint {joint} has no law; leave it out of the plan, or add it to the law file")
+        session, labels = pd.factorize(rows["session"])
+        direction_index = (rows["direction"] == DIRECTIONS[1]).to_numpy().astype(int)
+        nothing = np.full(len(self.laws[joint].parameters), np.nan)
+        general = [self.values.get((joint, direction, None), nothing) for direction in DIRECTIONS]
+        table = [
+            [self.values.get((joint, direction, label), usual) for label in labels]
+            for direction, usual in zip(DIRECTIONS, general, strict=True)
+        ]
+        own = [[(joint, direction, label) in self.values for label in labels] for direction in DIRECTIONS]
+        values, shared = np.array(table)[direction_index, session], ~np.array(own)[direction_index, session]
+        if np.isnan(values).any():
+            row = rows.iloc[int(np.argmax(np.isnan(values).any(axis=1)))]
+            raise InputError(
+                f"joint {joint}, direction {row['direction']} has no parameters for session "
+                f"{row['session']!r}; add a [[law]] for it to the law file"
+            )
+        return values, shared
+
+
+def parameter_key(parameter: Parameter) -> str:
+    """The TOML key of a parameter: its name with its unit, written once where the name ends in it.
+
+    Examples
+    --------
+    >>> [parameter_key(parameter) for parameter in Prismatic.parameters]
+    ['a_nm', 'b', 'c_nm']
+    >>> [parameter_key(parameter) for parameter in Base.parameters]
+    ['gamma0_reach_0_urad', 'gamma0_urad_per_mm', 'd_reach_0_urad', 'd_urad_per_mm']
+    """
+    (key,) = Quantity((parameter.unit,)).keys(_parameter_stem(parameter))
+    return key
+
+
+def _parameter_stem(parameter: Parameter) -> str:
+    return parameter.name.removesuffix("_per_mm")
+
+
+class LawTable(Table, extra="ignore"):
+    """What each [[law]] must have; its parameters depend on the joint."""
+
+    joint: Joint
+    direction: Literal["+", "-"]
+    session: Text = ""
+    """The only one that has these parameters."""
+    day_to_day: Annotated[float, Quantity(("%",), (0.0, MAX_DAY_TO_DAY))] = 0.0
+    """Spread of the factor by which a session's step sizes differ; not with a session."""
+
+    @model_validator(mode="after")
+    def _days_are_of_all_sessions(self) -> Self:
+        if self.session and "day_to_day" in self.fields_in_file():
+            self.refuse(("is no key of this table of one session; leave it out", ("day_to_day_pct",)))
+        return self
+
+    def entry(self) -> tuple[int, str, str | None]:
+        """What the parameters are of."""
+        return self.joint, self.direction, self.session or None
+
+
+def _of_joint(joint: int) -> type[LawTable]:
+    fields: dict[str, Any] = {"joint": Annotated[Literal[joint], JOINT]}
+    for each in LAWS[joint].parameters:
+        quantity = Quantity((each.unit,), (each.lower, each.upper))
+        fields[_parameter_stem(each)] = (Annotated[float, quantity], Field(description=each.meaning))
+    return create_model(f"LawOfJoint{joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields)
+
+
+LAWS: dict[int, type[StepLaw]] = {1: Base, 2: Elbow, 3: Prismatic}
+AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joint in LAWS}, LawTable)]
+
+
+class LawFile(Table):
+    """Laws by joint and direction, and causes that extend them all."""
+
+    law: Annotated[list[AnyLaw], MinLen(1)]
+    cause: Causes = []
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        entries = [law.entry() for law in self.law]
+        again = [number for number, entry in enumerate(entries) if entry in entries[:number]]
+        advice = "an earlier [[law]] has this joint and direction; keep one of them"
+        self.refuse(*((advice, ("law", number, "direction")) for number in again))
+        return self
+
+
+def read_law_values(path: str | Path, machine: Machine) -> LawValues:
+    """Read and check a law file.
+
+    Parameters
+    ----------
+    path : path
+        A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters.
+    machine : Machine
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    read = read_toml(path, LawFile, "law file")
+    laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
+    causes, sizes = causes_of(read.cause)
+    if causes:
+        laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
+    values, day_to_day = {}, {}
+    for law in read.law:
+        own = [getattr(law, _parameter_stem(each)) for each in LAWS[law.joint].parameters]
+        values[law.entry()] = np.array([*own, *sizes])
+        if not law.session:
+            day_to_day[law.joint, str(law.direction)] = law.day_to_day
+    return LawValues(laws, values, day_to_day)

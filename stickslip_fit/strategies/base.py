@@ -1,0 +1,251 @@
+"""Strategy, the interface of calibration strategies: what one is given, returns and costs.
+
+A strategy chooses among the traverses that a session offers before it knows any count, then returns a
+predictor of log(steps) with its standard deviation. `solve_law` fits a law with known noise;
+`LawSolution` carries the inverse of the Fisher information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
+from stickslip_fit.estimation.identifiability import identifiable_parameters
+from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
+from stickslip_fit.laws import StepLaw
+from stickslip_fit.logs.plan import Timing
+from stickslip_fit.machine import Machine
+
+SessionSelector = Callable[[Sequence[str], str], tuple[str, ...]]
+"""All sessions in order of time, and one of them, to those that it may look back on."""
+
+
+def other_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
+    """All but itself: right where sessions differ by chance, and makes the most of a short log.
+
+    Examples
+    --------
+    >>> other_sessions(["Mon", "Tue", "Wed"], "Tue")
+    ('Mon', 'Wed')
+    """
+    return tuple(each for each in sessions if each != session)
+
+
+def earlier_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
+    """Those before it, as on the day.
+
+    Examples
+    --------
+    >>> earlier_sessions(["Mon", "Tue", "Wed"], "Tue")
+    ('Mon',)
+    """
+    return tuple(sessions[: list(sessions).index(session)])
+
+
+def stepping_seconds(rows: pd.DataFrame) -> Array:
+    """Steps times step period, shape (n,); where the log has no period, that which plans take without one."""
+    return rows["steps"].to_numpy(float) * rows["step_period"].fillna(Timing().step_period).to_numpy(float)
+
+
+def handling_seconds(rows: pd.DataFrame) -> float:
+    """From the end of a traverse to the beginning of the next, the median over a log; 0 for one traverse.
+
+    Nights and lunch breaks are long but few, so that the median does not see them.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        All rows of a log in order of time, whatever their status.
+
+    Examples
+    --------
+    >>> times = pd.to_datetime(["2012-03-05T09:00:00", "2012-03-05T09:03:00", "2012-03-05T09:05:00"])
+    >>> rows = pd.DataFrame({"session": "Mon", "time": times, "steps": 10_000, "step_period": 0.01})
+    >>> handling_seconds(rows)
+    50.0
+    """
+    following = rows["session"].to_numpy()[1:] == rows["session"].to_numpy()[:-1]
+    apart = rows["time"].diff().dt.total_seconds().to_numpy()[1:]
+    idle = (apart - stepping_seconds(rows)[:-1])[following]
+    return float(np.median(np.maximum(idle, 0.0))) if len(idle) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LawSolution:
+    """Least squares with the scatter known.
+
+    Attributes
+    ----------
+    groups : Groups
+        Of session and direction.
+    values : array, shape (g, p)
+        Parameters, SI.
+    known : array of bool, shape (g, p)
+        Which of them the traverses determine.
+    covariance : array, shape (g, p, p)
+        The inverse of the Fisher information.
+    """
+
+    groups: Groups
+    values: Array
+    known: npt.NDArray[np.bool_]
+    covariance: Array
+
+
+def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolution:
+    """Fit a law to rows, each session and direction by itself.
+
+    Traverses that are as many as the parameters leave one solution, which is that of the closed form.
+
+    Parameters
+    ----------
+    law : StepLaw
+    rows : DataFrame, n rows of one joint
+    repeatability : float
+        Standard deviation of log(steps); the counts' rounding comes on top.
+    """
+    problem = single_problem(law, rows, DEFAULT_OPTIONS)
+    found = problem.minimize(1.0 / (repeatability**2 + problem.rounding), problem.start)
+    known, _, covariance = identifiable_parameters(found.curvature, problem.scales)
+    return LawSolution(problem.groups, found.values, known & found.converged[:, None], covariance)
+
+
+def response_sd(jacobian: Array, covariance: Array) -> Array:
+    """Standard deviation of responses under uncertain parameters, (n, p) and (p, p) -> (n,)."""
+    return np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
+
+
+Predictor = Callable[[pd.DataFrame], tuple[Array, Array]]
+"""Rows of a log to the mean of log(steps) and its standard deviation, the repeatability left out; (n,)."""
+
+
+class NotApplicable(Exception):
+    """A strategy cannot calibrate this session; the message says why, and what it would need."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationTask:
+    """One joint and direction of a session that is to be calibrated.
+
+    Attributes
+    ----------
+    session : str
+    direction : {"+", "-"}
+    law : StepLaw
+        The published one of the joint, or what stands in its place.
+    machine : Machine
+    offered : DataFrame
+        The first traverse of each of the session's configurations, in order of time and without the counts:
+        a strategy chooses among them before it knows any.
+    others : DataFrame
+        All usable traverses, counts included, of the sessions that it may look back on.
+    repeatability : float
+        What the lab knows of the scatter of log(steps).
+    """
+
+    session: str
+    direction: str
+    law: StepLaw
+    machine: Machine
+    offered: pd.DataFrame
+    others: pd.DataFrame
+    repeatability: float
+
+    @cached_property
+    def nominal(self) -> tuple[Array, Array]:
+        """Parameters near which to plan, and changes of them that matter, each shape (p,).
+
+        The mean of the other sessions where they know all parameters; else those of a law without effects,
+        with steps of length one: how much a traverse tells does not depend on the length of a step.
+        """
+        if len(self.others):
+            found = solve_law(self.law, self.others, self.repeatability)
+            if found.known.all(axis=1).any():
+                values = found.values[found.known.all(axis=1)].mean(axis=0)
+                y, _ = self.law.response(self.others)
+                step = mean_step_sizes(found.groups, self.others, y).mean(keepdims=True)
+                return values, self.law.scales(step)[0]
+        one = np.ones(1)
+        return self.law.start_values(one)[0], self.law.scales(one)[0]
+
+
+class Strategy(Protocol):
+    """A way to calibrate. Anything that has these three is one.
+
+    Examples
+    --------
+    The mean step of whatever was driven first:
+
+    >>> class FirstOfAll:
+    ...     name = "first traverse"
+    ...     def choose(self, task):
+    ...         return np.array([0])
+    ...     def calibrate(self, task, made):
+    ...         step = abs(made["stop"] - made["start"]).sum() / made["steps"].sum()
+    ...         return lambda rows: (np.log(abs(rows["stop"] - rows["start"]) / step), np.zeros(len(rows)))
+    """
+
+    @property
+    def name(self) -> str:
+        """As tables and pictures call it; no two compared strategies have the same."""
+        ...
+
+    def choose(self, task: CalibrationTask) -> IntArray:
+        """Which of the offered traverses to make, as positions among them.
+
+        Raises
+        ------
+        Unsuited
+            If the session does not offer what the strategy needs.
+        """
+        ...
+
+    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+        """What the traverses made, with their counts now, say of any other of the session.
+
+        Raises
+        ------
+        Unsuited
+            If they do not determine what the strategy needs to know.
+        """
+        ...
+
+
+def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
+    """The earliest traverse of each configuration."""
+    return rows[~rows[CONFIGURATION_COLUMNS].round(9).duplicated()]
+
+
+def make_least_squares_predictor(task: CalibrationTask, law: StepLaw, made: pd.DataFrame) -> Predictor:
+    """Predict by the law that fits the traverses made best.
+
+    Raises
+    ------
+    Unsuited
+        If they leave a parameter open.
+    """
+    found = solve_law(law, made, task.repeatability)
+    if not found.known.all():
+        names = [parameter.name for parameter in law.parameters]
+        open_ones = ", ".join(name for name, known in zip(names, found.known[0], strict=True) if not known)
+        raise NotApplicable(f"its {len(made)} traverses leave {open_ones} open")
+    return make_predictor(law, found.values[0], found.covariance[0])
+
+
+def make_predictor(law: StepLaw, values: Array, covariance: Array) -> Predictor:
+    """Predict by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
+
+    def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
+        response, jacobian = law.model(rows)(np.broadcast_to(values, (len(rows), len(values))))
+        return response, response_sd(jacobian, covariance)
+
+    return predict

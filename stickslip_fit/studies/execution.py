@@ -1,0 +1,339 @@
+"""Runs a study in chunks of campaigns, on local cores or a Dask cluster, and stores the results.
+
+A stored chunk is complete or absent. Chunks are kept under a hash of the code and library versions, so
+that results of different code are never mixed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import pandas as pd
+
+import stickslip_fit
+from stickslip_fit._io import write_atomically
+from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.estimation.result import library_versions
+from stickslip_fit.studies.calibration import (
+    StudyDesign,
+    calibrate_sessions,
+    compute_cost,
+    compute_step_size_errors,
+    compute_tip_distributions,
+)
+from stickslip_fit.studies.plan import Scenario, StudyPlan
+from stickslip_fit.studies.simulation import draw_campaigns, simulate_campaigns
+
+TIP_JOINT = 0  # in place of a joint
+LABEL_COLUMNS = ["scenario", "campaign", "strategy", "joint", "direction"]
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Campaigns `first` to `last` - 1 of a scenario."""
+
+    study: StudyPlan
+    design: StudyDesign
+    scenario: Scenario
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+    def __str__(self) -> str:
+        return f"campaigns {self.first} to {self.last - 1} of {self.scenario.name!r}"
+
+    def run(self) -> pd.DataFrame:
+        """Simulate, calibrate, predict and move.
+
+        Returns
+        -------
+        DataFrame
+            A row for each campaign, strategy, joint and direction, see `step_size_errors` and `spent`; and
+            one with `TIP` for its joint, see `tip_distributions`.
+
+        Raises
+        ------
+        InputError
+            If a joint comes to a halt, or a session is not over when the next one begins.
+        """
+        numbers = range(self.first, self.last)
+        campaigns = simulate_campaigns(
+            self.study, self.scenario, draw_campaigns(self.study, self.scenario, numbers)
+        )
+        strategies = {strategy.name: strategy for strategy in self.study.strategies}
+        tables, calibrated = [], {}
+        for joint, direction, cells, suited in self.design.drives():
+            calibrated[joint, direction] = {
+                name: calibrate_sessions(self.study, strategies[name], cells, campaigns) for name in suited
+            }
+            errors = compute_step_size_errors(calibrated[joint, direction], cells, campaigns)
+            cost = pd.concat(
+                [compute_cost(name, cells, campaigns, self.design.handling_seconds) for name in suited]
+            )
+            table = errors.merge(cost, on=["place", "strategy"])
+            tables.append(table.assign(joint=joint, direction=direction))
+        if self.design.paths is not None:
+            tips = compute_tip_distributions(
+                self.study, self.scenario, numbers, campaigns, calibrated, self.design.paths
+            )
+            tables.append(tips.assign(joint=TIP_JOINT, direction=""))
+        found = pd.concat(tables, ignore_index=True)
+        found.insert(0, "campaign", self.first + found.pop("place"))
+        found.insert(0, "scenario", self.scenario.name)
+        named = found[[*LABEL_COLUMNS, *(name for name in found if name not in LABEL_COLUMNS)]]
+        # As a file gives them back.
+        return named.astype(dict.fromkeys(("scenario", "strategy", "direction"), "str"))
+
+
+ChunkResults = Generator[tuple[int, pd.DataFrame]]
+"""The place of each chunk and its table, in the order in which they are finished."""
+
+
+class Backend(Protocol):
+    """Anything that works on chunks."""
+
+    def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
+        """Work on all of them; closing what is returned stops the work.
+
+        Raises
+        ------
+        InputError
+            If a chunk cannot be worked on.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Cores:
+    """Cores of this machine.
+
+    Attributes
+    ----------
+    workers : int
+        Processes; as many as there are cores where it is -1.
+    """
+
+    workers: int = -1
+
+    def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
+        """See `Backend.run`."""
+        from joblib import Parallel, delayed
+
+        parallel = Parallel(n_jobs=self.workers, return_as="generator_unordered", batch_size=1)
+        yield from parallel(delayed(_run_locally)(k, chunk) for k, chunk in enumerate(chunks))
+
+
+def _run_locally(place: int, chunk: Chunk) -> tuple[int, pd.DataFrame]:
+    return place, chunk.run()
+
+
+HASHED_PACKAGES = (
+    "_toml",
+    "units",
+    "machine",
+    "logs",
+    "laws",
+    "causes",
+    "simulate",
+    "fit",
+    "moves",
+    "strategies",
+)
+
+
+@dataclass(frozen=True)
+class CodeVersion:
+    """Versions, by name, and the hash of the code that numbers come from."""
+
+    versions: tuple[tuple[str, str], ...]
+    code: str
+
+    @property
+    def sha256(self) -> str:
+        """Of all of it."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()
+
+    def differences(self, other: CodeVersion) -> list[str]:
+        """What differs from another, in words."""
+        theirs = dict(other.versions)
+        found = [
+            f"{name} {version} here, {theirs.get(name, 'none')} there"
+            for name, version in self.versions
+            if theirs.get(name) != version
+        ]
+        return found or ["the code of stickslip_fit is not the same"] * (self.code != other.code)
+
+
+@cache
+def current_code_version() -> CodeVersion:
+    """What computes numbers in this process."""
+    package, code = Path(stickslip_fit.__file__).parent, hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        if path.relative_to(package).parts[0].removesuffix(".py") in HASHED_PACKAGES:
+            code.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    return CodeVersion(tuple(library_versions().items()), code.hexdigest())
+
+
+@dataclass(frozen=True)
+class ResultStore:
+    """Where a study keeps what is finished.
+
+    Attributes
+    ----------
+    folder : Path
+        Has, or gets, a folder ``chunks`` with one folder for each scenario, named after the hash of all that
+        its numbers depend on: the study, the code and the versions.
+    made_by : MadeBy
+    """
+
+    folder: Path
+    code_version: CodeVersion
+
+    def has(self, chunk: Chunk) -> bool:
+        """Whether a chunk is finished."""
+        return self.path_of(chunk).exists()
+
+    def path_of(self, chunk: Chunk) -> Path:
+        """The chunk's file."""
+        told = f"{chunk.study.sha256(chunk.scenario)} {self.code_version.sha256}"
+        name = f"{chunk.first:06d}-{chunk.last - 1:06d}.parquet"
+        return self.folder / "chunks" / hashlib.sha256(told.encode()).hexdigest()[:16] / name
+
+    def write(self, chunk: Chunk, table: pd.DataFrame) -> None:
+        """Keep a finished chunk.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        path, stream = self.path_of(chunk), io.BytesIO()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            message = f"cannot be made ({error.strerror}); name another folder"
+            raise InputError(InputIssue(message, str(path.parent))) from None
+        table.to_parquet(stream, index=False)
+        write_atomically(path, stream.getvalue())
+
+    def read(self, chunk: Chunk) -> pd.DataFrame:
+        """A finished chunk.
+
+        Raises
+        ------
+        InputError
+            If its file is damaged.
+        """
+        path = self.path_of(chunk)
+        try:
+            return pd.read_parquet(path)
+        except (OSError, ValueError) as error:
+            message = f"cannot be read ({error}); delete it, and run the study again"
+            raise InputError(InputIssue(message, str(path))) from None
+
+
+TIMEOUT = 30  # s, for the scheduler to answer and for a first worker
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Workers of a Dask scheduler.
+
+    A chunk whose worker dies is worked on by another. Workers write nothing: what they return is stored by
+    the process that asks, once.
+
+    Attributes
+    ----------
+    address : str
+        Of the scheduler, such as ``tcp://10.0.0.1:8786``.
+    """
+
+    address: str
+
+    def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
+        """See `Backend.run`."""
+        distributed, code_version = _import_distributed(), current_code_version()
+        with self._client(distributed) as client:
+            waiting = {
+                client.submit(run_on_worker, k, chunk, code_version, pure=False): chunk
+                for k, chunk in enumerate(chunks)
+            }
+            for future in distributed.as_completed(list(waiting)):
+                yield self._result(distributed, future, waiting.pop(future))
+                future.release()
+
+    def _client(self, distributed: ModuleType) -> Any:
+        try:
+            client = distributed.Client(self.address, timeout=TIMEOUT)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(
+                f"no Dask scheduler answers at {self.address} ({error}); start one with `dask scheduler` and "
+                "give the address that it prints"
+            ) from None
+        try:
+            client.wait_for_workers(1, timeout=TIMEOUT)
+        except TimeoutError:
+            client.close()
+            raise InputError(
+                f"the Dask cluster at {self.address} has no workers; start some with "
+                f"`dask worker {self.address}`"
+            ) from None
+        try:
+            client.run(current_code_version)
+        except (ImportError, AttributeError) as error:
+            client.close()
+            raise InputError(
+                f"a worker at {self.address} cannot load this version of stickslip_fit ({error}); install "
+                "the same on all machines"
+            ) from None
+        return client
+
+    def _result(self, distributed: ModuleType, future: Any, chunk: Chunk) -> tuple[int, pd.DataFrame]:
+        try:
+            return future.result()
+        except distributed.KilledWorker:
+            raise InputError(
+                f"workers died one after the other on {chunk}, for want of memory as a rule; give them more "
+                "(dask worker --memory-limit), then run the study again: what is finished is kept"
+            ) from None
+        except (OSError, distributed.CancelledError) as error:
+            raise InputError(
+                f"the Dask cluster at {self.address} went away ({type(error).__name__}); run the study again "
+                "when it is back, or without --cluster: what is finished is kept"
+            ) from None
+
+
+def run_on_worker(place: int, chunk: Chunk, code_version: CodeVersion) -> tuple[int, pd.DataFrame]:
+    """Work on a chunk, if this process would do so as the one that asks.
+
+    Raises
+    ------
+    InputError
+        If it would not, or the chunk cannot be worked on.
+    """
+    if unlike := code_version.differences(current_code_version()):
+        raise InputError(
+            "a worker is not like the machine that asks it, so that its numbers may differ: "
+            f"{'; '.join(unlike)}; install the same versions on all machines"
+        )
+    return place, chunk.run()
+
+
+def _import_distributed() -> ModuleType:
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            "--cluster needs Dask: pip install 'stickslip-fit[dask]'; without --cluster, a study runs on "
+            "this machine's cores"
+        ) from None
+    return distributed

@@ -1,0 +1,358 @@
+"""Simulates many campaigns of one plan side by side, each from its own random streams.
+
+`draw_campaigns` draws the random numbers, `draw_truths` each session's true parameters, and
+`simulate_campaigns` the counts. A campaign is the same whichever others are simulated with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from itertools import pairwise
+from zlib import crc32
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes import ExtendedLaw
+from stickslip_fit.causes.base import extend_by
+from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
+from stickslip_fit.laws import StepLaw, observed_count, traverse_length
+from stickslip_fit.logs.plan import Plan, PlannedSession
+from stickslip_fit.logs.schema import CONDITIONS
+from stickslip_fit.simulation import expected_counts
+from stickslip_fit.simulation.campaign import GROUPS, draw_random, drive_through
+from stickslip_fit.studies.plan import Scenario, StudyPlan
+from stickslip_fit.units import JOINTS
+
+MAX_DEVIATION_SD = (
+    3.0  # standard deviations; a law that stalls once in a thousand campaigns would stop a study
+)
+MAX_PARAMETERS = 4  # of a published law
+SCATTER_RANGE = (1.0, 2.0)
+COUNT_STREAM, LAW_STREAM, MOVE_STREAM = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignDraws:
+    """The draws of C campaigns of S sessions and n traverses.
+
+    Attributes
+    ----------
+    day : array, shape (C, S, groups)
+        See `Chance`.
+    noise, wait : array, shape (C, n)
+        Departures of log(steps), of standard deviation 1, and how long a person takes.
+    luck : array, shape (C, n, 3)
+    law : array, shape (C, S + 1, groups, parameters)
+        How far each parameter lies from its usual value: first the campaign's, then each session's.
+    """
+
+    day: Array
+    noise: Array
+    wait: Array
+    misfire_draws: Array
+    law: Array
+
+
+def draw_campaigns(study: StudyPlan, scenario: Scenario, campaigns: Sequence[int]) -> CampaignDraws:
+    """The draws of campaigns by number; the same whatever other campaigns are drawn beside them."""
+    uneven = _scatter_groups(study.plan) if study.scatter == "uneven" else None
+    each = [_draw_campaign(study, scenario, number, uneven) for number in campaigns]
+    return CampaignDraws(*(np.stack(parts) for parts in zip(*each, strict=True)))
+
+
+def nominal_draws(plan: Plan) -> CampaignDraws:
+    """One campaign in which everything is as usual."""
+    sessions, n = len(plan.sessions), len(plan.sessions) * plan.traverses_per_session
+    return CampaignDraws(
+        np.zeros((1, sessions, len(GROUPS))), np.zeros((1, n)), np.full((1, n), 0.5), np.full((1, n, 3), 0.5),
+        np.zeros((1, sessions + 1, len(GROUPS), MAX_PARAMETERS)),
+    )  # fmt: skip
+
+
+def seed_sequence(study: StudyPlan, scenario: Scenario, number: int, kind: int) -> np.random.SeedSequence:
+    """Where a campaign's chance comes from, one for each kind of it."""
+    return np.random.SeedSequence([study.seed, crc32(scenario.name.encode()), number, kind])
+
+
+def campaign_seed(study: StudyPlan, scenario: Scenario, number: int) -> int:
+    """The seed with which `simulate` draws the same scatter, days and pauses as a campaign of a study."""
+    return int(seed_sequence(study, scenario, number, COUNT_STREAM).generate_state(1, np.uint64)[0])
+
+
+def _draw_campaign(
+    study: StudyPlan, scenario: Scenario, number: int, uneven: tuple[IntArray, IntArray] | None
+) -> tuple[Array, ...]:
+    sessions, traverses = len(study.plan.sessions), study.plan.traverses_per_session
+    chance = draw_random(campaign_seed(study, scenario, number), sessions, traverses, len(GROUPS), study.kind)
+    rng = np.random.default_rng(seed_sequence(study, scenario, number, LAW_STREAM))
+    drawn = rng.standard_normal((sessions + 1, len(GROUPS), MAX_PARAMETERS))
+    law = np.clip(drawn, -MAX_DEVIATION_SD, MAX_DEVIATION_SD)
+    noise = chance.noise if uneven is None else chance.noise * _draw_scatter_factors(*uneven, rng)
+    return chance.day, noise, chance.wait, chance.misfire_draws, law
+
+
+def _scatter_groups(plan: Plan) -> tuple[IntArray, IntArray]:
+    """Of each row, its configuration, whatever the session, and its joint and direction."""
+    rows = plan.rows()
+    alike = (
+        rows[[name for name in CONFIGURATION_COLUMNS if name != "session"]]
+        .round(9)
+        .assign(joint=rows["joint"])
+    )
+    place = alike.groupby(list(alike), dropna=False, sort=False).ngroup().to_numpy()
+    drive = alike.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()
+    return place, drive
+
+
+def _draw_scatter_factors(place: IntArray, drive: IntArray, rng: np.random.Generator) -> Array:
+    """Factors of the scatter, shape (n,), whose squares have mean 1 in each joint and direction."""
+    factor = rng.uniform(*SCATTER_RANGE, place.max() + 1)[place]
+    square = np.bincount(drive, factor**2) / np.bincount(drive)
+    return factor / np.sqrt(square)[drive]
+
+
+JointDirection = tuple[int, str]
+
+INITIAL_HISTORY = {"session_seconds": 0.0, "steps_before": 0}
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignTruths:
+    """How the joints truly step in C campaigns of S sessions.
+
+    Attributes
+    ----------
+    laws : mapping of int to StepLaw
+        With the causes of a scenario in them.
+    values : mapping of (int, str) to array, shape (C, S, p)
+        Parameters of each joint and direction, SI.
+    factor : mapping of (int, str) to array, shape (C, S)
+        By which all step sizes of a session differ from these.
+    """
+
+    laws: Mapping[int, StepLaw]
+    values: Mapping[JointDirection, Array]
+    factor: Mapping[JointDirection, Array]
+
+    def in_motion(self) -> CampaignTruths:
+        """What is only in hearing the stop left out."""
+        moving = {}
+        for (joint, direction), values in self.values.items():
+            law = self.laws[joint]
+            moving[joint, direction] = law.in_motion(values) if isinstance(law, ExtendedLaw) else values
+        return CampaignTruths(self.laws, moving, self.factor)
+
+    def steps(self, rows: pd.DataFrame, number: IntArray) -> Array:
+        """Steps that each traverse takes on average, shape (n,).
+
+        Parameters
+        ----------
+        rows : DataFrame, n rows
+        number : array of int, shape (n,)
+            The place of each row's session among all C S.
+
+        Raises
+        ------
+        InputError
+            If a joint comes to a halt.
+        """
+        found, group = np.zeros(len(rows)), number_groups(rows)
+        for joint, law in self.laws.items():
+            subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
+            if not len(subset):
+                continue
+            these = rows.iloc[subset]
+            values = self._of_rows(self.values, joint, group[subset], number[subset])
+            expected = np.exp(law.predict(these, values))
+            if not np.all(np.isfinite(expected)):
+                expected_counts(law, these, values)  # says where the joint comes to a halt
+            added = law.added(these, values) if isinstance(law, ExtendedLaw) else 0.0
+            factor = self._of_rows(self.factor, joint, group[subset], number[subset])
+            found[subset] = (expected - added) / factor + added
+        return found
+
+    def misfires(self, rows: pd.DataFrame, number: IntArray, misfire_draws: Array) -> Array:
+        """Log steps by which a stop that is missed or imagined puts counts off, (n, 3) -> (n,)."""
+        off, group = np.zeros(len(rows)), number_groups(rows)
+        for joint, law in self.laws.items():
+            subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
+            if isinstance(law, ExtendedLaw) and len(subset):
+                off[subset] = law.misfires(
+                    self._of_rows(self.values, joint, group[subset], number[subset]), misfire_draws[subset]
+                )
+        return off
+
+    def _of_rows(
+        self, table: Mapping[JointDirection, Array], joint: int, group: IntArray, number: IntArray
+    ) -> Array:
+        """A session's own value of something, for each row of a joint; (n, ...)."""
+        drives = [each for each in GROUPS if each[0] == joint]
+        both = np.stack([table[each].reshape(-1, *table[each].shape[2:]) for each in drives])
+        return both[group - GROUPS.index(drives[0]), number]
+
+
+def draw_truths(
+    study: StudyPlan, scenario: Scenario, rows: pd.DataFrame, draws: CampaignDraws
+) -> CampaignTruths:
+    """Draw each session's parameters.
+
+    Parameters
+    ----------
+    study : StudyPlan
+    scenario : Scenario
+    rows : DataFrame
+        Of one campaign, as the plan has them.
+    draws : Draws
+    """
+    laws, values, factor = {}, {}, {}
+    for joint in sorted(rows["joint"].unique()):
+        subset, law = rows[rows["joint"] == joint], study.truth.laws[joint]
+        laws[int(joint)] = extend_by(law, scenario.causes) if scenario.causes else law
+        for direction in ("+", "-"):
+            drive = int(joint), direction
+            usual, shared = _nominal_parameters(study, subset, drive)
+            values[drive] = _draw_parameters(study, law, subset, drive, usual, draws, scenario.sizes)
+            day = study.truth.day_to_day.get(drive, 0.0) * shared
+            factor[drive] = 1.0 + day * draws.day[:, :, GROUPS.index(drive)]
+    return CampaignTruths(laws, values, factor)
+
+
+def number_groups(rows: pd.DataFrame) -> IntArray:
+    """The place of each row's joint and direction in `GROUPS`."""
+    return 2 * (rows["joint"].to_numpy() - JOINTS[0]) + (rows["direction"] == "-").to_numpy()
+
+
+def _nominal_parameters(
+    study: StudyPlan, subset: pd.DataFrame, drive: JointDirection
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Each session's parameters as the law file has them, (S, p), and whether days differ from them, (S,)."""
+    labels = [session.label for session in study.plan.sessions]
+    if not (subset["direction"] == drive[1]).any():
+        p = len(study.truth.laws[drive[0]].parameters)
+        return np.zeros((len(labels), p)), np.zeros(len(labels), bool)
+    sessions = pd.DataFrame({"session": labels, "direction": drive[1]})
+    return study.truth.of_rows(sessions, drive[0])
+
+
+def _draw_parameters(
+    study: StudyPlan,
+    law: StepLaw,
+    subset: pd.DataFrame,
+    drive: JointDirection,
+    usual: Array,
+    draws: CampaignDraws,
+    hidden: Array,
+) -> Array:
+    """Parameters of a joint and direction with those of the hidden causes beside them, (C, S, p + q)."""
+    own = law.law if isinstance(law, ExtendedLaw) else law
+    p, group = len(own.parameters), GROUPS.index(drive)
+    spread = study.between_campaigns * draws.law[:, :1, group, :p]
+    spread = spread + study.between_sessions * draws.law[:, 1:, group, :p]
+    drawn = np.tile(usual, (len(spread), 1, 1))
+    rows = subset[subset["direction"] == drive[1]]
+    if len(rows):
+        session = pd.Index([each.label for each in study.plan.sessions]).get_indexer(rows["session"])
+        steps = expected_counts(law, rows.assign(**INITIAL_HISTORY), usual[session])
+        mean_step = np.atleast_1d(traverse_length(rows).sum() / steps.sum())
+        drawn[:, :, :p] += spread * own.scales(mean_step)[0]
+    return np.concatenate([drawn, np.broadcast_to(hidden, (*drawn.shape[:2], len(hidden)))], axis=2)
+
+
+BASELINE_SCENARIO = Scenario("nothing hidden")
+EPOCH = datetime(1700, 1, 1)  # early, so that many campaigns have room on one clock
+CAMPAIGN_SPACING = timedelta(days=30)  # of two campaigns side by side, so that none overlaps the next
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCampaigns:
+    """C campaigns of S sessions and n traverses each.
+
+    Attributes
+    ----------
+    count, sessions : int
+        C and S.
+    rows : DataFrame, C n rows
+        A log's columns, campaign after campaign, the plan's order within each.
+    truths : Truths
+    true_steps : array, shape (C n,)
+        Steps that each traverse truly takes on average: without scatter and rounding, and without what is
+        only in hearing the stop.
+    """
+
+    count: int
+    sessions: int
+    rows: pd.DataFrame
+    truths: CampaignTruths
+    true_steps: Array
+
+    @property
+    def traverses(self) -> int:
+        """Traverses of a campaign."""
+        return len(self.rows) // self.count
+
+    def places(self, traverses: IntArray) -> IntArray:
+        """Rows of the same traverses of every campaign, shape (m,) -> (C, m)."""
+        return np.arange(self.count)[:, None] * self.traverses + traverses
+
+    def campaign_rows(self, number: int) -> pd.DataFrame:
+        """The rows of one campaign, numbered from 0."""
+        return self.rows.iloc[number * self.traverses :][: self.traverses].reset_index(drop=True)
+
+
+def simulate_campaigns(study: StudyPlan, scenario: Scenario, draws: CampaignDraws) -> SimulatedCampaigns:
+    """Drive the plan through in every campaign.
+
+    Raises
+    ------
+    InputError
+        If a joint comes to a halt, or a session is not over when the next one begins.
+    """
+    count, one = len(draws.noise), study.plan.rows()
+    side_by_side = _repeat_sessions(study.plan, count)
+    number = np.arange(len(side_by_side.sessions)).repeat(study.plan.traverses_per_session)
+    labels = pd.Series(np.tile(one["session"].astype(object), count))
+    rows = pd.concat([one] * count, ignore_index=True).assign(session=number)
+    truths = draw_truths(study, scenario, one, draws)
+    scatter = np.array([study.repeatability.get(each, np.nan) for each in GROUPS])[number_groups(rows)]
+    departure = scatter * draws.noise.ravel() + truths.misfires(
+        rows, number, draws.misfire_draws.reshape(-1, 3)
+    )
+
+    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
+        steps = truths.steps(_separate_histories(known, labels, count), number)
+        return observed_count(steps * np.exp(departure), known["check_every"])
+
+    driven = drive_through(side_by_side, rows, draws.wait.ravel(), seen, truths.laws.values())
+    log = _separate_histories(driven, labels, count).assign(status="ok", note="")
+    log = log.assign(**{name: np.nan for name in CONDITIONS if name not in log})
+    steps = truths.in_motion().steps(log, number)
+    return SimulatedCampaigns(count, len(study.plan.sessions), log, truths, steps)
+
+
+def simulate_nominal_campaign(study: StudyPlan) -> SimulatedCampaigns:
+    """One campaign in which nothing is hidden and nothing left to chance: what a lab plans by."""
+    return simulate_campaigns(study, BASELINE_SCENARIO, nominal_draws(study.plan))
+
+
+def _repeat_sessions(plan: Plan, count: int) -> Plan:
+    """The plan with its sessions over and over, each campaign long after the one before."""
+    begins = [session.begins for session in plan.sessions]
+    gaps = [*(later - earlier for earlier, later in pairwise(begins)), CAMPAIGN_SPACING] * count
+    moments = EPOCH + np.cumsum([timedelta(), *gaps[:-1]])
+    labels = [session.label for session in plan.sessions] * count
+    return replace(plan, sessions=tuple(map(PlannedSession, labels, moments)))
+
+
+def _separate_histories(known: pd.DataFrame, labels: pd.Series, count: int) -> pd.DataFrame:
+    """With the plan's session labels, and steps counted from each campaign's first traverse on."""
+    driven = known["steps_before"].to_numpy().reshape(count, -1).copy()
+    joint = known["joint"].to_numpy()[: driven.shape[1]]
+    for each in np.unique(joint):
+        subset = np.flatnonzero(joint == each)
+        driven[:, subset] -= driven[:, subset[:1]]
+    return known.assign(session=labels, steps_before=driven.ravel())

@@ -1,0 +1,131 @@
+"""Units of measurement: the package computes in SI, and `to_si` and `from_si` convert at its edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: ``SI = value * numerator / denominator + offset``.
+
+    A ratio instead of one factor, so that 12 mm is the double nearest to 0.012.
+    """
+
+    symbol: str
+    numerator: float = 1.0
+    denominator: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its interval of 95 %, SI; NaN where it is not known."""
+
+    estimate: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Interval:
+        """All three times a factor."""
+        return Interval(self.estimate * factor, self.low * factor, self.high * factor)
+
+
+PRISMATIC = 3
+JOINTS = (1, 2, PRISMATIC)
+
+_UNIT_LIST = (
+    Unit("1"),
+    Unit("%", 1, 100),
+    Unit("m"),
+    Unit("mm", 1, 1_000),
+    Unit("µm", 1, 1_000_000),
+    Unit("nm", 1, 1_000_000_000),
+    Unit("rad"),
+    Unit("deg", pi, 180),
+    Unit("mrad", 1, 1_000),
+    Unit("µrad", 1, 1_000_000),
+    Unit("µrad/mm", 1, 1_000),
+    Unit("s"),
+    Unit("ms", 1, 1_000),
+    Unit("min", 60),
+    Unit("h", 3_600),
+    Unit("steps"),
+    Unit("%/h", 1, 360_000),
+    Unit("%/K", 1, 100),
+    Unit("%/%"),
+    Unit("%/V", 1, 100),
+    Unit("%/g", 10),
+    Unit("%/mm", 10),
+    Unit("µrad/mm²"),
+    Unit("µrad/deg", 180 / pi, 1_000_000),
+    Unit("K"),
+    Unit("°C", offset=273.15),
+    Unit("V"),
+    Unit("kg"),
+    Unit("g", 1, 1_000),
+    Unit("g mm²", 1, 1_000_000_000),
+    Unit("N"),
+    Unit("mN", 1, 1_000),
+)
+UNITS = {unit.symbol: unit for unit in _UNIT_LIST}
+
+# The spelling of a unit inside a column name or a TOML key, where µ and % are hard to type.
+SUFFIXES = {
+    "deg": "deg",
+    "rad": "rad",
+    "m": "m",
+    "mm": "mm",
+    "um": "µm",
+    "nm": "nm",
+    "C": "°C",
+    "K": "K",
+    "ms": "ms",
+    "s": "s",
+    "min": "min",
+    "h": "h",
+    "g": "g",
+    "g_mm2": "g mm²",
+    "kg": "kg",
+    "pct": "%",
+    "V": "V",
+    "urad": "µrad",
+    "urad_per_mm": "µrad/mm",
+}
+
+
+def to_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
+    """Convert a value in the unit `symbol` to SI.
+
+    Raises
+    ------
+    KeyError
+        For a symbol that is not in `UNITS`.
+
+    Examples
+    --------
+    >>> to_si(12.0, "mm")
+    0.012
+    >>> to_si(20.0, "°C")
+    293.15
+    """
+    unit = UNITS[symbol]
+    return value * unit.numerator / unit.denominator + unit.offset
+
+
+def from_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
+    """Convert an SI value to the unit `symbol`; the inverse of `to_si`.
+
+    Examples
+    --------
+    >>> from_si(9.5e-05, "µrad")
+    95.0
+    """
+    unit = UNITS[symbol]
+    return (value - unit.offset) * unit.denominator / unit.numerator
+
+
+__all__ = ["JOINTS", "PRISMATIC", "SUFFIXES", "UNITS", "Interval", "Unit", "from_si", "to_si"]

@@ -1,0 +1,371 @@
+"""What an extension gains: on rows that took no part, with intervals for a fresh replicate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.stats import norm
+
+from stickslip_fit.causes import Wear, library
+from stickslip_fit.diagnosis.cross_validation import (
+    Split,
+    compute_held_out_errors,
+    hold_out_sessions,
+    make_folds,
+)
+from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.gain import (
+    estimate_gain,
+    hold_out_configurations,
+    number_session_configurations,
+    select_in_fold,
+)
+from stickslip_fit.diagnosis.gain_interval import (
+    CAUSE_FOUND,
+    NONE_FOUND,
+    CompetingCauses,
+    LinearizedCampaign,
+    predict_held_out_errors,
+    simulate_selection,
+)
+from stickslip_fit.diagnosis.hypotheses import build_unstructured_alternatives, make_hypothesis
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.selection import (
+    SelectedCause,
+    Selection,
+    assess_residuals,
+    extend_problem,
+    form_cause_set,
+    select_causes,
+)
+from stickslip_fit.logs import read_log
+from stickslip_fit.machine import load_machine
+from tests.hidden.generate import hide
+
+ALPHA, FLIPS = 0.01, 1000
+FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "recoil-axis", "end-stop-latency")
+SEEK = partial(select_in_fold, alpha=ALPHA)
+
+
+@pytest.fixture(scope="session")
+def problem(tmp_path_factory):
+    """A hidden log on the bench, with a few causes and one structure to choose from, to be quick."""
+
+    def made(hidden):
+        path = tmp_path_factory.mktemp("gain") / "log.csv"
+        hidden.write(path)
+        laid, _ = problem_from_log(read_log(path), [cause for cause in library() if cause.name in FEW])
+        return replace(laid, alternatives=waves)
+
+    return made
+
+
+def waves(study):
+    hours = study.rows["session_seconds"].to_numpy(float) / 3600
+    columns = np.stack([np.cos(np.pi * k * hours / hours.max()) for k in range(1, 5)], axis=-1)
+    return [make_hypothesis("unknown:time", None, None, study.project(columns / study.scale[:, None]))]
+
+
+def splits_of(selection):
+    return hold_out_configurations(selection, np.random.default_rng(0))
+
+
+def measured(problem, workers=1, selector=SEEK, alpha=ALPHA):
+    selection = select_causes(problem, alpha, FLIPS, np.random.default_rng(0))
+    found = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
+    whole, _ = estimate_gain(selection, found, splits_of(selection), selector, alpha=alpha, workers=workers)
+    return whole, selection
+
+
+def gained(whole):
+    return whole.baseline - whole.extended
+
+
+@pytest.mark.parametrize("design", ["session", "thesis", "many"])
+def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_stays_known(problem, design):
+    laid = problem(hide(design, seed=3))
+    kinds, splits = (
+        number_session_configurations(laid.rows),
+        make_folds(laid.study(), number_session_configurations(laid.rows), _rng()),
+    )
+    held = np.concatenate([split.held for split in splits])
+    assert len(np.unique(held)) == len(held) > 0.85 * len(laid)
+    assert len(splits) == 10
+    for split in splits:
+        assert not set(kinds[split.held]) & set(kinds[split.train])
+        np.testing.assert_array_equal(np.sort(np.r_[split.held, split.train]), np.arange(len(laid)))
+    for part in laid.parts:
+        slopes = part.law.jacobian(laid.rows.iloc[part.rows], part.values)
+        slopes = slopes / np.linalg.norm(slopes, axis=0)
+        for block in np.unique(part.block):
+            subset = part.block == block
+            known = np.linalg.matrix_rank(slopes[subset], 1e-6)
+            for split in splits:
+                left = subset & np.isin(part.rows, split.train)
+                assert np.linalg.matrix_rank(slopes[left], 1e-6) == known
+
+
+def test_causes_stay_known_in_what_is_left(problem):
+    laid = problem(hide("session", seed=3))
+    study, rng = laid.study(), _rng()
+    effects = study.project(rng.standard_normal((len(laid), 2)) * (np.arange(len(laid)) < 12)[:, None])
+    effects *= 7 / np.linalg.norm(effects, axis=0)
+    whole = study.basis.toarray()
+
+    def least_left(splits):
+        strengths = []
+        for split in splits:
+            basis, left = whole[split.train], effects[split.train]
+            left = left - basis @ np.linalg.lstsq(basis, left)[0]
+            strengths.append(np.linalg.norm(left, axis=0))
+        return np.min(strengths)
+
+    kinds = number_session_configurations(laid.rows)
+    assert least_left(make_folds(study, kinds, _rng(), effects)) >= 5.0
+
+
+def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
+    hidden = hide("session", ("drift",), 14, seed=3)
+    selection = select_causes(problem(hidden), ALPHA, FLIPS, np.random.default_rng(0))
+    found = size_findings(selection, selection.problem, ALPHA)
+    split = splits_of(selection)[0]
+    wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held)
+    disturbed = replace(selection.problem, responses=selection.problem.responses + wrong)
+    before, after = (
+        compute_held_out_errors(each, split, found, SEEK, (0, 0)) for each in (selection.problem, disturbed)
+    )
+    assert np.sqrt(np.mean(before[1] ** 2)) < np.sqrt(np.mean(before[0] ** 2))
+    np.testing.assert_allclose(after, before + 0.3, atol=1e-9)
+
+
+def test_a_new_session_is_predicted_by_its_calibration_and_causes_from_the_other_sessions(problem):
+    hidden = hide("thesis", seed=3)
+    laid = problem(hidden)
+    splits = hold_out_sessions(laid, load_machine())
+    session = laid.rows["session"].to_numpy(object)
+    assert len(splits) == 3
+    for split in splits:
+        assert len(set(session[split.held]) | set(session[split.calibration])) == 1
+        assert not set(session[split.train]) & set(session[split.held])
+        assert not set(split.calibration) & set(split.held)
+        parameters = 2 * sum(len(part.law.parameters) for part in laid.parts)
+        assert len(split.calibration) == parameters
+        assert len(split.held) + parameters == np.sum(session == session[split.held[0]])
+
+
+def test_a_log_of_two_sessions_has_no_new_one(problem):
+    laid = problem(hide("thesis", seed=3))
+    assert hold_out_sessions(laid.without(np.flatnonzero(laid.rows["session"] == laid.rows["session"][0])),
+                        load_machine()) == []  # fmt: skip
+
+
+def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
+    rng = _rng()
+    laws = np.zeros((60, 6))
+    laws[:30, :3], laws[30:, 3:] = rng.standard_normal((30, 3)), rng.standard_normal((30, 3))
+    slopes, responses = rng.standard_normal((60, 2)), rng.standard_normal((60, 4))
+    basis = csr_array(np.linalg.qr(laws)[0] * (np.abs(np.linalg.qr(laws)[0]) > 1e-12))
+    held = np.arange(0, 60, 7)
+    rest = np.setdiff1d(np.arange(60), held)
+    for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
+        fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
+        found = predict_held_out_errors(basis, Split(rest, rest, held), chosen, responses)
+        np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
+
+
+def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(problem):
+    def never(laid, rng):
+        raise AssertionError
+
+    whole, selection = measured(problem(hide("session", seed=8)), selector=never)
+    assert selection.p_value > ALPHA
+    assert whole.extended == whole.baseline
+    assert (whole.low, whole.high) == (0.0, 0.0)
+    assert whole.noise_floor < whole.baseline < 2 * whole.noise_floor
+
+
+def test_the_number_of_processes_makes_no_difference(problem):
+    laid = replace(
+        problem(hide("session", ("drift",), 12, seed=3)), alternatives=build_unstructured_alternatives
+    )
+    one, two = (measured(laid, workers=workers)[0] for workers in (1, 2))
+    assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
+
+
+def test_each_finding_gains_its_step_and_steps_add_up(problem):
+    laid = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    selection = select_causes(laid, ALPHA, FLIPS, _rng())
+    found = size_findings(selection, laid, ALPHA)
+    whole, own = estimate_gain(selection, found, splits_of(selection), SEEK, alpha=ALPHA, workers=1)
+    assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
+    assert own[0].gain.baseline == whole.baseline
+    assert own[-1].gain.extended == whole.extended
+    for one, following in pairwise(own):
+        assert following.gain.baseline == one.gain.extended
+        assert one.gain.low < gained(one.gain) < one.gain.high
+    assert whole.by_session["traverses"].sum() > 0.85 * len(laid)
+
+
+def oracle(hidden, selection):
+    """Held-out rms errors without and with the true effect, its size fitted: plain linear algebra."""
+    problem, blocks = selection.problem, []
+    for part in problem.parts:
+        slopes = part.law.jacobian(problem.rows.iloc[part.rows], part.values)
+        for block in np.unique(part.block):
+            columns = np.zeros((len(problem), slopes.shape[1]))
+            subset = part.block == block
+            columns[part.rows[subset]] = slopes[subset] / np.abs(slopes).max(axis=0)
+            blocks.append(columns)
+    effect = hidden.effect(hidden.acts[0].name)[:, None]
+    predicted = np.zeros(len(problem))
+    for part in problem.parts:
+        predicted[part.rows] = part.law.predict(problem.rows.iloc[part.rows], part.values)
+    left, weight, squares = problem.responses - predicted, 1 / problem.scale, []
+    for columns in (np.concatenate(blocks, axis=1), np.concatenate([*blocks, effect], axis=1)):
+        off = []
+        for split in splits_of(selection):
+            rest = split.train
+            fitted = np.linalg.lstsq(columns[rest] * weight[rest, None], left[rest] * weight[rest])[0]
+            off.append(left[split.held] - columns[split.held] @ fitted)
+        squares.append(np.mean(np.concatenate(off) ** 2))
+    return np.sqrt(squares)
+
+
+def share_of_the_oracle(problem, seeds, strength, design="session"):
+    subset, its = [], []
+    for seed in seeds:
+        hidden = hide(design, (FEW[seed % len(FEW)],), strength, seed=seed)
+        whole, selection = measured(problem(hidden))
+        baseline, extended = oracle(hidden, selection)
+        assert whole.baseline == pytest.approx(baseline, rel=0.03)
+        subset.append(gained(whole))
+        its.append(baseline - extended)
+    return np.sum(subset) / np.sum(its)
+
+
+def covered(problem, seeds, strength):
+    inside = []
+    for seed in seeds:
+        both = [
+            hide("session", (FEW[seed % len(FEW)],), strength, seed=seed, replicate=replicate)
+            for replicate in (0, 1)
+        ]
+        whole, selection = measured(problem(both[0]))
+        if selection.p_value < ALPHA:
+            fresh = gained(measured(problem(both[1]))[0])
+            inside.append(whole.low <= fresh <= whole.high)
+    return np.array(inside)
+
+
+def forced(laid, rng):
+    """The best cause in the law, whether or not anything is wrong."""
+    study = laid.study()
+    misfit = assess_residuals(study, laid, 100, rng)
+    cause_set = form_cause_set(misfit)
+    if cause_set.cause == UNKNOWN:
+        best = max(
+            (cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN),
+            key=misfit.log_evidence_by_cause.get,
+        )
+        cause_set = replace(cause_set, cause=best)
+    shape = misfit.best_hypothesis(cause_set.cause)
+    start = np.array(shape.version.absent) if shape.values is None else shape.values
+    found = SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, 1.0)
+    problem, fit, left = extend_problem(laid, [found])
+    return Selection(problem, np.zeros(0, np.intp), (found,), misfit, misfit, 1.0, fit, left)
+
+
+def above_zero(problem, seeds):
+    above = []
+    for seed in seeds:
+        laid = problem(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
+        selection = forced(laid, _rng())
+        found = size_findings(selection, laid, 2.0)
+        whole, _ = estimate_gain(selection, found, splits_of(selection), forced, alpha=2.0, workers=1)
+        above.append(whole.low > 0)
+    return np.array(above)
+
+
+def test_held_out_gain_is_nearly_that_of_knowing_the_effect(problem):
+    assert share_of_the_oracle(problem, range(3), 12) > 0.9
+
+
+def test_a_fit_that_fails_is_begun_again_nearer_to_no_effect(problem):
+    """Wear that is looked for with the wrong sign and far too slow."""
+    laid = problem(hide("session", ("wear",), 25, seed=2))
+    right, wrong = (laid.fit_extended([Wear()], np.array(start)) for start in ((0.005, 1e4), (-0.005, 1e6)))
+    assert wrong.converged
+    assert wrong.values == pytest.approx(right.values, rel=0.01)
+
+
+@pytest.mark.nightly
+def test_the_interval_covers_the_gain_of_a_fresh_replicate(problem):
+    assert covered(problem, range(4), 12).sum() >= 3
+
+
+@pytest.mark.nightly
+def test_a_cause_forced_upon_a_log_in_which_nothing_is_wrong_gains_nothing(problem):
+    assert above_zero(problem, range(6)).sum() <= 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("design", "strength"), [("thesis", 8), ("many", 8), ("session", 12), ("session", 25)]
+)
+def test_held_out_gain_is_nearly_that_of_knowing_the_effect_in_many_logs(problem, design, strength):
+    # In one small session a single configuration may hold most of what shows an effect of strength 8.
+    assert share_of_the_oracle(problem, range(40), strength, design) > 0.9
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("strength", [6, 8, 12, 25])
+def test_the_interval_covers_the_gain_of_a_fresh_replicate_in_many_logs(problem, strength):
+    inside = covered(problem, range(60), strength)
+    assert inside.mean() > 0.95 - 3 * np.sqrt(0.05 * 0.95 / len(inside))
+
+
+@pytest.mark.nightly
+def test_a_cause_forced_upon_many_logs_in_which_nothing_is_wrong_gains_nothing(problem):
+    above = above_zero(problem, range(150))
+    assert above.mean() < 0.05 + 2 * np.sqrt(0.05 * 0.95 / len(above))
+
+
+def _rng():
+    return np.random.default_rng(0)
+
+
+def a_campaign(cosine, ahead=0.0, names=True, strength=8.0, threshold=0.0, n=40):
+    """One cause, and one rival whose effect has a cosine with its, in units of the noise."""
+    ones, own, other = np.ones(n), np.zeros(n), np.zeros(n)
+    own[0], other[:2] = strength, (cosine, np.sqrt(1 - cosine**2))
+    rivals = CompetingCauses(other[:, None], np.array([ahead]), np.array([names]))
+    basis = csr_array((n, 1))
+    return LinearizedCampaign(
+        basis, ones, ones, own[:, None], (own[:, None],), np.array([threshold]), (rivals,)
+    )
+
+
+@pytest.mark.parametrize("cosine", [0.5, 0.9, 0.97])
+def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
+    """Two directions with the same evidence: the wrong one wins with Phi(-s sqrt((1 - cosine) / 2))."""
+    logs, strength = 20_000, 8.0
+    campaign = a_campaign(cosine, strength=strength)
+    responses = campaign.effects + _rng().standard_normal((40, logs))
+    wrong = np.mean(simulate_selection(campaign, 0, np.arange(40), responses) == 1)
+    expected = norm.sf(strength * np.sqrt((1 - cosine) / 2))
+    assert wrong == pytest.approx(expected, abs=4 * np.sqrt(expected / logs) + 1e-4)
+
+
+def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
+    responses = a_campaign(0.97).effects + _rng().standard_normal((40, 50))
+    for change, made in (
+        ({"ahead": 90.0}, 1), ({"ahead": 90.0, "names": False}, NONE_FOUND), ({"threshold": 30.0}, NONE_FOUND),
+        ({"ahead": -90.0}, CAUSE_FOUND),
+    ):  # fmt: skip
+        assert set(simulate_selection(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}

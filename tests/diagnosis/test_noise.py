@@ -1,0 +1,150 @@
+"""What counts as noise: uneven, heavy in the tails, with wild counts or memory; and what hides in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.diagnosis.effect_size import estimate_ar1_effect
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    build_per_session_hypotheses,
+    build_session_hypotheses,
+    compute_changes,
+    make_hypothesis,
+    split_sessions,
+)
+from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
+from stickslip_fit.diagnosis.misfit import StructureRemoved, batch_hypotheses, compute_misfit
+from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers
+from stickslip_fit.laws import Prismatic
+
+NOISE, WIDE = 0.003, 2.0
+
+
+def drive_of(rows):
+    return (rows["direction"] == "-").to_numpy().astype(np.intp)
+
+
+def kind_of(rows):
+    return np.unique(rows["q2"].round(3).to_numpy(), return_inverse=True)[1]
+
+
+def test_shapes_that_each_session_has_by_itself_are_those_of_all_rows(rows, study_with):
+    """Against the same columns written out for all rows, zero outside their session."""
+    rng = np.random.default_rng(1)
+    study = study_with(NOISE * rng.standard_normal(len(rows)))
+    columns, every = rng.standard_normal((len(rows), 1, 2)), list(split_sessions(study).values())
+    (small,) = build_per_session_hypotheses(["unknown:waves"], len(rows), every, columns)
+    own = np.concatenate([columns[:, 0] * (rows["session"] == name).to_numpy()[:, None] for name in "ab"], 1)
+    large = make_hypothesis("unknown:waves", None, None, study.project(own))
+    first = every[0]
+    (one,) = build_session_hypotheses(
+        "jump", None, np.ones((1, 1)), len(rows), first, first.project(columns[first.rows, 0, :1])
+    )
+    whole = make_hypothesis("jump", None, None, study.project(own[:, :1]))
+    found = batch_hypotheses([small, large, one, whole], study.df).log_evidence(study.residual[:, None])[:, 0]
+    assert found[0] == pytest.approx(found[1], abs=1e-9)
+    assert found[2] == pytest.approx(found[3], abs=1e-9)
+
+
+def test_an_effect_does_not_hide_behind_its_own_signs(rows, study_with):
+    """It is in 8 of 200 traverses; with its signs flipped it would look as large in 1 log of 128."""
+    rng = np.random.default_rng(2)
+    shape = np.zeros((len(rows), 1))
+    shape[rng.choice(len(rows), 8, replace=False)] = 1.0
+    study = study_with(NOISE * (rng.standard_normal(len(rows)) + 3.0 * shape[:, 0]))
+    found = compute_misfit(study, [make_hypothesis("some", None, None, study.project(shape))], 1999, rng)
+    assert found.p_value == 1 / 2000
+
+
+def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, study_with):
+    """200 logs of such tails, and any two neighbours for a shape; then two of them are far off."""
+    rng, n = np.random.default_rng(3), len(rows)
+    pairs = np.repeat(np.eye(n // 2), 2, axis=0)
+
+    def p_value(departure):
+        study = study_with(departure)
+        shapes = study.project(pairs).T
+        tried = [make_hypothesis("pair", None, None, shape[:, None]) for shape in shapes]
+        return compute_misfit(study, tried, 99, rng).p_value
+
+    noise = [NOISE * rng.standard_t(5, n) for _ in range(200)]
+    alarms = np.mean([p_value(each) <= 0.02 for each in noise])
+    assert alarms < 0.02 + 3 * np.sqrt(0.02 * 0.98 / 200)
+    assert p_value(noise[0] + 20 * NOISE * pairs[:, 20]) == 1 / 100
+
+
+def test_configurations_that_repeat_worse_are_found_and_effects_are_not_taken_for_them(rows, study_with):
+    rng = np.random.default_rng(4)
+    drive, kind = drive_of(rows), kind_of(rows)
+    noisy = (rows["q2"] < -2.0).to_numpy()
+    where = np.where(noisy, WIDE, 1.0)
+
+    def judged(departure):
+        study = study_with(departure)
+        left = StructureRemoved(study.residual, np.zeros(len(rows)))
+        return estimate_noise(study, left, np.zeros(len(rows)), drive, kind)
+
+    found = judged(NOISE * where * rng.standard_normal(len(rows)))
+    assert found.uneven.ratio[noisy].mean() == pytest.approx(WIDE, rel=0.2)
+    assert found.uneven.ratio[~noisy].mean() == pytest.approx(1.0, abs=0.15)
+    assert found.sd == pytest.approx([NOISE, NOISE], rel=0.2)
+    shifted = judged(NOISE * (rng.standard_normal(len(rows)) + 3.0 * noisy * np.where(drive, -1.0, 1.0)))
+    assert np.all(shifted.uneven.ratio == 1.0)
+
+
+@pytest.mark.parametrize(("tails", "seen"), [(np.inf, True), (5.0, False)])
+def test_a_wild_count_is_one_where_the_others_are_tame(rows, parts, tails, seen):
+    """The same count, 7 standard deviations off, among 799 with thin and with heavy tails."""
+    rng, times = np.random.default_rng(6), 4
+    many = pd.concat([rows.assign(session=rows["session"] + str(k)) for k in range(times)], ignore_index=True)
+    block = np.concatenate([parts[0].block + 4 * k for k in range(times)])
+    values = np.tile(parts[0].values, (times, 1))
+    noise = rng.standard_normal(len(many)) if np.isinf(tails) else rng.standard_t(tails, len(many)) / 1.29
+    noise[77] = 7.0
+    responses = Prismatic().predict(many, values) + NOISE * noise
+    part = LawBlock(Prismatic(), np.arange(len(many)), block, values)
+    study = linearize_fit(many, [part], responses, np.full(len(many), NOISE))
+    found = find_outliers(study, study.residual, drive_of(many), 999, rng)
+    assert (found.p_value < 0.01) == seen
+    assert not seen or found.rows.tolist() == [77]
+
+
+def test_memory_is_as_large_as_before_recalibration(rows, parts):
+    """100 logs of 48 traverses in which each departure keeps half of the one before it."""
+    rng, share = np.random.default_rng(7), 0.5
+    short = pd.concat([rows[:24], rows[100:124]], ignore_index=True)
+    subset = np.r_[0:24, 100:124]
+    part = LawBlock(Prismatic(), np.arange(48), parts[0].block[subset], parts[0].values[subset])
+    before = np.where(np.arange(48) % 24 == 0, -1, np.arange(48) - 1)
+    found = []
+    for _ in range(100):
+        noise = rng.standard_normal(48)
+        for row in np.flatnonzero(before >= 0):
+            noise[row] += share * noise[row - 1]
+        responses = Prismatic().predict(short, part.values) + NOISE * noise
+        study = linearize_fit(short, [part], responses, np.full(48, NOISE))
+        found.append(estimate_ar1_effect(study, AR1("unknown:memory", before, 0.5)))
+    truth = share / np.sqrt(1 - share**2)
+    inside = np.mean([each.low <= truth <= each.high for each in found])
+    assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
+    assert np.median([each.estimate for each in found]) == pytest.approx(truth, rel=0.1)
+
+
+class Stalling:
+    """A cause in proportion to its size, but beyond a limit the law has no answer."""
+
+    name, joints, session, joined, absent = "stalling", (3,), "", False, (0.0,)
+
+    def changes(self, law, table, values, trials):
+        sizes = np.where(np.abs(trials[:, 0]) > 0.1, np.nan, trials[:, 0])
+        return np.arange(len(values))[:, None] * sizes
+
+
+def test_a_trial_that_stalls_a_joint_stands_for_a_smaller_one(rows, study_with):
+    study = study_with(np.zeros(len(rows)))
+    found = compute_changes(study, Stalling(), np.array([[0.5], [0.05], [90.0]]))
+    assert found[:, 0] == pytest.approx(10 * found[:, 1])
+    assert np.all(found[:, 2] == 0.0)

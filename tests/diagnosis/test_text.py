@@ -1,0 +1,249 @@
+"""What is said of a diagnosis: the right cause, sizes and cure, and never more than the log shows."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
+from stickslip_fit.diagnosis import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis._summary import describe_effect, remedy_for, write_headline
+from stickslip_fit.diagnosis.pipeline import find_causes
+from stickslip_fit.units import Interval
+from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
+
+WIDTH = 110
+BY_SESSION = pd.DataFrame({"session": ["a"], "baseline": [0.02], "extended": [0.004], "traverses": [9]})
+GAIN = Gain(0.0186, 0.0041, 0.0029, 0.013, 0.0155, BY_SESSION)
+
+
+def told(diagnosis) -> str:
+    return " ".join(write_headline(diagnosis))
+
+
+def finding_of(version, size: float) -> Finding:
+    """A finding of a cause, all its parameters known and as large."""
+    sizes = tuple(
+        SizedParameter(
+            each.name,
+            each.unit,
+            Interval(size, 0.9 * size, 1.1 * size),
+            each.joint,
+            each.direction,
+            each.session,
+        )
+        for each in version.parameters
+    )
+    return Finding(version.name, version, (), 0.0005, (2, 3), Interval(0.01, 0.009, 0.011), sizes)
+
+
+def test_a_named_cause_comes_with_its_size_its_cure_and_the_repeatability(named):
+    assert named.verdict == "cause named"
+    first, second = write_headline(named)
+    rate = re.fullmatch(r"Steps shrink by (\d\.\d+) %/h through each session\.", first)
+    assert rate
+    assert float(rate[1]) == pytest.approx(0.3, abs=0.05)
+    assert second.startswith("Recalibrating within the session, or the extended law, ")
+    noise = re.search(r"the repeatability is (\d\.\d+) %\.$", second)
+    assert float(noise[1]) / 100 == pytest.approx(REPEATABILITY, rel=0.15)
+
+
+def test_what_was_gained_on_held_out_traverses_is_said_where_it_is_known(named):
+    assert "the extended law, cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; " in told(
+        replace(named, gain=GAIN)
+    )
+
+
+def test_of_nothing_wrong_it_says_what_could_not_have_been_seen(nothing):
+    assert nothing.verdict == "nothing wrong"
+    said = told(nothing)
+    assert said.startswith("Nothing is wrong that this log can show")
+    assert re.search(r"It could not have shown [a-z-]+, [a-z-]+", said)
+    for cause, why in nothing.untestable.items():
+        assert cause in str(nothing)
+        assert " ".join(why.split()) in " ".join(str(nothing).split())
+
+
+def test_what_cannot_be_told_apart_is_named_together(named):
+    rivals = replace(named.findings[0], equivalent=("thermal-warm-up",))
+    unsure = replace(named, findings=(rivals,), verdict="cannot tell apart")
+    said = told(unsure)
+    assert "steps drift through each session (drift) or the drive warms up (thermal-warm-up)" in said
+    assert "No traverse that was looked at would tell" in said
+    assert "Recalibrating" not in said
+    assert "No traverse within reach tells drift from thermal-warm-up." in str(unsure)
+    traverse = NextTraverse(
+        "new",
+        3,
+        "-",
+        0.0,
+        0.0,
+        np.nan,
+        0.0,
+        0.0,
+        np.nan,
+        np.nan,
+        4,
+        ("drift", "thermal-warm-up"),
+        "after 5 h",
+    )
+    text = str(replace(unsure, next_experiment=(traverse,)))
+    assert "The traverses that would tell" in text
+    assert re.search(r"3 − +4 +0° +0° +– +0° +0° +stop +stop +after 5 h", text)
+    assert "No traverse within reach" not in text
+
+
+def test_what_has_no_name_is_shown_as_it_is(unnamed):
+    assert unnamed.verdict == "unknown cause"
+    first, second = write_headline(unnamed)
+    assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
+    assert re.search(rf"the closest, {unnamed.findings[0].closest}, explains \d+ % of it\.$", first)
+    assert "extended law" not in first + second
+
+
+def test_a_log_too_small_says_so_and_what_would_suffice(tiny):
+    assert (tiny.verdict, tiny.p_value) == ("nothing wrong", 1.0)
+    said = told(tiny)
+    assert "too few traverses to test: 3 for the baseline's 3 parameters" in said
+    assert "add 10 in the same sessions and directions" in said
+    assert "repeats to" not in said
+    assert set(tiny.untestable) == set(tiny.inclusion)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 12])
+def test_hardly_any_rows_are_no_error(table, read, rows):
+    diagnosis = find_causes(read(table.head(rows), "few.csv"))
+    assert diagnosis.verdict == "nothing wrong"
+    assert "too few traverses" in str(diagnosis)
+
+
+def test_as_many_traverses_as_it_asks_for_suffice(table, read):
+    """Three groups of a session and direction with as many parameters as configurations, and 10 beyond."""
+    upright = table[(table["joint"] == 3) & (table["direction"] == "+") & (table["session"] == "2012-03-05")]
+    short = find_causes(read(upright.head(12), "short.csv"))
+    missing = int(re.search(r"add (\d+) in", told(short))[1])
+    assert "too few" not in told(find_causes(read(upright.head(12 + missing), "enough.csv"), alpha=0.1))
+    assert "too few" in told(find_causes(read(upright.head(11 + missing), "short.csv"), alpha=0.1))
+
+
+def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
+    rng = np.random.default_rng(3)
+    draught = rng.normal(size=len(table))
+    twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, problem=7.0, supply_V=230.0)
+    found = find_causes(read(twins, "twins.csv"), alpha=ALPHA)
+    assert found.inclusion["covariate:bench"] is None
+    assert found.inclusion["supply-voltage"] is None
+    assert "the same within every session" in found.untestable["covariate:bench"]
+    assert {frozenset(pair) for pair in found.aliased_causes} == {
+        frozenset(("covariate:draught", "covariate:copy"))
+    }
+    assert re.search(
+        r"Whatever covariate:\w+ would do in this log, covariate:\w+ could have done too", str(found)
+    )
+
+
+def test_of_twins_either_may_be_to_blame(table, read):
+    draught = np.random.default_rng(3).normal(size=len(table))
+    twins = changed(table, 0.01 * draught).assign(draught=draught, copy=5.0 - 3.0 * draught)
+    found = find_causes(read(twins, "twins.csv"), alpha=ALPHA)
+    assert found.verdict == "cannot tell apart"
+    blamed = {found.findings[0].cause, *found.findings[0].equivalent}
+    assert blamed == {"covariate:draught", "covariate:copy"}
+
+
+def test_different_causes_are_not_alike(nothing):
+    assert ("drift", "temperature") not in nothing.aliased_causes
+    assert not any("load-hysteresis" in pair for pair in nothing.aliased_causes)
+
+
+def test_no_line_is_wider_than_a_terminal(named, nothing, unnamed, tiny):
+    for diagnosis in (replace(named, gain=GAIN), nothing, unnamed, tiny):
+        assert max(map(len, str(diagnosis).splitlines())) <= WIDTH
+
+
+@pytest.mark.parametrize("cause", library(), ids=lambda cause: cause.name)
+def test_every_cause_of_the_library_has_a_sentence_of_its_own(cause):
+    said = describe_effect(finding_of(cause, 0.02))
+    assert not said.lower().startswith(f"{cause.phrase.lower()} (")
+    assert re.search(r"\d", said)
+    assert "nan" not in said
+    assert remedy_for(finding_of(cause, 0.02)) or cause.name in ("recoil-axis", "recoil-shape")
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "words"),
+    [
+        ("thermal-warm-up", 0.031, "Steps grow by 3.1 %"),
+        ("thermal-warm-up", -0.031, "Steps shrink by 3.1 %"),
+        ("side-load", 0.02, "Joint 3's steps shrink by 2.0 %"),
+        ("end-stop-latency", 25.0, "heard 25 steps late"),
+        ("end-stop-latency", -25.0, "heard 25 steps early"),
+        ("reversal-loss", 25.0, "25 steps are lost"),
+        ("theta-offset", np.radians(-0.5), "tilted by −0.50 deg about x"),
+        ("bearing-runout", -0.02, "vary by ± 2.0 % over a turn"),
+        ("q1-gravity", 0.9, "90 % of what physics says"),
+        ("wear", 0.01 / np.log(10), "grow by 1.0 % for every tenfold"),
+        ("step-rate", -0.02 / np.log(2), "shrink by 2.0 % when the step period doubles"),
+        ("inertia-quadratic", -0.1, "are 3.6 µrad off the line"),
+        ("load-nonlinearity", 0.02, "by 2.0 % for 1 +, 2.0 % for 1 −, 2.0 % for 2 +"),
+        ("payload-change", 10.0, "The effects of load grow by 1.0 %/g with the payload"),
+        ("end-stop-misfire", 0.02, "one count in 50 is off by 2.0 % or so"),
+    ],
+)
+def test_the_direction_of_an_effect_is_said_right(name, size, words):
+    (cause,) = (each for each in library() if each.name == name)
+    assert words in describe_effect(finding_of(cause, size))
+
+
+@pytest.mark.parametrize("version", [SessionJump(session="Tuesday"), PayloadChange(session="Tuesday")])
+def test_what_began_in_a_session_is_told_with_its_moment(version):
+    assert "by 360,000 % 60 min into session Tuesday" in describe_effect(finding_of(version, 3600.0))
+
+
+def test_a_cause_without_a_sentence_is_told_by_its_phrase(table, read):
+    (subset,) = covariates(read(table.assign(gain=1.0), "gain.csv").rows)
+    own = finding_of(subset, 0.02)
+    # A finding of a covariate has no parameters.
+    assert describe_effect(replace(own, parameters=())) == "Steps follow the column gain, by 1.0 % rms"
+    assert remedy_for(own) == "keeping gain steady"
+    foreign = replace(own, cause="moonlight", version=type("Moon", (), {"phrase": "the moon shines"})())
+    assert describe_effect(foreign) == "The moon shines (f1 = 2.0 %, f2 = 2.0 %, f3 = 2.0 %)"
+
+
+def test_a_parameter_that_is_not_known_leaves_the_sentence_true():
+    (warm,) = (each for each in library() if each.name == "thermal-warm-up")
+    finding = finding_of(warm, 0.02)
+    assert (
+        describe_effect(replace(finding, parameters=finding.parameters[:1]))
+        == "The drive warms up (A = 2.0 %)"
+    )
+
+
+def test_counts_that_are_wildly_off_are_handed_back(table, read):
+    rng = np.random.default_rng(8)
+    out = np.sort(rng.choice(len(table), 3, replace=False))
+    relative = np.zeros(len(table))
+    relative[out] = [0.09, -0.06, 0.12]
+    found = find_causes(read(changed(table, relative), "wild.csv"), alpha=ALPHA)
+    assert found.findings[0].cause == "end-stop-misfire"
+    seen = found.findings[0].traverses
+    assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
+    assert set(seen["steps"]) == set(changed(table, relative)["steps"].iloc[out])
+    assert "Excluding those counts and repeating them takes away" in told(found)
+
+
+def test_a_jump_is_told_with_its_moment(table, read):
+    jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
+    found = find_causes(read(changed(table, -jump), "jump.csv"), alpha=ALPHA)
+    said = re.search(r"Steps grow by (\d\.\d+) % (\d+) min into session 2012-03-06, and stay so", told(found))
+    assert said
+    assert float(said[1]) == pytest.approx(1.5, abs=0.2)
+    assert float(said[2]) == pytest.approx(240, abs=15)
+    (moment,) = (each for each in found.findings[0].parameters if each.name == "moment")
+    assert np.isnan(moment.size.low)
+    low, high = found.findings[0].effect.low, found.findings[0].effect.high
+    assert 0 < low < found.findings[0].effect.estimate < high

@@ -1,0 +1,192 @@
+"""What no estimator can make good numbers of: each says so, by name, and never with a silent NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.bayes import fit_bayes
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import fit_closed_form, fit_least_squares
+from stickslip_fit.estimation.noise import StudentT
+from stickslip_fit.logs import read_log
+
+ESTIMATORS = {
+    "closed-form": fit_closed_form,
+    "least-squares": fit_least_squares,
+    "heavy-tailed": lambda log: fit_least_squares(log, likelihood=StudentT()),
+    "bayes": lambda log: fit_bayes(log, progress=False).result,
+}
+NUMBERS = ["estimate", "standard_error", "low", "high"]
+DAYS = ("2012-03-05", "2012-03-06")
+CALIBRATION_3 = (
+    {"joint": 3, "q2_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
+    {"joint": 3, "q2_deg": 0.0},
+)
+CALIBRATION_2 = tuple(
+    {"joint": 2, "q3_mm": q3, "theta_deg": theta} for theta in (0.0, -90.0) for q3 in (0.0, 12.0)
+)
+SETTINGS = (
+    *CALIBRATION_3, {"joint": 3, "q2_deg": -45.0}, {"joint": 3, "q2_deg": -150.0},
+    *CALIBRATION_2, {"joint": 2, "q3_mm": 6.0},
+)  # fmt: skip
+TRUTH = {
+    "a": 976e-9, "b": 0.30, "c": 438e-9,
+    "gamma0_q3_0": 95e-6, "gamma0_q3_12": 90e-6, "d_q3_0": -15e-6, "d_q3_12": -19.85e-6,
+}  # fmt: skip
+
+
+@pytest.fixture(params=list(ESTIMATORS))
+def method(request):
+    return request.param
+
+
+@pytest.fixture
+def fit(method, tmp_path):
+    """Fit a table; whatever is not a number is flagged, and every flag has its remark."""
+
+    def estimate(table):
+        table.to_csv(tmp_path / "log.csv", index=False)
+        result = ESTIMATORS[method](read_log(tmp_path / "log.csv"))
+        parameters = result.parameters
+        unknown = parameters[NUMBERS].isna().any(axis=1)
+        assert parameters.loc[unknown, "flags"].map(len).all()
+        raised = {flag for flags in parameters["flags"] for flag in flags}
+        assert raised <= {flag.flag for flag in result.flags}
+        assert not np.isinf(parameters["estimate"]).any()
+        return result
+
+    return estimate
+
+
+def flags(result):
+    return {flag.flag for flag in result.flags}
+
+
+def unknown(result):
+    """Names of the parameters that have no estimate, in any session."""
+    table = result.parameters
+    return set(table.loc[table["estimate"].isna(), "name"])
+
+
+def test_a_session_with_one_direction_only(fit, campaign):
+    table = campaign(DAYS, SETTINGS)
+    result = fit(table[(table["session"] == DAYS[0]) | (table["direction"] == "+")])
+    assert flags(result) == set()
+    for joint in result.joints.values():
+        groups = list(zip(joint.groups["session"], joint.groups["direction"], strict=True))
+        assert groups == [(DAYS[0], "+"), (DAYS[0], "-"), (DAYS[1], "+")]
+    assert result.parameters[NUMBERS].notna().all(axis=None)
+
+
+def test_one_configuration_repeated_shows_what_it_shows(fit, campaign):
+    result = fit(campaign(DAYS, CALIBRATION_3[:1], replicates=4))
+    assert flags(result) == {"not_identified"}
+    assert unknown(result) == {"b", "c"}
+    plain = result.parameters.query("name == 'a' and direction == '+'")
+    assert (np.abs(plain["estimate"] - 976e-9) < 5 * plain["standard_error"]).all()
+
+
+def test_one_configuration_repeated_that_shows_nothing_by_itself(fit, campaign, method):
+    """Under load, joint 2's counts tell neither its step size without load nor what the load adds."""
+    result = fit(campaign(DAYS, CALIBRATION_2[:1], replicates=4))
+    assert "not_identified" in flags(result)
+    assert unknown(result) == {"gamma0_q3_0", "gamma0_q3_12", "d_q3_0", "d_q3_12"}
+
+
+def test_no_replicates_and_none_to_spare(fit, campaign, method):
+    result = fit(campaign(DAYS[:1], CALIBRATION_3 + CALIBRATION_2, replicates=1))
+    assert flags(result) == {"few_replicates"}
+    assert result.parameters["estimate"].notna().all()
+    # Bayes has error bars from its prior, and says that they are.
+    assert result.parameters["standard_error"].notna().all() == (method == "bayes")
+
+
+def test_a_single_traverse(fit, campaign):
+    result = fit(campaign(DAYS[:1], CALIBRATION_3[:1], ("+",), replicates=1))
+    assert flags(result) == {"few_replicates", "not_identified"}
+    assert unknown(result) == {"b", "c"}
+    assert result.parameters["estimate"].dropna().item() == pytest.approx(976e-9, rel=0.02)
+
+
+def test_one_joint_only(fit, campaign):
+    result = fit(campaign(DAYS, CALIBRATION_2))
+    assert list(result.joints) == [2]
+    assert flags(result) == set()
+
+
+def test_a_session_of_two_rows(fit, campaign, method):
+    table = campaign(DAYS, SETTINGS)
+    last = table[(table["session"] == DAYS[1]) & (table["joint"] == 3)].iloc[:2]
+    result = fit(pd.concat([table[table["session"] == DAYS[0]], last]))
+    assert list(last["direction"]) == ["+", "-"]
+    estimates = result.parameters.set_index(["session", "name"])["estimate"]
+    assert estimates[DAYS[0]].notna().all()
+    if method == "bayes":
+        # The other session lends what these rows do not show.
+        assert flags(result) == set()
+        assert estimates.notna().all()
+    else:
+        assert flags(result) == {"not_identified"}
+        assert set(estimates[DAYS[1]].index[estimates[DAYS[1]].isna()]) == {"b", "c"}
+
+
+def test_all_steps_equal_over_full_traverses(fit, campaign):
+    """As of a joint that neither load nor recoil slows down, and that repeats without fail."""
+    full = CALIBRATION_3 + CALIBRATION_2
+    result = fit(campaign(DAYS, full, check_every=1).assign(steps=12300))
+    assert flags(result) == set()
+    table = result.parameters.set_index("name")
+    assert table.loc["a", "estimate"].to_numpy() == pytest.approx(12e-3 / 12300, rel=3e-3)
+    assert table.loc["gamma0_q3_0", "estimate"].to_numpy() == pytest.approx(np.radians(240) / 12300, rel=3e-3)
+    assert table.loc["b", "estimate"].to_numpy() == pytest.approx(0.0, abs=3e-3)
+    assert (table["low"] <= table["high"]).all()
+
+
+@pytest.mark.parametrize("method", ["least-squares", "bayes"], indirect=True)
+def test_all_steps_equal_though_the_traverses_are_not(fit, campaign):
+    """No law gives such counts: whatever is reported as a number repeats as badly as they do."""
+    shorter = tuple(
+        {"joint": 2, "q3_mm": 6.0, "from_deg": end, "to_deg": end - 60.0} for end in (0.0, -120.0)
+    )
+    result = fit(campaign(DAYS, CALIBRATION_2 + shorter, ("+",)).assign(steps=12300))
+    assert "not_converged" in flags(result) or result.joints[2].repeatability["+"].value > 0.3
+
+
+def test_two_sessions_with_disjoint_joints(fit, campaign):
+    table = campaign(DAYS, SETTINGS)
+    result = fit(table[(table["session"] == DAYS[0]) == (table["joint"] == 3)])
+    assert flags(result) == set()
+    days = result.parameters.groupby("joint")["session"].unique()
+    assert (list(days[3]), list(days[2])) == ([DAYS[0]], [DAYS[1]])
+
+
+def test_no_usable_traverse(fit, campaign):
+    with pytest.raises(InputError, match="no usable traverse"):
+        fit(campaign(DAYS[:1], CALIBRATION_3).assign(status="interrupted"))
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize(("joint", "place"), [(3, 1), (2, 4)])
+class TestACountWildlyOff:
+    """The second of the calibration traverses, or one that calibrates nothing."""
+
+    def spoilt(self, campaign, joint, place, factor):
+        table = campaign(DAYS, SETTINGS)
+        first = table.index[(table["joint"] == joint) & (table["direction"] == "+")][place]
+        table.loc[first, "steps"] = 5 * round(factor * table.loc[first, "steps"] / 5)
+        return table, table.loc[first, "steps"]
+
+    def test_is_named(self, fit, method, campaign, joint, place, factor):
+        """And survived by heavy tails."""
+        table, count = self.spoilt(campaign, joint, place, factor)
+        result = fit(table)
+        [message] = [flag.message for flag in result.flags if flag.flag == "outlier"]
+        assert f"joint {joint}, direction +, session {DAYS[0]}: the count {count} " in message
+        if method == "heavy-tailed":
+            assert flags(result) <= {"outlier"}
+            subset = result.parameters.query(f"joint == {joint} and direction == '+'")
+            off = (subset["estimate"] - subset["name"].map(TRUTH)) / subset["standard_error"]
+            assert np.abs(off).max() < 4.0

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import least_squares as scipy_least_squares
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.logs import read_log
+
+
+@pytest.fixture(scope="module")
+def log(campaign, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fit") / "campaign.csv"
+    campaign().to_csv(path, index=False)
+    return read_log(path)
+
+
+def read(table: pd.DataFrame, folder):
+    path = folder / "log.csv"
+    table.to_csv(path, index=False)
+    return read_log(path)
+
+
+def estimates(result, joint, direction, session):
+    table = result.parameters
+    subset = table[
+        (table["joint"] == joint) & (table["direction"] == direction) & (table["session"] == session)
+    ]
+    return subset.set_index("name")
+
+
+def test_known_truth_is_recovered_without_noise(campaign, tmp_path):
+    exact = fit_least_squares(read(campaign(repeatability=0.0, check_every=1, replicates=1), tmp_path))
+    found = estimates(exact, 3, "+", "2012-03-05")["estimate"]
+    assert found["a"] * 1e9 == pytest.approx(976.0, rel=2e-5)
+    assert found["b"] == pytest.approx(0.30, abs=2e-5)
+    assert found["c"] * 1e9 == pytest.approx(438.0, rel=1e-4)
+    found = estimates(exact, 2, "-", "2012-03-06")["estimate"] * 1e6
+    assert list(found) == pytest.approx([94.0, 91.0, 19.6, 25.91], rel=1e-4)
+    found = estimates(exact, 1, "-", "2012-03-06")["estimate"]
+    assert found["gamma0_reach_0"] * 1e6 == pytest.approx(96.0, rel=1e-4)
+    assert found["gamma0_per_mm"] * 1e3 == pytest.approx(-0.04, abs=3e-4)
+    assert found["d_per_mm"] * 1e3 == pytest.approx(0.45, abs=1e-3)
+
+
+def test_agrees_with_scipy_on_every_group(log):
+    """The same weighted problem, written out again and solved by another library."""
+    result = fit_least_squares(log)
+    rows = log.usable[log.usable["joint"] == 3]
+    for (session, direction), subset in rows.groupby(["session", "direction"], observed=True):
+        noise = result.joints[3].repeatability[direction].value
+        counts = subset["steps"].to_numpy() - 2.5
+        sigma = np.hypot(noise, 5 / np.sqrt(12) / counts)
+        recoil = np.abs(np.cos(subset["q2"]))
+        load = np.cos(subset["psi"] - subset["q2"]) * np.cos(subset["theta"])
+
+        def misfit(p, counts=counts, sigma=sigma, recoil=recoil, load=load):
+            gamma = (1 - p[1] * recoil) * (p[0] - p[2] * load) * 1e-6
+            return (np.log(counts) - np.log(0.012 / gamma)) / sigma
+
+        other = scipy_least_squares(misfit, [1.0, 0.2, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        covariance = np.linalg.inv(other.jac.T @ other.jac)
+        ours = estimates(result, 3, direction, session)
+        unit = np.array([1e6, 1.0, 1e6])
+        assert ours["estimate"].to_numpy() * unit == pytest.approx(other.x, rel=1e-6)
+        assert ours["standard_error"].to_numpy() * unit == pytest.approx(
+            np.sqrt(np.diag(covariance)), rel=1e-3
+        )
+
+
+def test_repeatability_is_found(log):
+    for fit in fit_least_squares(log).joints.values():
+        for found in fit.repeatability.values():
+            assert found.value == pytest.approx(0.0027, rel=4 / np.sqrt(2 * found.df))
+
+
+def test_intervals_cover(campaign, tmp_path):
+    """Twelve sessions, each an independent trial of every interval."""
+    sessions = tuple(f"2012-03-{day:02d}" for day in range(1, 13))
+    result = fit_least_squares(read(campaign(sessions=sessions, seed=5), tmp_path))
+    truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
+    truth |= {("a", "-"): 903e-9, ("gamma0_q3_0", "+"): 95e-6, ("gamma0_reach_0", "+"): 97e-6}
+    table = result.parameters.set_index(["name", "direction"])
+    covered = [
+        (table.loc[key, "low"] < value) & (value < table.loc[key, "high"]) for key, value in truth.items()
+    ]
+    share = float(np.mean(np.concatenate([part.to_numpy() for part in covered])))
+    assert share == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / 84))
+
+
+def test_predictions_hold_for_a_new_replicate(campaign, log, tmp_path):
+    fresh = read(campaign(seed=99), tmp_path).usable
+    found = fit_least_squares(log).predict(fresh)
+    steps = fresh["steps"] - 2.5
+    inside = float(np.mean((found["low"] < steps) & (steps < found["high"])))
+    assert inside == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / len(fresh)))
+
+
+def test_interrupted_and_excluded_traverses_are_not_fitted(campaign, tmp_path):
+    table = campaign(sessions=("2012-03-05",))
+    clean = fit_least_squares(read(table, tmp_path)).parameters["estimate"]
+    spoilt = pd.concat([table, table.iloc[:6].assign(steps=5000)], ignore_index=True)
+    spoilt["status"] = [""] * len(table) + ["interrupted", "excluded"] * 3
+    spoilt.loc[len(table):, "time"] = [f"2012-03-05T23:0{minute}:00" for minute in range(6)]  # fmt: skip
+    again = fit_least_squares(read(spoilt, tmp_path)).parameters["estimate"]
+    assert again.to_numpy() == pytest.approx(clean.to_numpy(), rel=1e-12)
+
+
+def test_a_log_without_a_gravity_free_traverse_names_what_is_missing(campaign, tmp_path):
+    settings = ({"joint": 3, "q2_deg": 0.0}, {"joint": 3, "q2_deg": -90.0, "psi_deg": -60.0})
+    result = fit_least_squares(read(campaign(settings=settings, directions=("+",)), tmp_path))
+    flag = next(flag for flag in result.flags if flag.flag == "not_identified")
+    assert flag.parameters == ("a", "b", "c")
+    assert "q2 = -90°" in flag.message
+    table = estimates(result, 3, "+", "2012-03-05")
+    assert table["estimate"].isna().all()
+    assert all("not_identified" in flags for flags in table["flags"])
+
+
+def test_what_is_known_is_given_though_another_parameter_is_not(campaign, tmp_path):
+    settings = ({"joint": 3, "q2_deg": -90.0}, {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0})
+    result = fit_least_squares(read(campaign(settings=settings), tmp_path))
+    table = estimates(result, 3, "+", "2012-03-05")
+    assert table.loc["a", "estimate"] * 1e9 == pytest.approx(976, rel=0.01)
+    assert table.loc["b", "estimate"] == pytest.approx(0.30, rel=0.05)
+    assert np.isnan(table.loc["c", "estimate"])
+    message = next(flag.message for flag in result.flags if flag.flag == "not_identified")
+    assert "c cannot be known" in message
+    assert "theta = 0°" in message
+
+
+def test_one_traverse_per_parameter_gives_no_error_bars_and_says_so(campaign, tmp_path):
+    settings = (
+        {"joint": 3, "q2_deg": -90.0},
+        {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
+        {"joint": 3, "q2_deg": 0.0},
+    )
+    result = fit_least_squares(read(campaign(("2012-03-05",), settings, replicates=1), tmp_path))
+    table = result.parameters
+    assert table["estimate"].notna().all()
+    assert table["standard_error"].isna().all()
+    assert {flag for flags in table["flags"] for flag in flags} == {"few_replicates"}
+
+
+def test_a_log_without_usable_rows_is_refused(campaign, tmp_path):
+    table = campaign(("2012-03-05",)).assign(status="excluded")
+    with pytest.raises(InputError, match="no usable traverse"):
+        fit_least_squares(read(table, tmp_path))
+
+
+def test_joint_1_at_one_reach_has_constants(campaign, tmp_path):
+    settings = tuple(
+        {"joint": 1, "q2_deg": -90.0, "q3_mm": 0.0, "theta_deg": theta} for theta in (0.0, -90.0)
+    )
+    result = fit_least_squares(read(campaign(settings=settings, repeatability=0.0, check_every=1), tmp_path))
+    table = estimates(result, 1, "+", "2012-03-05")
+    assert list(table.index) == ["gamma0_reach_0", "d_reach_0"]
+    assert table.loc["gamma0_reach_0", "estimate"] * 1e6 == pytest.approx(97 - 0.05 * 37.5, rel=1e-4)
+    assert table.loc["d_reach_0", "estimate"] * 1e6 == pytest.approx(-1.0 - 0.35 * 37.5, rel=1e-3)

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.estimation._optimize import group_rows, minimize
+
+
+def grouped(n, g):
+    return group_rows(pd.DataFrame({"session": np.repeat(np.arange(g).astype(str), n), "direction": "+"}))
+
+
+def exponential(x):
+    def model(values):
+        rate = np.exp(-values[:, 1] * x)
+        return values[:, 0] * rate, np.stack([rate, -values[:, 0] * x * rate], axis=-1)
+
+    return model
+
+
+@pytest.fixture
+def problem():
+    rng = np.random.default_rng(1)
+    groups, x = grouped(40, 50), np.tile(np.linspace(0, 3, 40), 50)
+    truth = np.stack([rng.uniform(1, 5, 50), rng.uniform(0.3, 2, 50)], axis=-1)
+    y = exponential(x)(truth[groups.of_row])[0] + 0.01 * rng.standard_normal(len(x))
+    return groups, x, y
+
+
+def test_steps_that_are_rounding_noise_end_the_search(problem):
+    """No step is ever below a tolerance of 0, and yet every group is done in a few iterations."""
+    groups, x, y = problem
+    ones = np.ones((50, 2))
+    found = minimize(exponential(x), y, np.ones(len(y)), groups, ones, ones, tolerance=0.0)
+    assert found.converged.all()
+    assert found.iterations < 60
+
+
+def test_a_group_is_not_disturbed_by_another_that_fails(problem):
+    groups, x, y = problem
+    ones = np.ones((50, 2))
+    alone = minimize(exponential(x), y, np.ones(len(y)), groups, ones, ones)
+    spoilt = np.where(groups.of_row == 7, np.nan, y)
+    beside = minimize(exponential(x), spoilt, np.ones(len(y)), groups, ones, ones)
+    others = np.arange(50) != 7
+    assert not beside.converged[7]
+    assert beside.converged[others].all()
+    assert beside.values[others] == pytest.approx(alone.values[others], rel=1e-9)
+
+
+def test_a_step_out_of_the_models_domain_is_not_taken(problem):
+    groups, x, y = problem
+    inner = exponential(x)
+
+    def walled(values):
+        response, slopes = inner(values)
+        return np.where(values[:, 0] > 4.9, np.nan, response), slopes
+
+    ones = np.ones((50, 2))
+    found = minimize(walled, y, np.ones(len(y)), groups, ones, ones, most=200)
+    assert np.isfinite(found.residual).all()
+    assert found.values[:, 0].max() <= 4.9
+
+
+def test_a_slow_group_does_not_make_the_others_work_on(problem):
+    """A valley without end keeps one group busy; most rows are evaluated only while they move."""
+    groups, x, y = problem
+    y = np.where(groups.of_row == 7, np.tile(np.r_[1.0, np.zeros(39)], 50), y)
+    ones, evaluated = np.ones((50, 2)), 0
+
+    def counted(some):
+        inner = exponential(x[some])
+
+        def model(values):
+            nonlocal evaluated
+            evaluated += len(values)
+            return inner(values)
+
+        return model
+
+    everything = np.arange(len(x))
+    whole = minimize(counted(everything), y, np.ones(len(y)), groups, ones, ones, tolerance=0.0, most=400)
+    without, evaluated = evaluated, 0
+    found = minimize(
+        counted(everything), y, np.ones(len(y)), groups, ones, ones, subset=counted, tolerance=0.0, most=400
+    )
+    assert found.iterations == whole.iterations > 20
+    assert evaluated < 0.8 * without
+    for name in ("values", "curvature", "residual", "converged", "rank", "at_bound"):
+        assert np.array_equal(getattr(found, name), getattr(whole, name))

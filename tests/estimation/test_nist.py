@@ -1,0 +1,62 @@
+"""NIST's 27 nonlinear problems through the core that fits the laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.estimation._optimize import Groups, Minimum, minimize
+
+pytest.importorskip("refnx", reason="NIST's files come with refnx")
+
+from benchmarks.nist_problems import FILES, Problem, digits, read
+
+DIGITS, ERROR_DIGITS = 8, 6
+# Lanczos1 is exact to 14 digits: its residuals, and so its standard errors, are rounding.
+WITHOUT_ERRORS = {"Lanczos1"}
+
+
+def solve(problem: Problem, start: int) -> Minimum:
+    one = pd.DataFrame({"session": [""], "direction": ["+"]})
+    groups = Groups(one, np.zeros(len(problem.y), dtype=np.intp))
+    begin, weight = problem.starts[start][None, :], np.ones(len(problem.y))
+    return minimize(
+        problem.model(), problem.y, weight, groups, begin, np.abs(begin), rank_tol=1e-14, tolerance=1e-10
+    )
+
+
+def standard_errors(problem: Problem, found: Minimum) -> np.ndarray:
+    curvature = found.curvature[0]
+    unit = np.sqrt(np.diag(curvature))
+    _, slopes = problem.model()(np.broadcast_to(found.values, (len(problem.y), len(unit))))
+    triangle = np.linalg.qr(slopes / unit, mode="r")
+    variance = np.sum(found.residual**2) / (len(problem.y) - len(unit))
+    return np.sqrt(variance * np.sum(np.linalg.inv(triangle) ** 2, axis=1)) / unit
+
+
+def succeeded(found: Minimum) -> bool:
+    return bool(found.converged[0] and found.rank[0] == found.values.shape[1])
+
+
+@pytest.fixture(scope="module")
+def solved():
+    problems = [read(path) for path in FILES]
+    assert len(problems) == 27
+    return [(problem, [solve(problem, start) for start in (0, 1)]) for problem in problems]
+
+
+def test_every_problem_is_solved_from_the_second_start(solved):
+    for problem, (_, found) in solved:
+        assert succeeded(found), problem.name
+        assert digits(found.values[0], problem.certified) >= DIGITS, problem.name
+        if problem.name not in WITHOUT_ERRORS:
+            assert digits(standard_errors(problem, found), problem.errors) >= ERROR_DIGITS, problem.name
+
+
+def test_at_most_two_fail_from_the_first_start_and_none_in_silence(solved):
+    right = {problem.name: succeeded(found) for problem, (found, _) in solved}
+    assert sum(right.values()) >= 25, right
+    for problem, (found, _) in solved:
+        if right[problem.name]:
+            assert digits(found.values[0], problem.certified) >= DIGITS, problem.name

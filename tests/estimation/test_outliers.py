@@ -1,0 +1,69 @@
+"""Outlying counts: which are flagged, and how often heavy tails alone are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.estimation.outliers import outliers
+from stickslip_fit.laws import Prismatic
+
+STEP = {"+": (970e-9, 0.30, 430e-9), "-": (950e-9, 0.27, -400e-9)}
+
+
+def simulated(sessions, each, log_noise):
+    """A joint's traverses at random configurations, with their steps by the law written out."""
+    rng, n = np.random.default_rng(1), 2 * sessions * each
+    rows = pd.DataFrame(
+        {
+            "session": np.repeat([f"day {day}" for day in range(sessions)], 2 * each),
+            "direction": np.tile(np.repeat(["+", "-"], each), sessions),
+            "q2": rng.uniform(-3.6, 0.5, n),
+            "theta": rng.uniform(-1.5, 1.5, n),
+            "psi": rng.uniform(-1, 1, n),
+            "start": 0.0,
+            "stop": 0.012,
+            "check_every": 1,
+            "time": [f"traverse {k}" for k in range(n)],
+        }
+    )
+    a, b, c = np.array([STEP[direction] for direction in rows["direction"]]).T
+    load = np.cos(rows["psi"] - rows["q2"]) * np.cos(rows["theta"])
+    step = (1 - b * np.abs(np.cos(rows["q2"]))) * (a - c * load)
+    rows["steps"] = np.round(0.012 / step * np.exp(log_noise(n))).astype(int)
+    return rows
+
+
+@pytest.mark.parametrize("spoilt", [0, 2, 3])
+@pytest.mark.parametrize("factor", [0.1, 1.3, 10.0])
+def test_the_spoilt_count_is_flagged_and_not_those_that_it_pulls(spoilt, factor):
+    """Five traverses a day for three parameters, so that a plain fit follows nearly any one of them."""
+    rows = simulated(6, 5, lambda n: 0.003 * np.random.default_rng(2).standard_normal(n))
+    right = rows.loc[spoilt, "steps"]
+    rows.loc[spoilt, "steps"] = round(factor * right)
+    (flag,) = outliers(Prismatic(), rows)
+    assert flag.flag == "outlier"
+    assert f"the count {rows.loc[spoilt, 'steps']} of traverse {spoilt} " in flag.message
+    predicted = float(flag.message.split("predict ")[1].split(";")[0])
+    assert predicted == pytest.approx(right, rel=0.03)
+
+
+def flagged(logs, sessions, each, seed):
+    """Of how many logs a count is flagged, if the noise is Student's t with 5 degrees of freedom."""
+    rng, count = np.random.default_rng(seed), 0
+    for _ in range(logs):
+        rows = simulated(sessions, each, lambda n: 0.01 / np.sqrt(5 / 3) * rng.standard_t(5, n))
+        count += bool(outliers(Prismatic(), rows))
+    return count
+
+
+def test_heavy_tails_are_no_outliers():
+    assert flagged(40, 10, 20, 3) <= 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("sessions", "each"), [(10, 20), (25, 8)])
+def test_heavy_tails_are_flagged_in_one_of_a_hundred_logs_of_400_rows(sessions, each):
+    """At that rate 3 of 300 are expected, and more than 7 once in a hundred tries."""
+    assert flagged(300, sessions, each, 4) <= 7

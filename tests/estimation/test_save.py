@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result, save_result
+from stickslip_fit.logs import read_log
+
+
+@pytest.fixture(scope="module")
+def log(campaign, tmp_path_factory):
+    path = tmp_path_factory.mktemp("save") / "campaign.csv"
+    campaign().to_csv(path, index=False)
+    return read_log(path)
+
+
+@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
+def test_a_result_comes_back_as_it_was(log, tmp_path, estimator):
+    result = estimator(log, command="stickslip-fit fit")
+    save_result(result, tmp_path / "result.json")
+    back = load_result(tmp_path / "result.json")
+    pd.testing.assert_frame_equal(back.parameters, result.parameters)
+    pd.testing.assert_frame_equal(back.residuals, result.residuals, check_index_type=False)
+    pd.testing.assert_frame_equal(back.predict(log.usable), result.predict(log.usable))
+    assert back.provenance == result.provenance
+    assert back.flags == result.flags
+    assert back.machine == result.machine
+
+
+def test_the_file_lists_parameters_in_peoples_units(log, tmp_path):
+    save_result(fit_least_squares(log), tmp_path / "result.json")
+    listed = json.loads((tmp_path / "result.json").read_text("utf-8"))["parameters"]
+    first = next(item for item in listed if item["name"] == "a" and item["direction"] == "+")
+    assert set(first) == {
+        "name", "joint", "direction", "session", "unit", "estimate", "standard_error", "low", "high", "flags",
+    }  # fmt: skip
+    assert (first["joint"], first["unit"]) == (3, "nm")
+    assert first["low"] < 976 < first["high"]
+    slopes = [item for item in listed if item["name"] == "gamma0_per_mm"]
+    assert all(item["unit"] == "µrad/mm" and -0.1 < item["estimate"] < 0 for item in slopes)
+
+
+def test_an_unknown_number_is_null(campaign, tmp_path):
+    table = campaign(("2012-03-05",), ({"joint": 3, "q2_deg": -90.0},))
+    table.to_csv(tmp_path / "log.csv", index=False)
+    save_result(fit_least_squares(read_log(tmp_path / "log.csv")), tmp_path / "result.json")
+    text = (tmp_path / "result.json").read_text("utf-8")
+    assert "NaN" not in text
+    unknown = [item for item in json.loads(text)["parameters"] if item["name"] == "c"]
+    assert all(item["estimate"] is None and item["flags"] == ["not_identified"] for item in unknown)
+    assert not load_result(tmp_path / "result.json").joints[3].known.all()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("{", "no JSON"), ("[]", "no saved result"), ('{"schema": "stickslip-fit/result/1"}', "damaged")],
+)
+def test_a_file_that_is_no_result_is_refused(tmp_path, content, message):
+    (tmp_path / "bad.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        load_result(tmp_path / "bad.json")
+
+
+def test_a_failed_write_leaves_what_was_there(log, tmp_path):
+    path = tmp_path / "result.json"
+    path.write_text("precious")
+    result = fit_least_squares(log)
+    broken = type(result)(**{**vars(result), "method": object()})
+    with pytest.raises(TypeError):
+        save_result(broken, path)
+    assert path.read_text() == "precious"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_predicting_for_a_session_that_was_not_fitted_is_refused(log):
+    rows = log.usable.iloc[:3].assign(session="1999-01-01")
+    with pytest.raises(InputError, match=r"1999-01-01.*sessions fitted: 2012-03-05, 2012-03-06"):
+        fit_least_squares(log).predict(rows)
+
+
+def test_prediction_keeps_the_order_of_rows(log):
+    result = fit_least_squares(log)
+    shuffled = log.usable.sample(frac=1.0, random_state=np.random.default_rng(1))
+    found = result.predict(shuffled)
+    pd.testing.assert_frame_equal(found.loc[log.usable.index], result.predict(log.usable))

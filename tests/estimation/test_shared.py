@@ -1,0 +1,76 @@
+"""The block-arrow system on its own: what it costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import least_squares
+
+from stickslip_fit.estimation._block_arrow import share_by_direction, share_with_all, solve_block_arrow
+from stickslip_fit.estimation._optimize import Groups, group_rows
+from stickslip_fit.laws import Prismatic
+
+
+def test_the_border_converges_as_fast_as_newton_does():
+    """Were the blocks' answer to a change of the border forgotten, a hundred steps would be needed."""
+    rng, sessions, each = np.random.default_rng(0), 6, 20
+    rows = pd.DataFrame(
+        {
+            "session": np.repeat([f"day {k}" for k in range(sessions)], each),
+            "direction": "+",
+            "q2": rng.uniform(-2.3, 0.2, sessions * each),
+            "theta": rng.uniform(-1.5, 1.5, sessions * each),
+            "psi": rng.uniform(-1, 1, sessions * each),
+            "start": 0.0,
+            "stop": 0.012,
+        }
+    )
+    law, groups, mean_step = Prismatic(), group_rows(rows), np.full(sessions, 900e-9)
+    truth = np.array([970e-9, 0.3, 430e-9]) * np.linspace(0.98, 1.02, sessions)[:, None]
+    truth[:, 1] = 0.3
+    y = law.predict(rows, truth[groups.of_row]) + 0.003 * rng.standard_normal(len(rows))
+    found = solve_block_arrow(
+        law.model(rows), y, np.ones(len(y)), groups, share_by_direction(("a", "b", "c"), ("b",), groups),
+        law.start_values(mean_step), law.scales(mean_step),
+    )  # fmt: skip
+    assert found.converged.all()
+    assert found.iterations < 8
+    assert np.ptp(found.values[:, 1]) == 0.0
+
+
+@pytest.mark.parametrize("bound", [np.inf, 0.8])
+def test_the_minimum_is_that_of_a_dense_solver(bound):
+    """Growth y = a exp(k x) + c with one rate for all groups, free or held by a bound, against scipy."""
+    rng = np.random.default_rng(3)
+    of_row = np.repeat(np.arange(4), [5, 9, 7, 20])
+    groups = Groups(pd.DataFrame({"group": range(4)}), of_row)
+    x, weight = rng.uniform(0, 2, len(of_row)), rng.uniform(0.5, 2, len(of_row))
+    y = np.array([1.0, 2.0, 0.5, 1.5])[of_row] * np.exp(0.9 * x) + of_row + 0.1 * rng.standard_normal(len(x))
+
+    def model(values):
+        grown = np.exp(values[:, 1] * x)
+        slopes = np.stack([grown, values[:, 0] * x * grown, np.ones_like(x)], axis=-1)
+        return values[:, 0] * grown + values[:, 2], slopes
+
+    start, scales = np.tile([1.0, 0.1, 0.0], (4, 1)), np.ones((4, 3))
+    sharing = share_with_all(np.array([False, True, False]), groups)
+    upper = np.array([np.inf, bound, np.inf])
+    found = solve_block_arrow(model, y, weight, groups, sharing, start, scales, upper=upper)
+
+    def residual(p):
+        return np.sqrt(weight) * (model(np.stack([p[:4], np.full(4, p[8]), p[4:8]], axis=-1)[of_row])[0] - y)
+
+    limits = (-np.inf, np.r_[np.full(8, np.inf), bound])
+    dense = least_squares(
+        residual, np.r_[np.ones(4), np.zeros(4), 0.1], bounds=limits, xtol=1e-15, ftol=1e-15, gtol=1e-14
+    )
+    assert found.converged.all()
+    assert found.at_bound[:, 1].all() == np.isfinite(bound)
+    assert found.values[:, [0, 2]].T.ravel() == pytest.approx(dense.x[:8], rel=1e-6, abs=1e-6)
+    assert found.values[:, 1] == pytest.approx(dense.x[8], rel=1e-6)
+    assert found.rank.sum() == 9
+    if np.isinf(bound):
+        covariance = np.linalg.inv(dense.jac.T @ dense.jac)
+        assert np.linalg.inv(found.curvature[2])[1, 1] == pytest.approx(covariance[8, 8], rel=1e-4)
+        assert np.linalg.inv(found.curvature[2])[0, 0] == pytest.approx(covariance[2, 2], rel=1e-4)

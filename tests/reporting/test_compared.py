@@ -1,0 +1,98 @@
+"""The report's section on calibration strategies."""
+
+from __future__ import annotations
+
+import re
+
+import pandas as pd
+import pytest
+
+from stickslip_fit.reporting import report_html
+from stickslip_fit.reporting.strategies import make_comparison_section
+from stickslip_fit.strategies import (
+    ClosedForm,
+    ConstantStepStrategy,
+    IOptimal,
+    LeastSquares,
+    compare_strategies,
+)
+from stickslip_fit.strategies._summary import strategies_table
+from tests.conftest import CALIBRATION, SWEEPS
+
+JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
+DATES = ("2012-03-05", "2012-03-06", "2012-03-07")
+HOSTILE = "<b>third</b>"
+
+
+@pytest.fixture(scope="module")
+def made(campaign, fitted):
+    """Three sessions, the last named like markup and without a calibration traverse."""
+    table = campaign(DATES, JOINT_3)
+    table["session"] = table["session"].replace(DATES[-1], HOSTILE)
+    lacking = (table["session"] == HOSTILE) & (table["q2_deg"] == 0) & (table["theta_deg"] == 0)
+    return fitted(table[~lacking])
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    return compare_strategies(made.log, [ConstantStepStrategy(), ClosedForm(), LeastSquares(IOptimal(), 2)])
+
+
+@pytest.fixture(scope="module")
+def source(made, found):
+    return report_html(made.log, made.calibration, made.constant, made.fit, comparison=found)
+
+
+def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_page, found):
+    page = read_page(source)
+    assert ("a", {"href": "#strategies"}) in page.elements
+    assert "Least rms:" in page.text
+    caption = "Strategies for joint 3 (prismatic)"
+    assert page.tables[caption] == [list(row) for row in strategies_table(found, 3).rows]
+    accuracy = found.accuracy().set_index("strategy")
+    errors = "Joint 3 (prismatic): errors of the step size"
+    for strategy, rms in zip(page.column(errors, "strategy"), page.column(errors, "rmsnm"), strict=True):
+        assert float(rms.replace(",", "")) == pytest.approx(1e9 * accuracy.loc[strategy, "rms"], abs=0.051)
+    assert ("figure", {"id": "pareto-3"}) in page.elements
+    for part in (
+        "where each strategy errs most",
+        "claims, implies, and what is reached",
+        "the thesis claims",
+    ):
+        assert any(name.startswith("Joint 3 (prismatic)") and name.endswith(part) for name in page.tables)
+
+
+def test_what_was_left_out_is_said_with_its_reason_and_stays_text(source, read_page, found):
+    page = read_page(source)
+    (row,) = page.tables["Left out"]
+    assert row[:4] == ["closed form", "3", "+ and −", HOSTILE]
+    assert "lacks a full traverse at q2 = 0°, theta = 0°" in row[4]
+    assert "b" not in {tag for tag, _ in page.elements}
+    assert found.sessions(3) == DATES[:2]
+
+
+def test_without_a_comparison_there_is_no_section(made):
+    assert 'id="strategies"' not in made.html
+
+
+def test_names_are_unique_and_nothing_is_fetched(source, read_page):
+    names = [attributes["id"] for _, attributes in read_page(source).elements if "id" in attributes]
+    assert len(names) == len(set(names))
+    assert not re.search(r"https?:|@import|url\((?!#)", source)
+
+
+def test_one_session_says_what_its_intervals_are_over(made):
+    log = made.log.select(made.log.rows["session"] == DATES[0])
+    section = make_comparison_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
+    assert "are over its configurations, since there is one session" in section.headline[0]
+    assert "Left out" not in [table.caption for table in section.tables]
+
+
+def test_the_verb_writes_the_section(run, campaign, tmp_path, read_page):
+    campaign(DATES[:2], JOINT_3).to_csv(tmp_path / "log.csv", index=False)
+    quick = ("--no-diagnosis", "-o", tmp_path / "page.html")
+    status, _, complained = run("report", tmp_path / "log.csv", *quick)
+    assert (status, complained) == (0, "")
+    page = read_page((tmp_path / "page.html").read_text("utf-8"))
+    strategies = pd.Series(page.column("Strategies for joint 3 (prismatic)", "strategy"))
+    assert {"constant step", "closed form", "Bayes, 2 I-optimal"} <= set(strategies)

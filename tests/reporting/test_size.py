@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from stickslip_fit.estimation import fit_closed_form, fit_constant_step, fit_least_squares
+from stickslip_fit.logs import read_log
+from stickslip_fit.reporting import report_html
+
+MOST = 4_500_000
+
+
+@pytest.mark.parametrize("days", [36, pytest.param(100, marks=pytest.mark.nightly)])
+def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path, days):
+    """Years of sessions: shown are the latest, and of too many points a sample; the page says so."""
+    once = campaign(("2012-03-05",))
+    years = pd.concat(
+        [
+            once.assign(
+                session=f"day {day:03d}",
+                time=(pd.to_datetime(once["time"]) + pd.Timedelta(days=2 * day)).dt.strftime(
+                    "%Y-%m-%dT%H:%M:%S"
+                ),
+            )
+            for day in range(days)
+        ]
+    )
+    path = tmp_path / "years.csv"
+    years.to_csv(path, index=False)
+    log = read_log(path)
+    calibration = fit_closed_form(log)
+    html = report_html(log, calibration, fit_constant_step(log, calibration), fit_least_squares(log))
+    page = read_page(html)
+    sessions = page.tables["Sessions and traverses"]
+    assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(days - 10, days)]
+    assert len(html.encode()) < MOST
+    assert f"The latest 10 of {days} sessions." in html
+    assert "chosen at random" in html
+    assert f"day {days - 1:03d}" in html
+    assert "day 005" not in page.text

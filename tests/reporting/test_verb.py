@@ -1,0 +1,58 @@
+"""The verb that writes the whole report."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.reporting.test_poor_logs import CALIBRATION, PSI
+
+SECTIONS = {"diagnosis": "What the simulation gets wrong", "strategies": "Which calibration to choose"}
+DAYS = tuple(f"2012-03-{day:02d}" for day in range(1, 15))
+
+
+@pytest.fixture
+def written(run, tmp_path, read_page):
+    """Write a table's report as the command line does, and read it."""
+
+    def write(table, *options):
+        table.to_csv(tmp_path / "log.csv", index=False)
+        status, out, err = run("report", tmp_path / "log.csv", "-o", tmp_path / "page.html", *options)
+        assert (status, err) == (0, "")
+        assert out == f"report written to {tmp_path / 'page.html'}\n"
+        return read_page((tmp_path / "page.html").read_text("utf-8"))
+
+    return write
+
+
+def headings(page):
+    return {attributes["id"] for tag, attributes in page.elements if tag == "h2"}
+
+
+def test_the_page_is_complete(written, campaign):
+    page = written(campaign(settings=CALIBRATION + PSI))
+    assert {"answer", "measured", "parameters", "accuracy", "factors", *SECTIONS} <= headings(page)
+    assert {"figures", "remarks", "provenance"} <= headings(page)
+    assert "What is left against everything, joint 3 (prismatic)" in page.text
+    assert "Strategies for joint 3 (prismatic)" in page.tables
+    assert page.text.index("See the diagnosis") < page.text.index("Error on traverses")
+
+
+def test_what_is_not_wanted_is_left_out(written, campaign):
+    page = written(campaign(settings=CALIBRATION + PSI), "--no-diagnosis", "--no-strategies")
+    assert not headings(page) & set(SECTIONS)
+
+
+def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, campaign):
+    page = written(campaign(("2012-03-05",), CALIBRATION, replicates=1))
+    assert set(SECTIONS) <= headings(page)
+    assert (
+        "This log cannot say: joint 3: nothing shows how well a traverse repeats, so that no difference "
+        "between strategies could be judged; log some traverses twice."
+    ) in page.text
+    assert "Nothing can be said of this log" in page.text
+    assert "Sessions and traverses" in page.tables
+
+
+def test_many_sessions_are_compared_by_the_latest(written, campaign):
+    page = written(campaign(DAYS, CALIBRATION + PSI[:1], replicates=1), "--no-diagnosis")
+    assert "Compared on the latest 12 of 14 sessions" in page.text
