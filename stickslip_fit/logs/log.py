@@ -195,9 +195,7 @@ class Log(Summarized):
         ``payload`` (NaN where not given); ``note``; the lab's own columns as ``covariate:<column>``
         and ``text:<column>``; and history, see `add_history`.
     sources : tuple of (str, str)
-        Name and sha256 of each file.
-    sha256 : str
-        Hash over all of them; of a single file, its own.
+        Name and sha256 of each file; the log's own `sha256` is a hash over all of them.
     machine : Machine
         Its ranges are the ends of full traverses.
     notes : tuple of str
@@ -303,7 +301,7 @@ def _describe_rows(log: Log) -> str:
 
 
 def _session_table(log: Log) -> Table:
-    """When each session was and what was driven in it."""
+    """Time and traverses of each session."""
     kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
     columns = (
         *words("session", "first traverse", "last traverse"),

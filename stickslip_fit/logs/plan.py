@@ -134,7 +134,6 @@ class Plan:
 
 RANGE_TOL = 1e-9  # of a joint's range, for rounding in unit conversion
 _JOINTS_BY_KIND = {"angle": (1, 2), "length": (PRISMATIC,)}
-_UNIT_BY_KIND = {"angle": "deg", "length": "mm"}
 
 
 def read_traverses(
@@ -215,7 +214,7 @@ def _is_moving_kind(joint: Int64Array, kind: str) -> BoolArray:
 
 
 def _direction_message(kind: str, ends: str, start: Array, stop: Array) -> IssueMessage:
-    unit = _UNIT_BY_KIND[kind]
+    unit = "mm" if kind == "length" else "deg"
 
     def message(row: int, value: str) -> str:
         first, last = (from_si(float(end[row]), unit) for end in (start, stop))

@@ -272,26 +272,16 @@ class PlanFile(Table):
         counts = [sweep.configurations() * sweep.traverses_per_configuration() for sweep in self.sweep]
         total = sum(counts) * self.replicates * len(self.sessions.sessions())
         if total > MAX_TRAVERSES:
-            self.refuse(
-                (f"the plan makes {total:,} traverses; keep it to {MAX_TRAVERSES:,}", ("replicates",))
-            )
+            message = f"the plan makes {total:,} traverses; keep it to {MAX_TRAVERSES:,}"
+            self.refuse((message, ("replicates",)))
         return self
 
 
 def read_plan(path: str | Path, machine: Machine) -> Plan:
-    """Read and check a plan.
+    """Read and check a plan, a TOML file with the keys of `PlanFile`.
 
-    Parameters
-    ----------
-    path : path
-        A TOML file with the keys of `PlanFile`.
-    machine : Machine
-        Its ranges fill in full traverses and bound everything else.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
+    The machine's ranges are the ends of full traverses and bound every position. InputError has every issue
+    of the file.
 
     Examples
     --------

@@ -187,7 +187,9 @@ def match_columns(
             )
             issues.add(file, message, line, name)
         else:
-            known[field.name] = SourceColumn(name, _unit_of_name(name, field))
+            known[field.name] = SourceColumn(
+                name, SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
+            )
     unnamed = [position for position, name in enumerate(names, start=1) if not name.strip()]
     issues.add_lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
     for field in FIELDS:
@@ -207,10 +209,6 @@ def holds_numbers(name: str) -> bool:
 def is_known(name: str) -> bool:
     """Whether a name is a column of the format."""
     return name in _FIELD_BY_SPELLING
-
-
-def _unit_of_name(name: str, field: Field) -> str:
-    return SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
 
 
 def explain_bad_unit(name: str) -> str | None:
@@ -420,6 +418,5 @@ def _text_column(cells: LogCells, name: str) -> pa.Array:
 
 
 def _raw_column(cells: LogCells, name: str) -> pa.Array:
-    if name in cells.layout.unknown:
-        return cells.table.column(name)
-    return pa.nulls(cells.table.count, pa.large_string())
+    missing = pa.nulls(cells.table.count, pa.large_string())
+    return cells.table.column(name) if name in cells.layout.unknown else missing
