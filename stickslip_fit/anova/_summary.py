@@ -58,7 +58,7 @@ def conclude(joint: int, factor_tests: Sequence[FactorTest]) -> list[str]:
 
 
 def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[str]:
-    """Whether to recalibrate each session and to keep parameters for each direction, and the cost otherwise."""
+    """Whether to recalibrate each session and to keep parameters for each direction, with the cost."""
     subset = [each for each in factor_tests if each.design.joint == components.joint]
     return [_recommend_recalibration(components, subset), *_recommend_directions(components, subset)]
 
@@ -134,7 +134,8 @@ def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
         return f"the two directions differ in {sessions}, by {size} ({_adjusted_p_text(differing)}){unsure}."
     return (
         f"no difference between the directions shows ({_adjusted_p_text(factor_tests)}); one of "
-        f"{_detectable_text(min(factor_tests, key=lambda test: test.detectable))} would most likely have shown."
+        f"{_detectable_text(min(factor_tests, key=lambda test: test.detectable))} would most likely have "
+        "shown."
     )
 
 

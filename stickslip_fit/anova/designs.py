@@ -302,8 +302,8 @@ def design_day_tests(
                 reason = "all readings are of one session: repeat this configuration in another"
                 designs.append(NotTestable(*common, reason))
             elif len(observations) == n_sessions:
-                reason = "one reading in each session says nothing of scatter: read it twice in one session at least"
-                designs.append(NotTestable(*common, reason))
+                reason = "one reading in each session says nothing of scatter: read it twice in one session "
+                designs.append(NotTestable(*common, f"{reason}at least"))
             else:
                 levels = observations.assign(level=observations["session"])
                 designs.append(FactorTestDesign(*common, "session", WITHIN_SESSION_ERROR, levels))

@@ -9,6 +9,7 @@ import io
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -213,6 +214,34 @@ def direction_entries(
         make_legend_entry(label.format(format_direction(sign)), DIRECTION_COLOURS[sign], marker, line)
         for sign in signs
     ]
+
+
+@dataclass(frozen=True)
+class PointStyle:
+    """Points of one colour: their label in the legend and the colour."""
+
+    label: str
+    colour: str
+
+
+def direction_styles(joint: int) -> dict[str, PointStyle]:
+    """The two directions as colours."""
+    words = {"+": "outward", "-": "inward"} if joint == 3 else {"+": "increasing", "-": "decreasing"}
+    return {
+        sign: PointStyle(f"{format_direction(sign)} ({words[sign]})", DIRECTION_COLOURS[sign])
+        for sign in "+-"
+    }
+
+
+def sweep_entries(kinds: dict[str, PointStyle], sessions: list[str]) -> list[Line2D]:
+    """A legend's entries for kinds of points and, where there are several, for sessions."""
+    entries = [make_legend_entry(kind.label, kind.colour, marker="o", line="-") for kind in kinds.values()]
+    if len(sessions) > 1:
+        entries += [
+            make_legend_entry(shorten(session, 18), GREY, marker=MARKERS[index % len(MARKERS)])
+            for index, session in enumerate(sessions)
+        ]
+    return entries
 
 
 def robust_limit(sizes: Array, quantile: float, zoom: float, margin: float = 1.05) -> float:

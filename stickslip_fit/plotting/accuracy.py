@@ -29,13 +29,14 @@ from stickslip_fit.plotting._style import (
     MARKERS,
     TITLE_LINE,
     direction_entries,
+    direction_styles,
     make_figure,
     make_legend_entry,
     report_style,
     set_log_axis,
+    sweep_entries,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
-from stickslip_fit.plotting.sweeps import direction_styles, sweep_entries
 from stickslip_fit.units import from_si
 
 MAX_CURVE_POINTS = 300
@@ -186,9 +187,9 @@ def load_coefficient_picture(table: pd.DataFrame, fit: Result) -> Picture:
     worst_quadratic = from_si(float((table["quadratic"] - table["d"]).abs().max()), "µrad")
     worst_iteration = from_si(float((table["iteration_1"] - table["d"]).abs().max()), "µrad")
     caption = (
-        f"{pluralize(len(recent), 'pair')} of full traverses with and without load, replicates averaged; bars: "
-        "one standard error. Lines: the least-squares law, which has both linear in q3. Right: what the "
-        f"thesis's shortcuts add to d; Eq. 6.6 is off by up to {worst_quadratic:.2g} µrad, the thesis's "
+        f"{pluralize(len(recent), 'pair')} of full traverses with and without load, replicates averaged; "
+        "bars: one standard error. Lines: the least-squares law, which has both linear in q3. Right: what "
+        f"the thesis's shortcuts add to d; Eq. 6.6 is off by up to {worst_quadratic:.2g} µrad, the thesis's "
         f"iteration after one pass by up to {worst_iteration:.2g} µrad, solving the integral by nothing "
         "(grey bars: its error from the counts)."
     )

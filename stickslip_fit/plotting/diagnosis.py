@@ -65,8 +65,8 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
         "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing "
         "is as likely beforehand as all causes together. "
         + (
-            f"{pluralize(len(steps), 'step')} of the selection: a cause named in one step is in the law of the "
-            "next. Causes with nearly the same probability as the named one are aliased with it."
+            f"{pluralize(len(steps), 'step')} of the selection: a cause named in one step is in the law of "
+            "the next. Causes with nearly the same probability as the named one are aliased with it."
             if len(steps) > 1
             else "No cause is much likelier than chance alone."
         )
@@ -169,8 +169,8 @@ def gain_picture(diagnosis: Diagnosis) -> Picture:
     caption += (
         "Each traverse predicted by laws to which it contributed nothing, the search for causes "
         f"included: {format_percent(gain.baseline)} rms by the published law, "
-        f"{format_percent(gain.extended)} by the extended one, over all sessions. No law can be better than the "
-        f"line, {format_percent(gain.noise_floor)}."
+        f"{format_percent(gain.extended)} by the extended one, over all sessions. No law can be better than "
+        f"the line, {format_percent(gain.noise_floor)}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
 
@@ -247,8 +247,8 @@ def confusion_picture(diagnosis: Diagnosis) -> Picture:
         return make_missing_picture(key, title, lacking)
     caption = (
         f"The named cause and those most similar to it. For an effect as strong as {finding.cause} is here: "
-        "the share of logs of this design, %, in which one would be taken for the other, if each may take the "
-        "shape in which they are most alike. 50 is a toss of a coin."
+        "the share of logs of this design, %, in which one would be taken for the other, if each may take "
+        "the shape in which they are most alike. 50 is a toss of a coin."
     )
     return make_picture(key, title, caption, draw_confusion_matrix(causes, rates))
 

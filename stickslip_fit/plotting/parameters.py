@@ -395,6 +395,7 @@ def _make_corner_data(fit: JointFit, index: int, which: npt.NDArray[np.intp], ki
         [from_si(row, parameter.unit) for row, parameter in zip(numbers, parameters, strict=True)], float
     ).T
     session, sign = (str(fit.groups[name].iloc[index]) for name in ("session", "direction"))
+    where = f"{joint_name(fit.law.joint)}, direction {format_direction(sign)}"
     return CornerData(
         labels=tuple(
             parameter.name if parameter.unit == "1" else f"{parameter.name} ({parameter.unit})"
@@ -403,7 +404,7 @@ def _make_corner_data(fit: JointFit, index: int, which: npt.NDArray[np.intp], ki
         centre=centre,
         error=error,
         interval=np.column_stack(interval),
-        title=f"{joint_name(fit.law.joint)}, direction {format_direction(sign)}\nsession {shorten(session, 30)}",
+        title=f"{where}\nsession {shorten(session, 30)}",
         kind=kind,
         colour=DIRECTION_COLOURS[sign],
     )

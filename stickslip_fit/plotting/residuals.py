@@ -34,6 +34,7 @@ from stickslip_fit.plotting._style import (
     MAX_SESSION_LABELS,
     TITLE_LINE,
     direction_entries,
+    direction_styles,
     make_figure,
     make_legend_entry,
     report_style,
@@ -41,7 +42,6 @@ from stickslip_fit.plotting._style import (
     set_angle_ticks,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
-from stickslip_fit.plotting.sweeps import direction_styles
 from stickslip_fit.units import from_si
 
 FIT_MAX_POINTS = 900  # of a joint
@@ -59,8 +59,9 @@ def fit_residuals_picture(rows: pd.DataFrame) -> Picture:
     limit = max(robust_limit(sizes.dropna().to_numpy(), LIMIT_QUANTILE, FIT_LIMIT_ZOOM), 1e-4)
     n_beyond = int((sample["departure"].abs() > limit).sum())
     caption = (
-        f"{pluralize(len(sample), 'traverse')}{of_all}, seen less law: a law that lacks nothing leaves a level "
-        f"band in every panel. Half of them are within {format_percent(float(sizes.median()))} of the law."
+        f"{pluralize(len(sample), 'traverse')}{of_all}, seen less law: a law that lacks nothing leaves "
+        "a level band in every panel. Half of them are within "
+        f"{format_percent(float(sizes.median()))} of the law."
         + (f" {pluralize(n_beyond, 'point')} beyond the scale, drawn at its edge." if n_beyond else "")
     )
     return make_picture(key, title, caption, draw_fit_residuals(sample, limit))

@@ -331,7 +331,7 @@ CAPTION_LINE_HEIGHT, CAPTION_LETTERS = 0.14, 118  # inches, and letters in a lin
 
 
 def plot_spectrum(tuning: Tuning) -> Figure:
-    """Spectra above, their difference below with the tuned band and the limit; the conclusion as a caption."""
+    """Spectra above, their difference below with the tuned band and the limit, and the conclusion."""
     high = MAX_RELATIVE_FREQUENCY * tuning.rate
     shown = (tuning.frequencies >= MIN_FREQUENCY / 2) & (tuning.frequencies <= high)
     kilohertz = tuning.frequencies[shown] / 1000

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from stickslip_fit._format import (
     format_angle,
@@ -28,23 +27,23 @@ from stickslip_fit._format import (
     step_unit,
 )
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.traverses import MAX_SESSIONS, is_full, select_recent, thin_rows
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.plotting._style import (
-    DIRECTION_COLOURS,
     GREEN,
-    GREY,
     INK,
     MARKERS,
     PURPLE,
     TITLE_LINE,
+    PointStyle,
+    direction_styles,
     make_figure,
     make_legend_entry,
     report_style,
     robust_limit,
     set_angle_ticks,
+    sweep_entries,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si
@@ -56,14 +55,6 @@ POSITION_TOL = 1e-6  # rad or m
 MIN_VALUES = 3  # different places that make a sweep
 MAX_PANELS = 7
 CURVE_POINTS = 61
-
-
-@dataclass(frozen=True)
-class PointStyle:
-    """Points of one colour: their label in the legend and the colour."""
-
-    label: str
-    colour: str
 
 
 @dataclass(frozen=True)
@@ -90,19 +81,7 @@ class SweepPanel:
 def draw_panels(
     panels: Sequence[SweepPanel], kinds: dict[str, PointStyle], *, x_label: str, unit: str, angle: bool
 ) -> Figure:
-    """Draw panels side by side on common scales.
-
-    Parameters
-    ----------
-    panels : sequence of SweepPanel
-    kinds : dict
-        By the points' column kind.
-    x_label : str
-    unit : {"nm", "µrad"}
-        Of the step size.
-    angle : bool
-        Whether x is an angle in degrees.
-    """
+    """Panels side by side on common scales, step sizes in `unit`; with `angle`, x is in degrees."""
     sessions = list(dict.fromkeys(session for panel in panels for session in panel.points["session"]))
     lines = max(panel.title.count("\n") + 1 for panel in panels)
     with report_style():
@@ -112,7 +91,6 @@ def draw_panels(
         for column, panel in enumerate(panels):
             above, below = axes[:, column]
             above.set_title(panel.title)
-            _draw_curves(above, panel, kinds, unit)
             _draw_step_sizes(above, panel, kinds, sessions, unit)
             _draw_residuals(below, panel, kinds, sessions, limit)
             if angle:
@@ -125,14 +103,11 @@ def draw_panels(
     return figure
 
 
-def _draw_curves(axes: Axes, panel: SweepPanel, kinds: dict[str, PointStyle], unit: str) -> None:
-    for (kind, _), curve in panel.curves.groupby(["kind", "session"], sort=False, observed=True):
-        axes.plot(curve["x"], from_si(curve["step_size"].to_numpy(), unit), color=kinds[kind].colour, lw=0.9)
-
-
 def _draw_step_sizes(
     axes: Axes, panel: SweepPanel, kinds: dict[str, PointStyle], sessions: list[str], unit: str
 ) -> None:
+    for (kind, _), curve in panel.curves.groupby(["kind", "session"], sort=False, observed=True):
+        axes.plot(curve["x"], from_si(curve["step_size"].to_numpy(), unit), color=kinds[kind].colour, lw=0.9)
     for (kind, session), points in panel.points.groupby(["kind", "session"], sort=False, observed=True):
         markers, *_ = axes.errorbar(
             points["x"],
@@ -187,25 +162,12 @@ def count_beyond_scale(panels: Sequence[SweepPanel]) -> int:
     return int((100 * points["departure"].abs() > _residual_limit(points)).sum())
 
 
-def sweep_entries(kinds: dict[str, PointStyle], sessions: list[str]) -> list[Line2D]:
-    """A legend's entries for kinds of points and, where there are several, for sessions."""
-    entries = [make_legend_entry(kind.label, kind.colour, marker="o", line="-") for kind in kinds.values()]
-    if len(sessions) > 1:
-        entries += [
-            make_legend_entry(shorten(session, 18), GREY, marker=MARKERS[index % len(MARKERS)])
-            for index, session in enumerate(sessions)
-        ]
-    return entries
-
-
 @dataclass(frozen=True)
 class Sweep:
     """The coordinate along x.
 
     Attributes
     ----------
-    name, unit : str
-        As the axis has them.
     read : callable
         Its value in each row, SI.
     move : callable
@@ -261,10 +223,9 @@ Q1_ALONG = Sweep(
 
 def select_fixed(rows: pd.DataFrame, fixed: dict[str, float]) -> pd.DataFrame:
     """The rows whose columns have the fixed values."""
-    mask = np.ones(len(rows), dtype=bool)
     for name, value in fixed.items():
-        mask &= np.abs(rows[name].to_numpy(float) - value) < POSITION_TOL
-    return rows[mask]
+        rows = rows[np.abs(rows[name].to_numpy(float) - value) < POSITION_TOL]
+    return rows
 
 
 def make_panels(rows: pd.DataFrame, sweep: Sweep, by: list[str], fit: Result) -> tuple[list[SweepPanel], int]:
@@ -289,8 +250,8 @@ def make_panels(rows: pd.DataFrame, sweep: Sweep, by: list[str], fit: Result) ->
 
 def find_sweep_sessions(rows: pd.DataFrame, sweep: Sweep, by: list[str]) -> pd.DataFrame:
     """The latest sessions that make the sweep by themselves; where none does, the latest of all."""
-    sweeping = rows.loc[_is_swept(rows, sweep, ["session", *by]), "session"].unique()
-    return select_recent(rows[rows["session"].isin(sweeping)] if len(sweeping) else rows)
+    sessions = rows.loc[_is_swept(rows, sweep, ["session", *by]), "session"].unique()
+    return select_recent(rows[rows["session"].isin(sessions)] if len(sessions) else rows)
 
 
 def _is_swept(rows: pd.DataFrame, sweep: Sweep, by: list[str]) -> pd.Series[bool]:
@@ -333,19 +294,7 @@ def compute_curves(rows: pd.DataFrame, sweep: Sweep, fit: Result, kind: str = "d
 
 @dataclass(frozen=True)
 class SweepFigure:
-    """What one sweep figure shows.
-
-    Attributes
-    ----------
-    fixed : dict of str to float
-        Columns held at one value in the whole figure, SI.
-    by : tuple of str
-        Columns held in each panel.
-    needed : str
-        The traverses to make where the log has no such sweep.
-    note : str
-        What to look for.
-    """
+    """One sweep figure: columns fixed in all of it (SI) and by panel, the traverses needed, what to see."""
 
     key: str
     title: str
@@ -373,29 +322,19 @@ def sweep_picture(spec: SweepFigure, rows: pd.DataFrame, fit: Result) -> Picture
     return make_picture(spec.key, spec.title, f"{spec.note} {write_caption(panels, rows, fit)}{more}", figure)
 
 
-def direction_styles(joint: int) -> dict[str, PointStyle]:
-    """The two directions as colours."""
-    words = {"+": "outward", "-": "inward"} if joint == 3 else {"+": "increasing", "-": "decreasing"}
-    return {
-        sign: PointStyle(f"{format_direction(sign)} ({words[sign]})", DIRECTION_COLOURS[sign])
-        for sign in "+-"
-    }
-
-
 def write_caption(panels: Sequence[SweepPanel], rows: pd.DataFrame, fit: Result) -> str:
     """What the panels show, in numbers."""
     points = pd.concat([panel.points for panel in panels])
     joint = int(rows["joint"].iloc[0])
-    unit = step_unit(joint)
-    low, high = (from_si(value, unit) for value in (points["step_size"].min(), points["step_size"].max()))
+    unit, size = step_unit(joint), points["step_size"]
+    low, high = from_si(size.min(), unit), from_si(size.max(), unit)
     n_traverses, left_out = points.index.nunique(), sum(panel.left_out for panel in panels)
     n_shown, n_sessions = points["session"].nunique(), rows["session"].nunique()
     sessions = f" in {pluralize(n_shown, 'session')}" if n_sessions > 1 else ""
     if n_sessions > MAX_SESSIONS:
         sessions = f" in the latest {n_shown} of {n_sessions} sessions"
-    sentences = [
-        f"{pluralize(n_traverses, 'traverse')} of {joint_name(joint)}{sessions}: {low:,.0f} to {high:,.0f} {unit}."
-    ]
+    traverses = f"{pluralize(n_traverses, 'traverse')} of {joint_name(joint)}{sessions}"
+    sentences = [f"{traverses}: {low:,.0f} to {high:,.0f} {unit}."]
     if left_out:
         sentences.append(f"{left_out:,} more are left out at random.")
     if points["departure"].notna().any():
@@ -417,34 +356,32 @@ ZETA_STYLES = {
 
 PRISMATIC_SWEEPS = (
     SweepFigure(
-        key="prismatic-theta",
-        title="Step size against theta at each q2, psi = 0",
-        sweep=THETA,
-        fixed={"psi": 0.0},
-        by=("q2",),
-        needed="joint 3 driven at psi = 0 for three or more theta, at one or more q2",
-        note="As the base is turned on its side (theta = −90°) the load goes and recoil alone is left.",
+        "prismatic-theta",
+        "Step size against theta at each q2, psi = 0",
+        THETA,
+        {"psi": 0.0},
+        ("q2",),
+        "joint 3 driven at psi = 0 for three or more theta, at one or more q2",
+        "As the base is turned on its side (theta = −90°) the load goes and recoil alone is left.",
     ),
     SweepFigure(
-        key="prismatic-psi",
-        title="Step size against psi, arm level (q2 = −90°, theta = 0)",
-        sweep=PSI,
-        fixed={"q2": LEVEL_Q2, "theta": 0.0},
-        by=("q2",),
-        needed="joint 3 driven at q2 = −90°, theta = 0 for three or more psi",
-        note="Load without recoil.",
+        "prismatic-psi",
+        "Step size against psi, arm level (q2 = −90°, theta = 0)",
+        PSI,
+        {"q2": LEVEL_Q2, "theta": 0.0},
+        ("q2",),
+        "joint 3 driven at q2 = −90°, theta = 0 for three or more psi",
+        "Load without recoil.",
     ),
     SweepFigure(
-        key="prismatic-q2",
-        title="Step size against q2 at each theta, psi = 0",
-        sweep=Q2,
-        fixed={"psi": 0.0},
-        by=("theta",),
-        needed="joint 3 driven at psi = 0 for three or more q2, at theta = −90° and 0",
-        note=(
-            "At theta = −90° no load acts: what the step size loses as |cos q2| grows is recoil. At "
-            "theta = 0 the load adds."
-        ),
+        "prismatic-q2",
+        "Step size against q2 at each theta, psi = 0",
+        Q2,
+        {"psi": 0.0},
+        ("theta",),
+        "joint 3 driven at psi = 0 for three or more q2, at theta = −90° and 0",
+        "At theta = −90° no load acts: what the step size loses as |cos q2| grows is recoil. At theta = 0 "
+        "the load adds.",
     ),
 )
 
@@ -528,22 +465,22 @@ FULL_SWEEPS = {
 }
 PARTIAL_SWEEPS = {
     2: SweepFigure(
-        key="elbow-zeta",
-        title="Joint 2: step size along the traverse, psi = 0",
-        sweep=ZETA_ALONG,
-        fixed={"psi": 0.0},
-        by=("theta", "q3"),
-        needed="joint 2 driven in intervals of 30° at psi = 0, theta = 0",
-        note="Under gravity the step size swings with sin zeta; with theta = −90° it should not.",
+        "elbow-zeta",
+        "Joint 2: step size along the traverse, psi = 0",
+        ZETA_ALONG,
+        {"psi": 0.0},
+        ("theta", "q3"),
+        "joint 2 driven in intervals of 30° at psi = 0, theta = 0",
+        "Under gravity the step size swings with sin zeta; with theta = −90° it should not.",
     ),
     1: SweepFigure(
-        key="base-q1",
-        title="Joint 1: step size along the traverse, psi = 0",
-        sweep=Q1_ALONG,
-        fixed={"psi": 0.0},
-        by=("theta", "q2", "q3"),
-        needed="joint 1 driven in intervals of 30° at psi = 0, theta = −90°",
-        note="With theta = −90° the step size swings with cos q1; with the base level it should not.",
+        "base-q1",
+        "Joint 1: step size along the traverse, psi = 0",
+        Q1_ALONG,
+        {"psi": 0.0},
+        ("theta", "q2", "q3"),
+        "joint 1 driven in intervals of 30° at psi = 0, theta = −90°",
+        "With theta = −90° the step size swings with cos q1; with the base level it should not.",
     ),
 }
 

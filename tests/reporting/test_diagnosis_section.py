@@ -21,9 +21,9 @@ from stickslip_fit.diagnosis.selection import cause_probabilities
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.diagnosis import (
     compute_confusion_rates,
-    draw_gain,
-    draw_ranking,
     list_selection_steps,
+    plot_gain,
+    plot_ranking,
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
 from stickslip_fit.reporting import report
@@ -191,9 +191,9 @@ def test_a_panel_for_everything_that_varied(found):
 
 
 def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
-    looks = list_selection_steps(found)
-    assert [named for _, _, named, _ in looks] == ["drift", ""]
-    figure = draw_ranking(found)
+    steps = list_selection_steps(found)
+    assert [named for _, _, named, _ in steps] == ["drift", ""]
+    figure = plot_ranking(found)
     first = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     last = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert first[0] == "drift"
@@ -206,7 +206,7 @@ def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
 
 
 def test_the_gain_of_each_session_is_drawn(found):
-    axis = draw_gain(found.gain).axes[0]
+    axis = plot_gain(found).axes[0]
     before, after, floor = (line.get_ydata() for line in axis.lines)
     assert list(before) == pytest.approx([1.0, 2.0, 3.0])
     assert list(after) == pytest.approx([0.3, 0.4, 0.5])
