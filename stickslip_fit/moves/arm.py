@@ -96,17 +96,17 @@ class CalibratedArm:
 
     def driven(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
         """The same after a drive, `row` as `drive` gives it; how long that takes is not counted."""
-        joint, counted = int(row["joint"].iloc[0]), row.get("steps_before")
+        joint, steps_before = int(row["joint"].iloc[0]), row.get("steps_before")
         travel_columns = {
             name: row[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi")
         }
-        follows: dict[str, Any] = {
+        history: dict[str, Any] = {
             "before_direction": row["direction"].iloc[0],
             "before_load": float(mean_load(joint, **travel_columns)[0]),
         }
-        if counted is not None:
-            follows["steps_before"] = counted.iloc[0] + steps
-        return replace(self, before={**self.before, joint: follows})
+        if steps_before is not None:
+            history["steps_before"] = steps_before.iloc[0] + steps
+        return replace(self, before={**self.before, joint: history})
 
     def traverse(self, q: Array, joint: int, stop: float) -> JointTravel:
         """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.
@@ -139,13 +139,13 @@ class CalibratedArm:
         """
         fit = self.result.joints.get(joint)
         group = fit.groups if fit else pd.DataFrame({"session": [], "direction": []})
-        found = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
-        if fit is None or not len(found):
+        positions = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
+        if fit is None or not len(positions):
             raise InputError(
                 f"joint {joint} has no calibration for session {self.session!r}, direction {direction}: "
                 "the log holds no such traverse; measure some or choose another session"
             )
-        index = int(found[0])
+        index = int(positions[0])
         if not fit.known[index].all():
             reasons = [
                 InputIssue(flag.message)
@@ -156,8 +156,8 @@ class CalibratedArm:
         values, covariance = fit.values[index], fit.covariance[index]
         if isinstance(fit.law, ExtendedLaw):
             moving = fit.law.in_motion(np.stack([values, np.full_like(values, np.nan)]))
-            values, counts = moving[0], np.isnan(moving[1])
-            covariance = covariance * np.outer(counts, counts)
+            values, varied = moving[0], np.isnan(moving[1])
+            covariance = covariance * np.outer(varied, varied)
         return fit.law, values, covariance, fit.repeatability[direction].value
 
 
@@ -222,25 +222,25 @@ def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[
     ------
     InputError
     """
-    wanted, found = _result_columns(result), dict[str, float]()
+    columns, conditions = _result_columns(result), dict[str, float]()
     known = CONDITION_KEYS | {
         name.removeprefix(COVARIATE_PREFIX): (name, "1")
-        for name in wanted
+        for name in columns
         if name.startswith(COVARIATE_PREFIX)
     }
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         column, unit = known.get(name, ("", "1"))
-        if column not in wanted:
-            told = ", ".join(map(column_key, wanted)) or "nothing beside positions and angles"
-            message = f"this law looks at {told}; leave {name or text} out"
+        if column not in columns:
+            column_names = ", ".join(map(column_key, columns)) or "nothing beside positions and angles"
+            message = f"this law looks at {column_names}; leave {name or text} out"
             raise InputError(InputIssue(message, column=option, value=text))
         try:
-            found[column] = to_si(float(value), unit)
+            conditions[column] = to_si(float(value), unit)
         except ValueError:
             message = f"give a number, e.g. {name}=20"
             raise InputError(InputIssue(message, column=option, value=text)) from None
-    return found
+    return conditions
 
 
 def check_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> None:
@@ -251,26 +251,26 @@ def check_conditions(result: Result, conditions: Mapping[str, Any], option: str)
     InputError
         Naming each such condition as `conditions_from` reads it.
     """
-    lacking = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
-    if lacking:
+    missing = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
+    if missing:
         raise InputError(
             [
                 InputIssue(
                     f"the law looks at {CONDITION_MEANINGS[name]}: say {option} {column_key(name)}=NUMBER"
                 )
-                for name in lacking
+                for name in missing
             ]
         )
 
 
 def describe_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> str:
     """What is taken for granted because it was not given; empty where there is nothing."""
-    standing_in = [
+    defaults = [
         f"{option} {column_key(name)}"
         for name in _result_columns(result)
         if name not in {*conditions, *REQUIRED_CONDITIONS}
     ]
-    return f"as on average in the log, since not given: {', '.join(standing_in)}" if standing_in else ""
+    return f"as on average in the log, since not given: {', '.join(defaults)}" if defaults else ""
 
 
 def column_key(column: str) -> str:
@@ -281,8 +281,8 @@ def column_key(column: str) -> str:
     >>> [column_key(name) for name in ("temperature", "session_seconds", "covariate:pressure_hPa")]
     ['temperature_C', 'session_min', 'pressure_hPa']
     """
-    usual = [typed for typed, (name, _) in CONDITION_KEYS.items() if name == column]
-    return usual[0] if usual else column.removeprefix(COVARIATE_PREFIX)
+    keys = [typed for typed, (name, _) in CONDITION_KEYS.items() if name == column]
+    return keys[0] if keys else column.removeprefix(COVARIATE_PREFIX)
 
 
 def _result_columns(result: Result) -> tuple[str, ...]:
@@ -299,8 +299,8 @@ def check_positions(machine: Machine, q: Array, name: str) -> None:
     """
     for joint, (low, high) in machine.ranges.items():
         if not low - 1e-9 <= q[joint - 1] <= high + 1e-9:
-            shown = [_format_joint_position(joint, value) for value in (q[joint - 1], low, high)]
-            raise InputError(f"{name} q{joint} = {shown[0]} is outside its range, {shown[1]} to {shown[2]}")
+            texts = [_format_joint_position(joint, value) for value in (q[joint - 1], low, high)]
+            raise InputError(f"{name} q{joint} = {texts[0]} is outside its range, {texts[1]} to {texts[2]}")
 
 
 def _format_joint_position(joint: int, value: float) -> str:

@@ -61,30 +61,30 @@ def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike
     """
     start, stop = float_column(rows, "start"), float_column(rows, "stop")
     values = np.broadcast_to(values, (len(start), len(law.parameters)))
-    known = {name: np.asarray(rows[name]) for name in (*law.columns, "start", "stop") if name in rows}
+    columns = {name: np.asarray(rows[name]) for name in (*law.columns, "start", "stop") if name in rows}
     steps = np.broadcast_to(np.asarray(steps, float), start.shape)
-    sign, whole = np.sign(stop - start), np.abs(stop - start)
-    short, far = np.zeros(len(start)), np.full(len(start), np.inf)
-    gamma = law.step_size(known, start[:, None], values)[:, 0]
-    gone = np.minimum(steps * gamma, whole)
-    left = np.flatnonzero((steps > 0) & (whole > 0))
-    _check_no_stall(law, gamma[left])
+    sign, total = np.sign(stop - start), np.abs(stop - start)
+    lower, upper = np.zeros(len(start)), np.full(len(start), np.inf)
+    gamma = law.step_size(columns, start[:, None], values)[:, 0]
+    travelled = np.minimum(steps * gamma, total)
+    active = np.flatnonzero((steps > 0) & (total > 0))
+    _check_no_stall(law, gamma[active])
     for _ in range(MAX_ITERATIONS):
-        here, there = {name: of[left] for name, of in known.items()}, gone[left]
-        at = here["start"] + sign[left] * there
-        excess = _traverse_counts(law, here | {"stop": at}, values[left]) - steps[left]
-        gamma = law.step_size(here, at[:, None], values[left])[:, 0]
+        rows_here, distance = {name: of[active] for name, of in columns.items()}, travelled[active]
+        position = rows_here["start"] + sign[active] * distance
+        excess = _traverse_counts(law, rows_here | {"stop": position}, values[active]) - steps[active]
+        gamma = law.step_size(rows_here, position[:, None], values[active])[:, 0]
         _check_no_stall(law, np.where(np.isnan(excess), 0.0, gamma))
-        short[left] = np.where(excess > 0, short[left], there)
-        far[left] = np.where(excess > 0, there, far[left])
-        better = there - excess * gamma
-        middle = (short[left] + np.minimum(far[left], whole[left])) / 2
-        better = np.where((better < short[left]) | (better > far[left]), middle, better)
-        gone[left] = np.minimum(better, whole[left])
-        left = left[np.abs(gone[left] - there) > STEP_TOL * gamma]
-        if not len(left):
+        lower[active] = np.where(excess > 0, lower[active], distance)
+        upper[active] = np.where(excess > 0, distance, upper[active])
+        newton = distance - excess * gamma
+        bisection = (lower[active] + np.minimum(upper[active], total[active])) / 2
+        newton = np.where((newton < lower[active]) | (newton > upper[active]), bisection, newton)
+        travelled[active] = np.minimum(newton, total[active])
+        active = active[np.abs(travelled[active] - distance) > STEP_TOL * gamma]
+        if not len(active):
             break
-    return np.where(gone >= whole, stop, start + sign * gone)
+    return np.where(travelled >= total, stop, start + sign * travelled)
 
 
 def _traverse_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
@@ -175,10 +175,10 @@ def dead_reckon(arm: CalibratedArm, start: Array, drives: Sequence[DriveCommand]
     displacements: dict[tuple[int, str], list[_DriveDisplacement]] = {}
     at_stop: set[int] = set()
     for drive in drives:
-        reached, part = _follow_drive(arm, q, drive, _joint_variance(arm, drive.joint, displacements))
-        if reached != q[drive.joint - 1]:
-            arm = arm.driven(arm.drive(q, drive.joint, reached), drive.steps)
-        q[drive.joint - 1] = reached
+        position, part = _follow_drive(arm, q, drive, _joint_variance(arm, drive.joint, displacements))
+        if position != q[drive.joint - 1]:
+            arm = arm.driven(arm.drive(q, drive.joint, position), drive.steps)
+        q[drive.joint - 1] = position
         if part is None:
             displacements = {key: parts for key, parts in displacements.items() if key[0] != drive.joint}
             at_stop.add(drive.joint)
@@ -226,28 +226,30 @@ def steps_before_recalibration(
         covered = pose.tip_covariance + per_travel * travel**2
         return Z_95 * float(np.sqrt(np.linalg.eigvalsh(covered)[-1])) - tolerance
 
-    whole = abs(end - pose.q[joint - 1])
-    if excess(whole) <= 0:
+    distance = abs(end - pose.q[joint - 1])
+    if excess(distance) <= 0:
         return None
     from scipy.optimize import brentq
 
-    travel = brentq(excess, 0.0, whole)
+    travel = brentq(excess, 0.0, distance)
     sign = 1.0 if direction == "+" else -1.0
     return int(arm.traverse(pose.q, joint, float(pose.q[joint - 1] + sign * travel)).counts)
 
 
 def _follow_drive(
-    arm: CalibratedArm, q: Array, drive: DriveCommand, before: float
+    arm: CalibratedArm, q: Array, drive: DriveCommand, variance: float
 ) -> tuple[float, _DriveDisplacement | None]:
     """Where a drive takes its joint; no travelled part where it ends at a stop."""
     low, high = arm.machine.ranges[drive.joint]
     end = high if drive.direction == "+" else low
-    here = float(q[drive.joint - 1])
-    if here == end:
+    position = float(q[drive.joint - 1])
+    if position == end:
         return end, None
     joint_travel = arm.traverse(q, drive.joint, end)
     margin = (
-        Z_95 * float(np.hypot(joint_travel.spread, np.sqrt(before) / abs(end - here))) * joint_travel.counts
+        Z_95
+        * float(np.hypot(joint_travel.spread, np.sqrt(variance) / abs(end - position)))
+        * joint_travel.counts
     )
     if drive.steps >= joint_travel.counts + margin:
         return end, None
@@ -257,8 +259,8 @@ def _follow_drive(
             f"({joint_travel.counts:.0f} ± {margin:.0f} steps away): drive {joint_travel.counts + margin:.0f} or more to be at "
             f"the stop for sure, or {joint_travel.counts - margin:.0f} or fewer to stay short of it"
         )
-    reached = float(position_after(joint_travel.law, joint_travel.row, joint_travel.values, drive.steps)[0])
-    return reached, _DriveDisplacement(reached - here, arm.traverse(q, drive.joint, reached).slopes)
+    final = float(position_after(joint_travel.law, joint_travel.row, joint_travel.values, drive.steps)[0])
+    return final, _DriveDisplacement(final - position, arm.traverse(q, drive.joint, final).slopes)
 
 
 def _joint_variance(

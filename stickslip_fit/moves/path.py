@@ -125,8 +125,8 @@ class TipPaths:
                 if len(moves):
                     yield PathSegment(drive, joint, direction, moves, *ends, before, load[moves, joint - 1])
             arrival_direction[:, joint - 1] = np.where(signs, signs, arrival_direction[:, joint - 1])
-            own = self._load(joint, drive, start, stop)
-            load[:, joint - 1] = np.where(signs, own, load[:, joint - 1])
+            drive_load = self._load(joint, drive, start, stop)
+            load[:, joint - 1] = np.where(signs, drive_load, load[:, joint - 1])
 
     def _load(self, joint: int, drive: int, start: Array, stop: Array) -> Array:
         q1, q2 = self.joint_positions[:, drive, 0], self.joint_positions[:, drive, 1]
@@ -182,21 +182,21 @@ def straight_path(
     >>> print(f"off the line by {path.max_deviation()[0] * 1e6:.0f} µm at most")
     off the line by 88 µm at most
     """
-    towards = np.asarray(direction, float)
-    if towards.shape != (3,) or abs(np.linalg.norm(towards) - 1.0) > UNIT_VECTOR_TOL:
-        raise InputError(f"a direction is x, y, z of a vector of length 1, not {towards.tolist()}")
+    unit_vector = np.asarray(direction, float)
+    if unit_vector.shape != (3,) or abs(np.linalg.norm(unit_vector) - 1.0) > UNIT_VECTOR_TOL:
+        raise InputError(f"a direction is x, y, z of a vector of length 1, not {unit_vector.tolist()}")
     if sorted(order) != list(JOINTS):
         raise InputError(f"the order names every joint once, such as 1, 2, 3, not {list(order)}")
     if n_segments < 1:
         raise InputError(f"a path has one leg or more, not {n_segments}")
     q = np.asarray(start, float)
     check_positions(machine, q, "start")
-    joint_positions = path_corners(machine, q, towards, length, n_segments, order)
+    joint_positions = path_corners(machine, q, unit_vector, length, n_segments, order)
     return TipPaths(
         machine=machine,
         joint_positions=joint_positions[None],
         order=(*order,) * n_segments,
-        direction=towards[None],
+        direction=unit_vector[None],
         theta=np.array([theta], float),
         psi=np.array([psi], float),
         arrival_direction=np.zeros((1, 3), np.int64),
@@ -215,19 +215,19 @@ def path_corners(
     """
     q, origin = start, forward(machine, start)
     joint_positions = [q]
-    for leg in range(1, n_segments + 1):
-        there = nearest_solution(machine, origin + direction * length * leg / n_segments, q)
+    for segment in range(1, n_segments + 1):
+        goal = nearest_solution(machine, origin + direction * length * segment / n_segments, q)
         for joint in order:
-            q = np.where(np.arange(3) == joint - 1, there, q)
+            q = np.where(np.arange(3) == joint - 1, goal, q)
             joint_positions.append(q)
-    found = np.array(joint_positions)
-    farthest = decompose(forward(machine, found) - origin, direction)[1].max()
-    if farthest > MAX_STRAY_RATIO * length:
+    positions = np.array(joint_positions)
+    max_deviation = decompose(forward(machine, positions) - origin, direction)[1].max()
+    if max_deviation > MAX_STRAY_RATIO * length:
         raise InputError(
             "the arm cannot keep to this line: a joint at its stop makes it swing round, which takes the tip "
-            f"{from_si(farthest, 'mm'):.3g} mm off; choose another start or direction"
+            f"{from_si(max_deviation, 'mm'):.3g} mm off; choose another start or direction"
         )
-    return found
+    return positions
 
 
 def decompose(vectors: Array, direction: Array) -> tuple[Array, Array]:
@@ -313,14 +313,14 @@ def draw_random_paths(
 def _draw_moves(machine: Machine, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
     """Starts, shape (3,), and directions, shape (3,), without end."""
     low, high = np.array([machine.ranges[joint] for joint in JOINTS]).T
-    farthest = machine.l2 + high[2]
-    largest = (machine.a1 + farthest) * farthest
+    max_reach = machine.l2 + high[2]
+    max_volume = (machine.a1 + max_reach) * max_reach
     while True:
         q = rng.uniform(low, high, (PATHS_PER_CHUNK, 3))
         # The space that the tip has around a stand of the joints.
         volume = np.abs(np.linalg.det(jacobian(machine, q)))
-        vectors, misfire_draws = rng.standard_normal((PATHS_PER_CHUNK, 3)), rng.random(PATHS_PER_CHUNK)
-        for place in np.flatnonzero(misfire_draws * largest < volume):
-            ways = len(inverse(machine, forward(machine, q[place])))
-            if misfire_draws[place] * largest * ways < volume[place]:
-                yield q[place], vectors[place] / np.linalg.norm(vectors[place])
+        vectors, uniform = rng.standard_normal((PATHS_PER_CHUNK, 3)), rng.random(PATHS_PER_CHUNK)
+        for k in np.flatnonzero(uniform * max_volume < volume):
+            n_solutions = len(inverse(machine, forward(machine, q[k])))
+            if uniform[k] * max_volume * n_solutions < volume[k]:
+                yield q[k], vectors[k] / np.linalg.norm(vectors[k])

@@ -214,36 +214,39 @@ def plan_steps(
         If a joint and direction that is to be driven has no calibration.
     """
     count = len(sessions)
-    steps, carried = np.zeros((count, len(paths), len(paths.order))), np.zeros((count, len(paths), 3))
+    steps, remainder = np.zeros((count, len(paths), len(paths.order))), np.zeros((count, len(paths), 3))
     for segment in paths.parts:
         if (segment.joint, segment.direction) not in steps_for:
             raise InputError(f"joint {segment.joint} has no calibration in direction {segment.direction}")
         q, stop = paths.joint_positions[segment.moves, segment.drive], segment.stop
         rows = build_drive_rows(segment, paths, q, sessions, conditions) | {"stop": stop}
         rows = {name: np.broadcast_to(of, (count, len(stop))).ravel() for name, of in rows.items()}
-        wanted = np.asarray(steps_for[segment.joint, segment.direction](pd.DataFrame(rows)), float)
-        whole, left = round_steps(
-            wanted.reshape(count, len(stop)),
+        exact = np.asarray(steps_for[segment.joint, segment.direction](pd.DataFrame(rows)), float)
+        rounded, left_over = round_steps(
+            exact.reshape(count, len(stop)),
             stop - segment.start,
-            carried[:, segment.moves, segment.joint - 1],
+            remainder[:, segment.moves, segment.joint - 1],
         )
-        steps[:, segment.moves, segment.drive], carried[:, segment.moves, segment.joint - 1] = whole, left
+        steps[:, segment.moves, segment.drive], remainder[:, segment.moves, segment.joint - 1] = (
+            rounded,
+            left_over,
+        )
     return steps
 
 
-def round_steps(wanted: Array, displacement: Array, carried: Array) -> tuple[Array, Array]:
+def round_steps(exact: Array, displacement: Array, remainder: Array) -> tuple[Array, Array]:
     """Steps to the nearest whole one, where what rounding left undone before is made up for.
 
     Parameters
     ----------
-    wanted : array
+    exact : array
         Steps that the way takes.
-    displacement, carried : array
+    displacement, remainder : array
         Signed, rad or m.
 
     Returns
     -------
-    steps, carried : array
+    steps, remainder : array
         To command, 0 or more, and what they leave undone, rad or m.
 
     Examples
@@ -252,9 +255,9 @@ def round_steps(wanted: Array, displacement: Array, carried: Array) -> tuple[Arr
     >>> print(steps, owed.round(9), round_steps(np.array(10.4), np.array(-1.04e-3), owed)[0])
     10.0 -4e-05 11.0
     """
-    length = displacement / wanted
-    steps = np.maximum(np.rint(wanted + carried / length), 0.0)
-    return steps, carried + (wanted - steps) * length
+    length = displacement / exact
+    steps = np.maximum(np.rint(exact + remainder / length), 0.0)
+    return steps, remainder + (exact - steps) * length
 
 
 def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
@@ -283,8 +286,8 @@ def _true_step_model(truth: TrueLaws, group: Group) -> StepModel:
 
     def steps_for(rows: pd.DataFrame) -> Array:
         number = rows["number"].to_numpy()
-        lost = truth.added(group, rows, values[number])
-        return lost + (np.exp(law.predict(rows, values[number])) - lost) / truth.factors(group)[number]
+        added = truth.added(group, rows, values[number])
+        return added + (np.exp(law.predict(rows, values[number])) - added) / truth.factors(group)[number]
 
     return steps_for
 
@@ -298,9 +301,9 @@ def build_drive_rows(
 ) -> dict[str, Any]:
     """A drive's columns with the joints at q, shape (..., 3); every column goes with (c, part.moves)."""
     shape = len(sessions), len(paths)
-    given = {name: np.broadcast_to(of, shape)[:, segment.moves] for name, of in conditions.items()}
+    covariates = {name: np.broadcast_to(of, shape)[:, segment.moves] for name, of in conditions.items()}
     joints = {f"q{joint}": q[..., joint - 1] for joint in JOINTS} | {f"q{segment.joint}": np.nan}
-    return given | joints | {
+    return covariates | joints | {
         "session": np.array(sessions, dtype=object)[:, None], "number": np.arange(len(sessions))[:, None],
         "joint": segment.joint, "direction": segment.direction, "start": q[..., segment.joint - 1],
         "theta": paths.theta[segment.moves], "psi": paths.psi[segment.moves],
@@ -345,15 +348,15 @@ def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
     """
     if len(path) != 1:
         raise InputError(f"drives are worked out for one move at a time, not for {len(path)}")
-    owed, drives = np.zeros(3), []
+    remainder, drives = np.zeros(3), []
     for segment in path.parts:
         joint_travel = arm.traverse(
             path.joint_positions[0, segment.drive], segment.joint, float(segment.stop[0])
         )
-        steps, left = round_steps(
-            np.array(joint_travel.counts), segment.stop - segment.start, owed[segment.joint - 1]
+        steps, left_over = round_steps(
+            np.array(joint_travel.counts), segment.stop - segment.start, remainder[segment.joint - 1]
         )
-        owed[segment.joint - 1] = left[0]
+        remainder[segment.joint - 1] = left_over[0]
         drives.append(DriveCommand(segment.joint, segment.direction, int(steps[0])))
         arm = arm.driven(joint_travel.row, drives[-1].steps)
     return tuple(drives)
@@ -409,7 +412,7 @@ def _true_positions(truth: TrueLaws, group: Group, rows: dict[str, Any], steps_m
     moving = np.isfinite(steps_made) & np.isfinite(rows["start"])
     rows, steps_made = {name: of[moving] for name, of in rows.items()}, steps_made[moving]
     values = truth.session_values(group)[rows["number"]]
-    lost = truth.added(group, rows, values)
-    effective = lost + (steps_made - lost) * truth.factors(group)[rows["number"]]
+    added = truth.added(group, rows, values)
+    effective = added + (steps_made - added) * truth.factors(group)[rows["number"]]
     reached[moving] = position_after(law, rows, values, np.maximum(effective, 0.0))
     return reached

@@ -55,18 +55,18 @@ def predict_plan(
     """
     rows = _add_expected_history(fitted, plan, session, conditions or {})
     # A plan comes back to the same traverses; each is worked out once.
-    alike = [name for name in (*TRAVERSE_COLUMNS, *INITIAL_HISTORY, *(conditions or ())) if name in rows]
-    which = rows.groupby(alike, dropna=False, sort=False, observed=True).ngroup().to_numpy()
-    _, first = np.unique(which, return_index=True)
+    keys = [name for name in (*TRAVERSE_COLUMNS, *INITIAL_HISTORY, *(conditions or ())) if name in rows]
+    index = rows.groupby(keys, dropna=False, sort=False, observed=True).ngroup().to_numpy()
+    _, first = np.unique(index, return_index=True)
     distinct = rows.iloc[first].reset_index(drop=True)
     distinct["session"] = _calibration_sessions(fitted, distinct, session)
     predicted = fitted.predict(distinct)
     _check_predictions(fitted, distinct, predicted)
-    found = predicted[["steps", "low", "high", "step_size"]].assign(calibration=distinct["session"])
-    found = found.iloc[which].set_axis(rows.index)
+    counts = predicted[["steps", "low", "high", "step_size"]].assign(calibration=distinct["session"])
+    counts = counts.iloc[index].set_axis(rows.index)
     for name in ("steps", "low", "high"):
-        found[name] = _recorded_counts(found[name], rows["check_every"])
-    return found[["calibration", "steps", "low", "high", "step_size"]]
+        counts[name] = _recorded_counts(counts[name], rows["check_every"])
+    return counts[["calibration", "steps", "low", "high", "step_size"]]
 
 
 def _add_expected_history(
@@ -79,25 +79,29 @@ def _add_expected_history(
     if not any(map(uses_history, laws)):
         return rows
 
-    def aged(known: pd.DataFrame) -> pd.DataFrame:
+    def set_steps_before(rows_with_history: pd.DataFrame) -> pd.DataFrame:
         """How many steps the joints had made before the plan, nobody knows who was not told."""
         if "steps_before" in conditions:
-            return known.assign(steps_before=known["steps_before"] + conditions["steps_before"])
-        return known.drop(columns="steps_before")
+            return rows_with_history.assign(
+                steps_before=rows_with_history["steps_before"] + conditions["steps_before"]
+            )
+        return rows_with_history.drop(columns="steps_before")
 
-    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        made = aged(known)
-        steps = fitted.predict(made.assign(session=_calibration_sessions(fitted, made, session)))["steps"]
-        return observed_count(np.nan_to_num(steps), known["check_every"])
+    def count_steps(rows_with_history: pd.DataFrame) -> npt.NDArray[np.int64]:
+        with_steps = set_steps_before(rows_with_history)
+        steps = fitted.predict(with_steps.assign(session=_calibration_sessions(fitted, with_steps, session)))[
+            "steps"
+        ]
+        return observed_count(np.nan_to_num(steps), rows_with_history["check_every"])
 
-    driven = drive_through(plan, rows, np.full(len(rows), 0.5), seen, laws)
-    return aged(driven).drop(columns=["steps", "time"])
+    traverses = drive_through(plan, rows, np.full(len(rows), 0.5), count_steps, laws)
+    return set_steps_before(traverses).drop(columns=["steps", "time"])
 
 
 def _calibration_sessions(fitted: Result | Posterior, rows: pd.DataFrame, session: str | None) -> list[str]:
     """Whose parameters each row is predicted by."""
     result = fitted.result if isinstance(fitted, Posterior) else fitted
-    pairs = [
+    groups = [
         (int(joint), str(direction))
         for joint, direction in zip(rows["joint"], rows["direction"], strict=True)
     ]
@@ -106,8 +110,8 @@ def _calibration_sessions(fitted: Result | Posterior, rows: pd.DataFrame, sessio
         return [session] * len(rows)
     if isinstance(fitted, Posterior):
         return [NEW_SESSION_LABEL] * len(rows)
-    latest = {pair: _latest_session(result, *pair) for pair in dict.fromkeys(pairs)}
-    return [latest[pair] for pair in pairs]
+    latest = {group: _latest_session(result, *group) for group in dict.fromkeys(groups)}
+    return [latest[group] for group in groups]
 
 
 def _latest_session(result: Result, joint: int, direction: str) -> str:
@@ -126,11 +130,11 @@ def _latest_session(result: Result, joint: int, direction: str) -> str:
 
 
 def _check_session(result: Result, session: str) -> None:
-    fitted = list(
+    sessions = list(
         dict.fromkeys(str(name) for fit in result.joints.values() for name in fit.groups["session"])
     )
-    if session not in fitted:
-        raise InputError(f"session {session!r} was not fitted; sessions fitted: {', '.join(fitted)}")
+    if session not in sessions:
+        raise InputError(f"session {session!r} was not fitted; sessions fitted: {', '.join(sessions)}")
 
 
 def _check_predictions(fitted: Result | Posterior, rows: pd.DataFrame, predicted: pd.DataFrame) -> None:
@@ -170,5 +174,5 @@ def _explain_unknown_parameters(result: Result, joint: int, direction: str, sess
 def _recorded_counts(steps: pd.Series, check_every: pd.Series) -> pd.Series:
     """Counts as they will be noted; NaN stays NaN."""
     known = np.isfinite(steps.to_numpy(float))
-    seen = observed_count(np.where(known, steps, 1.0), check_every)
-    return pd.Series(np.where(known, seen, np.nan), index=steps.index)
+    recorded = observed_count(np.where(known, steps, 1.0), check_every)
+    return pd.Series(np.where(known, recorded, np.nan), index=steps.index)

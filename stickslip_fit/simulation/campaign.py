@@ -31,7 +31,9 @@ from stickslip_fit.simulation.truth import LawValues
 from stickslip_fit.units import JOINTS
 
 
-def begin_times(plan: Plan, rows: pd.DataFrame, wait: npt.NDArray[np.float64]) -> npt.NDArray[np.datetime64]:
+def begin_times(
+    plan: Plan, rows: pd.DataFrame, waiting: npt.NDArray[np.float64]
+) -> npt.NDArray[np.datetime64]:
     """The time at which each traverse of a plan begins, to the second.
 
     Parameters
@@ -39,7 +41,7 @@ def begin_times(plan: Plan, rows: pd.DataFrame, wait: npt.NDArray[np.float64]) -
     plan : Plan
     rows : DataFrame
         The plan's rows, with steps.
-    wait : array, shape (n,)
+    waiting : array, shape (n,)
         How patiently a person works, between 0 and 1; a session's first entry is not used.
 
     Raises
@@ -48,26 +50,29 @@ def begin_times(plan: Plan, rows: pd.DataFrame, wait: npt.NDArray[np.float64]) -
         If a session is not over when the next one begins.
     """
     count = plan.traverses_per_session
-    busy = (rows["steps"] * rows["step_period"]).to_numpy().reshape(-1, count)
-    anew = np.diff(rows["visit"], prepend=0).reshape(-1, count) != 0
+    driving = (rows["steps"] * rows["step_period"]).to_numpy().reshape(-1, count)
+    is_new_visit = np.diff(rows["visit"], prepend=0).reshape(-1, count) != 0
     (quick_pause, slow_pause), (quick_turn, slow_turn) = plan.timing.pause, plan.timing.turn
-    shortest, longest = np.where(anew, quick_pause, quick_turn), np.where(anew, slow_pause, slow_turn)
-    between = shortest + (longest - shortest) * wait.reshape(-1, count)
+    shortest_pause, longest_pause = (
+        np.where(is_new_visit, quick_pause, quick_turn),
+        np.where(is_new_visit, slow_pause, slow_turn),
+    )
+    pauses = shortest_pause + (longest_pause - shortest_pause) * waiting.reshape(-1, count)
     # At least a second apart, so that no two traverses of a joint carry the same time.
-    gaps = np.maximum(np.ceil(busy[:, :-1] + between[:, 1:]), 1).astype(np.int64)
+    gaps = np.maximum(np.ceil(driving[:, :-1] + pauses[:, 1:]), 1).astype(np.int64)
     elapsed = np.cumsum(np.concatenate([np.zeros((len(gaps), 1), np.int64), gaps], axis=1), axis=1)
     begins = np.array([session.begins for session in plan.sessions], dtype="datetime64[s]")
-    _check_overlap(plan, begins, elapsed[:, -1] + np.ceil(busy[:, -1]).astype(np.int64))
+    _check_overlap(plan, begins, elapsed[:, -1] + np.ceil(driving[:, -1]).astype(np.int64))
     return (begins[:, None] + elapsed).ravel()
 
 
 def _check_overlap(plan: Plan, begins: npt.NDArray[np.datetime64], length: npt.NDArray[np.int64]) -> None:
-    late = begins[:-1] + length[:-1] > begins[1:]
-    if late.any():
-        number = int(np.argmax(late))
-        this, following = plan.sessions[number : number + 2]
+    overlaps = begins[:-1] + length[:-1] > begins[1:]
+    if overlaps.any():
+        number = int(np.argmax(overlaps))
+        session, following = plan.sessions[number : number + 2]
         raise InputError(
-            f"session {this.label!r} takes {length[number] / 3600:.1f} h and is not over when session "
+            f"session {session.label!r} takes {length[number] / 3600:.1f} h and is not over when session "
             f"{following.label!r} begins; plan fewer traverses, shorter pauses or a later date"
         )
 
@@ -79,7 +84,7 @@ INITIAL_HISTORY = {"session_seconds": 0.0, "before_direction": "", "before_load"
 def drive_through(
     plan: Plan,
     rows: pd.DataFrame,
-    wait: npt.NDArray[np.float64],
+    waiting: npt.NDArray[np.float64],
     count_steps: Callable[[pd.DataFrame], npt.NDArray[np.int64]],
     laws: Iterable[StepLaw],
 ) -> pd.DataFrame:
@@ -93,7 +98,7 @@ def drive_through(
     plan : Plan
     rows : DataFrame
         Its rows, with whatever else the laws look at.
-    wait : array, shape (n,)
+    waiting : array, shape (n,)
         See `begin_times`.
     count_steps : callable
         From rows with their history to the counts, shape (n,).
@@ -107,7 +112,7 @@ def drive_through(
         if "steps" in rows_with_history and np.array_equal(steps, rows_with_history["steps"]):
             break
         rows_with_history["steps"] = steps
-        rows_with_history["time"] = begin_times(plan, rows_with_history, wait).astype("datetime64[ns]")
+        rows_with_history["time"] = begin_times(plan, rows_with_history, waiting).astype("datetime64[ns]")
         rows_with_history = add_history(rows_with_history)
     return rows_with_history
 
@@ -167,12 +172,12 @@ def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: Noi
 def _draw_session(
     stream: np.random.SeedSequence, traverses: int, groups: int, kind: NoiseKind
 ) -> tuple[Array, Array, Array, Array]:
-    day, noise, wait, misfire_draws = (np.random.default_rng(child) for child in stream.spawn(4))
-    departures = draw_noise(kind, traverses, noise)
+    day, noise, waiting, misfire_draws = (np.random.default_rng(child) for child in stream.spawn(4))
+    deviations = draw_noise(kind, traverses, noise)
     return (
         day.standard_normal(groups),
-        departures,
-        wait.random(traverses),
+        deviations,
+        waiting.random(traverses),
         misfire_draws.random((traverses, 3)),
     )
 
@@ -250,8 +255,8 @@ def simulate_counts(
     array([12300])
     """
     counts = expected_counts(law, rows, values)
-    departure = np.asarray(repeatability, float) * draw_noise(kind, len(counts), rng)
-    return observed_count(counts * np.exp(departure), rows["check_every"])
+    deviation = np.asarray(repeatability, float) * draw_noise(kind, len(counts), rng)
+    return observed_count(counts * np.exp(deviation), rows["check_every"])
 
 
 GROUPS = [(joint, direction) for joint in JOINTS for direction in DIRECTIONS]
@@ -295,7 +300,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     _check_sessions(plan, truth)
     rows = plan.rows()
     session, group = _index_rows(plan, rows)
-    chance = draw_random(
+    draws = draw_random(
         plan.seed if seed is None else seed,
         len(plan.sessions),
         plan.traverses_per_session,
@@ -303,25 +308,27 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
         plan.noise.kind,
     )
     day = np.array([truth.day_to_day.get(each, 0.0) for each in GROUPS])
-    factor = 1.0 + day[group] * chance.day[session, group]
-    departure = _row_repeatability(plan.noise, group) * chance.noise + _misfire_departures(
-        rows, truth, chance.misfire_draws
+    factor = 1.0 + day[group] * draws.day[session, group]
+    deviation = _row_repeatability(plan.noise, group) * draws.noise + _misfire_departures(
+        rows, truth, draws.misfire_draws
     )
 
-    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        return observed_count(_simulate_counts(known, truth, factor) * np.exp(departure), rows["check_every"])
+    def count_steps(rows_with_history: pd.DataFrame) -> npt.NDArray[np.int64]:
+        return observed_count(
+            _simulate_counts(rows_with_history, truth, factor) * np.exp(deviation), rows["check_every"]
+        )
 
-    return _build_log(drive_through(plan, rows, chance.wait, seen, truth.laws.values()), machine)
+    return _build_log(drive_through(plan, rows, draws.wait, count_steps, truth.laws.values()), machine)
 
 
 def _misfire_departures(rows: pd.DataFrame, truth: LawValues, misfire_draws: Array) -> Array:
     """Log steps by which a stop that is missed or imagined puts counts off, shape (n,)."""
-    off = np.zeros(len(rows))
+    deviation = np.zeros(len(rows))
     for joint, law in truth.laws.items():
         subset = (rows["joint"] == joint).to_numpy()
         if isinstance(law, ExtendedLaw) and subset.any():
-            off[subset] = law.misfires(truth.of_rows(rows[subset], joint)[0], misfire_draws[subset])
-    return off
+            deviation[subset] = law.misfires(truth.of_rows(rows[subset], joint)[0], misfire_draws[subset])
+    return deviation
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
@@ -363,17 +370,17 @@ def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Arr
 
 
 def _row_repeatability(noise: Noise, group: IntArray) -> Array:
-    known = np.array([noise.repeatability.get(each, np.nan) for each in GROUPS])[group]
-    if np.isnan(known).any():
-        joint, direction = GROUPS[group[int(np.argmax(np.isnan(known)))]]
+    repeatability = np.array([noise.repeatability.get(each, np.nan) for each in GROUPS])[group]
+    if np.isnan(repeatability).any():
+        joint, direction = GROUPS[group[int(np.argmax(np.isnan(repeatability)))]]
         raise InputError(f'the plan drives "{joint}{direction}", but its repeatability_pct has no such entry')
-    return known
+    return repeatability
 
 
 def _build_log(rows: pd.DataFrame, machine: Machine) -> Log:
     """The log that a reader would have made of these rows."""
-    said = {name: np.nan for name in CONDITIONS if name not in rows}
-    rows = rows.assign(session=rows["session"].astype("str"), status="ok", note="", **said)
+    missing = {name: np.nan for name in CONDITIONS if name not in rows}
+    rows = rows.assign(session=rows["session"].astype("str"), status="ok", note="", **missing)
     counts = hashlib.sha256(rows["steps"].to_numpy().tobytes())
     return Log(add_history(rows[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
 

@@ -53,35 +53,35 @@ class CauseTable(Table, extra="ignore"):
 
     def hidden(self) -> tuple[Cause, list[float]]:
         """The cause, and the values of its parameters, SI."""
-        values = {each.name: iter(getattr(self, each.name)) for each in self._cause.parameters}
+        values = {parameter.name: iter(getattr(self, parameter.name)) for parameter in self._cause.parameters}
         cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
-        return cause, [next(values[each.name]) for each in self._cause.parameters]
+        return cause, [next(values[parameter.name]) for parameter in self._cause.parameters]
 
 
 def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
     """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
-    hidden = [table.hidden() for table in tables]
-    values = [value for _, own in hidden for value in own]
-    return tuple(cause for cause, _ in hidden), np.array(values, dtype=float)
+    parsed = [table.hidden() for table in tables]
+    values = [value for _, sizes in parsed for value in sizes]
+    return tuple(cause for cause, _ in parsed), np.array(values, dtype=float)
 
 
-def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
-    named = inner(written)
+def _of_name(entry: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
+    table_ = inner(entry)
     known = {cause.name: cause for cause in library()}
-    if named.name.startswith(COVARIATE_PREFIX) and named.name != COVARIATE_PREFIX:
-        known[named.name] = Covariate(named.name.removeprefix(COVARIATE_PREFIX))
-    if named.name not in known:
-        named.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
-    cause = known[named.name]
+    if table_.name.startswith(COVARIATE_PREFIX) and table_.name != COVARIATE_PREFIX:
+        known[table_.name] = Covariate(table_.name.removeprefix(COVARIATE_PREFIX))
+    if table_.name not in known:
+        table_.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
+    cause = known[table_.name]
     keys: dict[str, Any] = {
-        name: _read_reference(cause, name, own) for name, own in _references(cause).items()
+        name: _read_reference(cause, name, parameters) for name, parameters in _references(cause).items()
     }
     for name in dict.fromkeys(each.name for each in cause.parameters):
-        own = [each for each in cause.parameters if each.name == name]
-        given = Give(f"give {_example_entry(own[0])}: {own[0].meaning}")
-        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
+        parameters = [each for each in cause.parameters if each.name == name]
+        given = Give(f"give {_example_entry(parameters[0])}: {parameters[0].meaning}")
+        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, parameters)), given], ...)
     model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
-    table = model.model_validate(written)
+    table = model.model_validate(entry)
     table._cause = cause
     return table
 
@@ -108,19 +108,19 @@ def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, A
     return Text, usual
 
 
-def _sizes(own: Sequence[CauseParameter], written: Any) -> list[float]:
+def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
     """A value for each of the parameters that one key gives."""
-    if own[0].joint is None or not isinstance(written, dict):
-        return [_size(each, written) for each in own]
-    drives = [f"{each.joint}{each.direction}" for each in own]
-    if not written.keys() <= set(drives):
+    if parameters[0].joint is None or not isinstance(entry, dict):
+        return [_size(each, entry) for each in parameters]
+    drives = [f"{each.joint}{each.direction}" for each in parameters]
+    if not entry.keys() <= set(drives):
         raise fault(f"name joints and directions as {', '.join(drives)}")
     # Joints and directions that are left out have none of it.
-    return [_size(each, written.get(drive, 0.0)) for each, drive in zip(own, drives, strict=True)]
+    return [_size(each, entry.get(drive, 0.0)) for each, drive in zip(parameters, drives, strict=True)]
 
 
-def _size(parameter: CauseParameter, written: Any) -> float:
-    (number, unit), wanted = _parse_quantity(written), parameter.unit
+def _size(parameter: CauseParameter, entry: Any) -> float:
+    (number, unit), wanted = _parse_quantity(entry), parameter.unit
     if number and unit != wanted:
         raise ValueError("another unit")
     value = to_si(number, wanted)
@@ -133,24 +133,24 @@ def _size(parameter: CauseParameter, written: Any) -> float:
 def _example_entry(parameter: CauseParameter) -> str:
     if parameter.unit == "1":
         return "a number"
-    written = f'"2 {parameter.unit}"'
+    example = f'"2 {parameter.unit}"'
     if parameter.joint is None:
-        return f"a number and its unit as text, e.g. {written}"
-    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {written}}}'
+        return f"a number and its unit as text, e.g. {example}"
+    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {example}}}'
 
 
-def _si(written: Any) -> float:
-    number, unit = _parse_quantity(written)
+def _si(entry: Any) -> float:
+    number, unit = _parse_quantity(entry)
     if unit not in UNITS:
         raise ValueError("no unit")
     return to_si(number, unit)
 
 
-def _parse_quantity(written: Any) -> tuple[float, str]:
+def _parse_quantity(entry: Any) -> tuple[float, str]:
     """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
-    if type(written) in (int, float) and abs(written) <= sys.float_info.max:
-        return float(written), "1"
-    match = _QUANTITY_PATTERN.fullmatch(written.strip()) if isinstance(written, str) else None
+    if type(entry) in (int, float) and abs(entry) <= sys.float_info.max:
+        return float(entry), "1"
+    match = _QUANTITY_PATTERN.fullmatch(entry.strip()) if isinstance(entry, str) else None
     if match is None:
         raise ValueError("no number")
     unit = match[2].replace("urad", "µrad").replace("^2", "²")
@@ -199,14 +199,17 @@ class LawValues:
             raise InputError(f"joint {joint} has no law; leave it out of the plan, or add it to the law file")
         session, labels = pd.factorize(rows["session"])
         direction_index = (rows["direction"] == DIRECTIONS[1]).to_numpy().astype(int)
-        nothing = np.full(len(self.laws[joint].parameters), np.nan)
-        general = [self.values.get((joint, direction, None), nothing) for direction in DIRECTIONS]
+        unknown = np.full(len(self.laws[joint].parameters), np.nan)
+        defaults = [self.values.get((joint, direction, None), unknown) for direction in DIRECTIONS]
         table = [
-            [self.values.get((joint, direction, label), usual) for label in labels]
-            for direction, usual in zip(DIRECTIONS, general, strict=True)
+            [self.values.get((joint, direction, label), default) for label in labels]
+            for direction, default in zip(DIRECTIONS, defaults, strict=True)
         ]
-        own = [[(joint, direction, label) in self.values for label in labels] for direction in DIRECTIONS]
-        values, shared = np.array(table)[direction_index, session], ~np.array(own)[direction_index, session]
+        is_own = [[(joint, direction, label) in self.values for label in labels] for direction in DIRECTIONS]
+        values, shared = (
+            np.array(table)[direction_index, session],
+            ~np.array(is_own)[direction_index, session],
+        )
         if np.isnan(values).any():
             row = rows.iloc[int(np.argmax(np.isnan(values).any(axis=1)))]
             raise InputError(

@@ -102,9 +102,11 @@ class StudyDesign:
     def drives(self) -> Iterator[tuple[int, str, list[DesignCell], list[str]]]:
         """Each joint and direction: the cells of its sessions, and the strategies that suit all of them."""
         for joint, direction in dict.fromkeys((cell.law.joint, cell.direction) for cell in self.cells):
-            subset = [each for each in self.cells if (each.law.joint, each.direction) == (joint, direction)]
-            if suited := [name for name in subset[0].made if all(name in cell.made for cell in subset)]:
-                yield joint, direction, subset, suited
+            subset = [
+                cell_ for cell_ in self.cells if (cell_.law.joint, cell_.direction) == (joint, direction)
+            ]
+            if strategies := [name for name in subset[0].made if all(name in cell.made for cell in subset)]:
+                yield joint, direction, subset, strategies
 
 
 def design_study(study: StudyPlan) -> StudyDesign:
@@ -115,20 +117,20 @@ def design_study(study: StudyPlan) -> StudyDesign:
     InputError
         If a strategy chooses what is not offered, no strategy suits the plan, or the plan cannot be driven.
     """
-    usual = simulate_nominal_campaign(study)
+    nominal = simulate_nominal_campaign(study)
     cells, left_out = [], []
-    for cell in _make_cells(study, usual):
-        task = make_task(study, cell, usual.rows)
+    for cell in _make_cells(study, nominal):
+        task = make_task(study, cell, nominal.rows)
         for strategy in study.strategies:
             try:
                 cell.made[strategy.name] = cell.offered[choose_traverses(strategy, task)]
-            except NotApplicable as why:
-                left_out.append((strategy.name, cell.session, cell.law.joint, cell.direction, str(why)))
+            except NotApplicable as error:
+                left_out.append((strategy.name, cell.session, cell.law.joint, cell.direction, str(error)))
         cells.append(cell)
     table = pd.DataFrame(left_out, columns=["strategy", "session", "joint", "direction", "reason"])
-    found = StudyDesign(tuple(cells), table, handling_seconds(usual.rows), _draw_paths(study))
-    _check_applicable(found, table)
-    return found
+    design = StudyDesign(tuple(cells), table, handling_seconds(nominal.rows), _draw_paths(study))
+    _check_applicable(design, table)
+    return design
 
 
 def make_task(study: StudyPlan, cell: DesignCell, rows: pd.DataFrame) -> CalibrationTask:
@@ -139,8 +141,8 @@ def make_task(study: StudyPlan, cell: DesignCell, rows: pd.DataFrame) -> Calibra
     )
 
 
-def _make_cells(study: StudyPlan, usual: SimulatedCampaigns) -> Iterator[DesignCell]:
-    rows = usual.rows
+def _make_cells(study: StudyPlan, nominal: SimulatedCampaigns) -> Iterator[DesignCell]:
+    rows = nominal.rows
     labels = [session.label for session in study.plan.sessions]
     for joint in sorted(rows["joint"].unique()):
         law = published_law(joint, rows[rows["joint"] == joint], study.machine)
@@ -160,11 +162,13 @@ def _draw_paths(study: StudyPlan) -> TipPaths | None:
     return draw_random_paths(study.machine, study.moves, study.seed, study.length) if study.moves else None
 
 
-def _check_applicable(found: StudyDesign, left_out: pd.DataFrame) -> None:
-    suited = {(joint, direction): set(names) for joint, direction, _, names in found.drives()}
-    if not suited:
+def _check_applicable(design: StudyDesign, left_out: pd.DataFrame) -> None:
+    applicable = {(joint, direction): set(names) for joint, direction, _, names in design.drives()}
+    if not applicable:
         raise InputError(f"no strategy can calibrate by this plan: {'; '.join(left_out['reason'].unique())}")
-    if found.paths is not None and (len(suited) < len(GROUPS) or not set.intersection(*suited.values())):
+    if design.paths is not None and (
+        len(applicable) < len(GROUPS) or not set.intersection(*applicable.values())
+    ):
         raise InputError(
             "no strategy calibrates all joints in both directions by this plan, so that no move can be made; "
             "set count = 0 under [moves]"
@@ -227,13 +231,13 @@ class PredictorCalibrations:
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
         """See `Calibrated.predict`."""
-        found = np.full((2, len(rows)), np.nan)
-        for each in np.unique(number):
-            subset, predictor = np.flatnonzero(number == each), self.predictors[each]
+        response = np.full((2, len(rows)), np.nan)
+        for session in np.unique(number):
+            subset, predictor = np.flatnonzero(number == session), self.predictors[session]
             if predictor is not None:
                 with suppress(InputError):
-                    found[:, subset] = predictor(rows.iloc[subset])
-        return found[0], found[1]
+                    response[:, subset] = predictor(rows.iloc[subset])
+        return response[0], response[1]
 
 
 def calibrate_sessions(
@@ -249,29 +253,32 @@ def calibrate_sessions(
         Of one joint and direction, one for each session, all of which suit the strategy.
     campaigns : Campaigns
     """
-    fitted = LAW_STRATEGIES.get(type(strategy))
-    if fitted is None:
+    law_of = LAW_STRATEGIES.get(type(strategy))
+    if law_of is None:
         return calibrate_by_task(study, strategy, cells, campaigns)
-    return calibrate_by_law(fitted(cells[0].law), strategy.name, cells, campaigns)
+    return calibrate_by_law(law_of(cells[0].law), strategy.name, cells, campaigns)
 
 
 def calibrate_by_law(
     law: StepLaw, name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns
 ) -> LawCalibrations:
     """All sessions of all campaigns in one minimisation."""
-    made = [cell.made[name] for cell in cells]
-    session = np.repeat(np.arange(len(cells)), [len(each) for each in made])
+    chosen = [cell.made[name] for cell in cells]
+    session = np.repeat(np.arange(len(cells)), [len(positions) for positions in chosen])
     number = np.arange(campaigns.count)[:, None] * len(cells) + session
-    looked_at = list(dict.fromkeys([*law.columns, *TRAVERSE_COLUMNS]))
-    rows = campaigns.rows[looked_at].iloc[campaigns.places(np.concatenate(made)).ravel()]
+    columns = list(dict.fromkeys([*law.columns, *TRAVERSE_COLUMNS]))
+    rows = campaigns.rows[columns].iloc[campaigns.places(np.concatenate(chosen)).ravel()]
     # The number of the session is what tells groups apart.
-    found = solve_law(law, rows.assign(session=number.ravel()), cells[0].repeatability)
-    of_group = found.groups.table["session"].to_numpy(np.intp)
-    p = found.values.shape[1]
+    solution = solve_law(law, rows.assign(session=number.ravel()), cells[0].repeatability)
+    session_of_group = solution.groups.table["session"].to_numpy(np.intp)
+    p = solution.values.shape[1]
     values = np.full((campaigns.count * len(cells), p), np.nan)
     covariance = np.full((*values.shape, p), np.nan)
-    known = found.known.all(axis=1)
-    values[of_group[known]], covariance[of_group[known]] = found.values[known], found.covariance[known]
+    determined = solution.known.all(axis=1)
+    values[session_of_group[determined]], covariance[session_of_group[determined]] = (
+        solution.values[determined],
+        solution.covariance[determined],
+    )
     return LawCalibrations(law, values, covariance)
 
 
@@ -299,7 +306,9 @@ Z_95 = float(norm.ppf(0.5 + COVERAGE / 2))  # standard deviations; strategies kn
 
 
 def compute_step_size_errors(
-    calibrated: Mapping[str, SessionCalibrations], cells: Sequence[DesignCell], campaigns: SimulatedCampaigns
+    calibrations: Mapping[str, SessionCalibrations],
+    cells: Sequence[DesignCell],
+    campaigns: SimulatedCampaigns,
 ) -> pd.DataFrame:
     """Errors of one joint and direction, summed up for each campaign and strategy.
 
@@ -308,7 +317,7 @@ def compute_step_size_errors(
 
     Parameters
     ----------
-    calibrated : mapping of str to Calibrated
+    calibrations : mapping of str to Calibrated
         By strategy.
     cells : sequence of Cell
         One for each session.
@@ -329,10 +338,10 @@ def compute_step_size_errors(
     true = np.log(campaigns.true_steps[offered])
     step = traverse_length(rows).reshape(true.shape) / campaigns.true_steps[offered]
     predicted, failed = {}, {}
-    for name, each in calibrated.items():
-        mean, sd = (found.reshape(true.shape) for found in each.predict(rows, number.ravel()))
-        stalls = np.bincount(number.ravel(), ~np.isfinite(mean.ravel()), number.max() + 1)
-        predicted[name], failed[name] = (mean, sd), stalls.reshape(campaigns.count, -1) > 0
+    for name, calibration in calibrations.items():
+        mean, sd = (found.reshape(true.shape) for found in calibration.predict(rows, number.ravel()))
+        n_failed = np.bincount(number.ravel(), ~np.isfinite(mean.ravel()), number.max() + 1)
+        predicted[name], failed[name] = (mean, sd), n_failed.reshape(campaigns.count, -1) > 0
     shared = ~np.any(list(failed.values()), axis=0)[:, session]
     tables = [
         _summarize_campaigns(true - mean, sd, step, shared).assign(
@@ -344,31 +353,33 @@ def compute_step_size_errors(
 
 
 def compute_cost(
-    name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns, handling: float
+    name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns, handling_time: float
 ) -> pd.DataFrame:
     """Place of the campaign, and what a session's calibration costs on average: traverses and seconds."""
-    made = campaigns.places(np.concatenate([cell.made[name] for cell in cells]))
-    rows = campaigns.rows[["steps", "step_period"]].iloc[made.ravel()]
-    stepping = stepping_seconds(rows).reshape(made.shape)
-    traverses = made.shape[1] / len(cells)
-    seconds = stepping.sum(axis=1) / len(cells) + handling * traverses
+    measured = campaigns.places(np.concatenate([cell.made[name] for cell in cells]))
+    rows = campaigns.rows[["steps", "step_period"]].iloc[measured.ravel()]
+    stepping = stepping_seconds(rows).reshape(measured.shape)
+    traverses = measured.shape[1] / len(cells)
+    seconds = stepping.sum(axis=1) / len(cells) + handling_time * traverses
     return pd.DataFrame(
         {"place": np.arange(campaigns.count), "strategy": name, "traverses": traverses, "seconds": seconds}
     )
 
 
-def _summarize_campaigns(off: Array, sd: Array, step: Array, shared: npt.NDArray[np.bool_]) -> pd.DataFrame:
+def _summarize_campaigns(
+    log_error: Array, sd: Array, step: Array, shared: npt.NDArray[np.bool_]
+) -> pd.DataFrame:
     """Of each campaign; `off` is log(true steps) less what is predicted, shape (C, m)."""
     count = shared.sum(axis=1)
-    columns: dict[str, object] = {"place": np.arange(len(off)), "predictions": count}
-    relative = np.where(shared, np.expm1(off), 0.0)
+    columns: dict[str, object] = {"place": np.arange(len(log_error)), "predictions": count}
+    relative = np.where(shared, np.expm1(log_error), 0.0)
     share = np.where(count > 0, 1.0 / np.maximum(count, 1), np.nan)
     for suffix, error in (("", relative * step), ("_relative", relative)):
-        largest = np.argmax(np.abs(error), axis=1)
+        worst = np.argmax(np.abs(error), axis=1)
         columns[f"rms{suffix}"] = np.sqrt(np.sum(error**2, axis=1) * share)
         columns[f"bias{suffix}"] = np.sum(error, axis=1) * share
-        columns[f"worst{suffix}"] = error[np.arange(len(off)), largest] + 0.0 * share
-    columns["covered"] = np.sum(shared & (np.abs(off) <= Z_95 * sd), axis=1) * share
+        columns[f"worst{suffix}"] = error[np.arange(len(log_error)), worst] + 0.0 * share
+    columns["covered"] = np.sum(shared & (np.abs(log_error) <= Z_95 * sd), axis=1) * share
     return pd.DataFrame(columns)
 
 
@@ -383,7 +394,7 @@ def compute_tip_distributions(
     scenario: Scenario,
     numbers: Sequence[int],
     campaigns: SimulatedCampaigns,
-    calibrated: Mapping[JointDirection, Mapping[str, SessionCalibrations]],
+    calibrations_by_group: Mapping[JointDirection, Mapping[str, SessionCalibrations]],
     paths: TipPaths,
 ) -> pd.DataFrame:
     """The distribution of the tip's error over a campaign's moves, for each strategy.
@@ -398,7 +409,7 @@ def compute_tip_distributions(
     numbers : sequence of int, length C
         Of the campaigns.
     campaigns : Campaigns
-    calibrated : mapping of (int, str) to mapping of str to Calibrated
+    calibrations_by_group : mapping of (int, str) to mapping of str to Calibrated
         By joint and direction, then by strategy.
     paths : Paths
 
@@ -410,10 +421,12 @@ def compute_tip_distributions(
     names = [
         strategy.name
         for strategy in study.strategies
-        if all(strategy.name in of_drive for of_drive in calibrated.values())
+        if all(strategy.name in of_drive for of_drive in calibrations_by_group.values())
     ]
     calibrations = {
-        name: {drive: _make_steps_function(of_drive[name]) for drive, of_drive in calibrated.items()}
+        name: {
+            group: _make_steps_function(of_drive[name]) for group, of_drive in calibrations_by_group.items()
+        }
         for name in names
     }
     seeds = [
@@ -421,10 +434,10 @@ def compute_tip_distributions(
         for number in numbers
         for seed in seed_sequence(study, scenario, number, MOVE_STREAM).spawn(campaigns.sessions)
     ]
-    found = compute_tip_errors(paths, _make_truth(study, campaigns), calibrations, seeds, study.kind)
-    table = found.table
+    errors = compute_tip_errors(paths, _make_truth(study, campaigns), calibrations, seeds, study.kind)
+    table = errors.table
     table["place"] = table["number"] // campaigns.sessions
-    return found.distribution("place")[["place", "strategy", *TIP_COLUMNS]].astype({"strategy": object})
+    return errors.distribution("place")[["place", "strategy", *TIP_COLUMNS]].astype({"strategy": object})
 
 
 def _make_truth(study: StudyPlan, campaigns: SimulatedCampaigns) -> TrueLaws:
@@ -444,19 +457,20 @@ def _final_conditions(rows: pd.DataFrame, sessions: int) -> dict[str, Array]:
     """What a law may look at when a session is over, each shape (c, 1)."""
     table = rows[["session_seconds", "steps", "step_period", "joint"]].to_numpy(float)
     last = table.reshape(sessions, -1, 4)[:, -1]
-    over = last[:, 0] + last[:, 1] * last[:, 2]
-    joint, after = rows["joint"].to_numpy(), (rows["steps_before"] + rows["steps"]).to_numpy(float)
-    driven = [
-        np.where(joint == each, after, 0.0).reshape(sessions, -1).max(axis=1) for each in np.unique(joint)
+    end = last[:, 0] + last[:, 1] * last[:, 2]
+    joint, total_steps = rows["joint"].to_numpy(), (rows["steps_before"] + rows["steps"]).to_numpy(float)
+    steps = [
+        np.where(joint == each, total_steps, 0.0).reshape(sessions, -1).max(axis=1)
+        for each in np.unique(joint)
     ]
     return {
-        "session_seconds": over[:, None],
-        "steps_before": np.mean(driven, axis=0)[:, None],
+        "session_seconds": end[:, None],
+        "steps_before": np.mean(steps, axis=0)[:, None],
         "step_period": last[:, 2:3],
     }
 
 
-def _make_steps_function(calibrated: SessionCalibrations) -> StepModel:
-    if isinstance(calibrated, LawCalibrations):
-        return step_model_from_parameters(calibrated.law, calibrated.values)
-    return lambda rows: np.exp(calibrated.predict(rows, rows["number"].to_numpy())[0])
+def _make_steps_function(calibrations: SessionCalibrations) -> StepModel:
+    if isinstance(calibrations, LawCalibrations):
+        return step_model_from_parameters(calibrations.law, calibrations.values)
+    return lambda rows: np.exp(calibrations.predict(rows, rows["number"].to_numpy())[0])

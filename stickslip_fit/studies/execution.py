@@ -70,28 +70,28 @@ class Chunk:
             self.study, self.scenario, draw_campaigns(self.study, self.scenario, numbers)
         )
         strategies = {strategy.name: strategy for strategy in self.study.strategies}
-        tables, calibrated = [], {}
-        for joint, direction, cells, suited in self.design.drives():
-            calibrated[joint, direction] = {
-                name: calibrate_sessions(self.study, strategies[name], cells, campaigns) for name in suited
+        tables, calibrations = [], {}
+        for joint, direction, cells, names in self.design.drives():
+            calibrations[joint, direction] = {
+                name: calibrate_sessions(self.study, strategies[name], cells, campaigns) for name in names
             }
-            errors = compute_step_size_errors(calibrated[joint, direction], cells, campaigns)
+            errors = compute_step_size_errors(calibrations[joint, direction], cells, campaigns)
             cost = pd.concat(
-                [compute_cost(name, cells, campaigns, self.design.handling_seconds) for name in suited]
+                [compute_cost(name, cells, campaigns, self.design.handling_seconds) for name in names]
             )
             table = errors.merge(cost, on=["place", "strategy"])
             tables.append(table.assign(joint=joint, direction=direction))
         if self.design.paths is not None:
             tips = compute_tip_distributions(
-                self.study, self.scenario, numbers, campaigns, calibrated, self.design.paths
+                self.study, self.scenario, numbers, campaigns, calibrations, self.design.paths
             )
             tables.append(tips.assign(joint=TIP_JOINT, direction=""))
-        found = pd.concat(tables, ignore_index=True)
-        found.insert(0, "campaign", self.first + found.pop("place"))
-        found.insert(0, "scenario", self.scenario.name)
-        named = found[[*LABEL_COLUMNS, *(name for name in found if name not in LABEL_COLUMNS)]]
+        results = pd.concat(tables, ignore_index=True)
+        results.insert(0, "campaign", self.first + results.pop("place"))
+        results.insert(0, "scenario", self.scenario.name)
+        ordered = results[[*LABEL_COLUMNS, *(name for name in results if name not in LABEL_COLUMNS)]]
         # As a file gives them back.
-        return named.astype(dict.fromkeys(("scenario", "strategy", "direction"), "str"))
+        return ordered.astype(dict.fromkeys(("scenario", "strategy", "direction"), "str"))
 
 
 ChunkResults = Generator[tuple[int, pd.DataFrame]]
@@ -164,13 +164,13 @@ class CodeVersion:
 
     def differences(self, other: CodeVersion) -> list[str]:
         """What differs from another, in words."""
-        theirs = dict(other.versions)
-        found = [
-            f"{name} {version} here, {theirs.get(name, 'none')} there"
+        other_versions = dict(other.versions)
+        changes = [
+            f"{name} {version} here, {other_versions.get(name, 'none')} there"
             for name, version in self.versions
-            if theirs.get(name) != version
+            if other_versions.get(name) != version
         ]
-        return found or ["the code of stickslip_fit is not the same"] * (self.code != other.code)
+        return changes or ["the code of stickslip_fit is not the same"] * (self.code != other.code)
 
 
 @cache
@@ -204,9 +204,9 @@ class ResultStore:
 
     def path_of(self, chunk: Chunk) -> Path:
         """The chunk's file."""
-        told = f"{chunk.study.sha256(chunk.scenario)} {self.code_version.sha256}"
+        key = f"{chunk.study.sha256(chunk.scenario)} {self.code_version.sha256}"
         name = f"{chunk.first:06d}-{chunk.last - 1:06d}.parquet"
-        return self.folder / "chunks" / hashlib.sha256(told.encode()).hexdigest()[:16] / name
+        return self.folder / "chunks" / hashlib.sha256(key.encode()).hexdigest()[:16] / name
 
     def write(self, chunk: Chunk, table: pd.DataFrame) -> None:
         """Keep a finished chunk.
@@ -320,10 +320,10 @@ def run_on_worker(place: int, chunk: Chunk, code_version: CodeVersion) -> tuple[
     InputError
         If it would not, or the chunk cannot be worked on.
     """
-    if unlike := code_version.differences(current_code_version()):
+    if differences := code_version.differences(current_code_version()):
         raise InputError(
             "a worker is not like the machine that asks it, so that its numbers may differ: "
-            f"{'; '.join(unlike)}; install the same versions on all machines"
+            f"{'; '.join(differences)}; install the same versions on all machines"
         )
     return place, chunk.run()
 

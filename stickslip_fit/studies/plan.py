@@ -116,7 +116,7 @@ class StudyPlan:
 
     def sha256(self, scenario: Scenario) -> str:
         """Of all that the numbers of a scenario's campaigns depend on: not of how many there are."""
-        told = {
+        content = {
             "traverses": self.plan.rows().to_csv(),
             "sessions": [(each.label, each.begins.isoformat()) for each in self.plan.sessions],
             "timing": repr(self.plan.timing),
@@ -136,13 +136,13 @@ class StudyPlan:
                 self.length,
             ],
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _stable_repr(thing: object) -> str:
+def _stable_repr(strategy: object) -> str:
     """What a thing is, the same in every process; an object's default repr tells where it lies in memory."""
-    told = repr(thing) if is_dataclass(thing) else repr(getattr(thing, "causes", ""))
-    return f"{type(thing).__module__}.{type(thing).__qualname__} {told}"
+    parameters = repr(strategy) if is_dataclass(strategy) else repr(getattr(strategy, "causes", ""))
+    return f"{type(strategy).__module__}.{type(strategy).__qualname__} {parameters}"
 
 
 SIMULATED_COLUMNS = {"session", "session_seconds", "step_period", *INITIAL_HISTORY}  # of what causes look at
@@ -151,12 +151,12 @@ SIMULATED_COLUMNS = {"session", "session_seconds", "step_period", *INITIAL_HISTO
 def _of_file(read: Callable[[Path, Machine], Any]) -> PlainValidator:
     """The content of a file named from where the study file lies; its faults are faults of the study."""
 
-    def content(named: Any, info: ValidationInfo) -> Any:
-        if not isinstance(named, str) or not named:
+    def content(name: Any, info: ValidationInfo) -> Any:
+        if not isinstance(name, str) or not name:
             raise ValueError("no name")
         folder, machine = info.context  # type: ignore[misc]
         try:
-            return read(folder / named, machine)
+            return read(folder / name, machine)
         except InputError as error:
             raise fault("cannot be used", error.problems) from None
 
@@ -236,8 +236,8 @@ class StudyFile(Table):
 
     def _misfits(self) -> Iterator[Misfit]:
         known = [strategy.name for strategy in default_strategies(self.more, self.seed)]
-        given = known if self.strategies is None else self.strategies
-        if not given or not set(given) <= set(known) or len(set(given)) < len(given):
+        chosen = known if self.strategies is None else self.strategies
+        if not chosen or not set(chosen) <= set(known) or len(set(chosen)) < len(chosen):
             yield f"give a list of different ones of {', '.join(map(repr, known))}", ("strategies",)
         names = [scenario.name for scenario in self.scenario]
         if len(set(names)) < len(names):
@@ -255,8 +255,8 @@ class StudyFile(Table):
         sessions = {session.label for session in self.plan.sessions}
         for number, scenario in enumerate(self.scenario):
             for cause in causes_of(scenario.cause)[0]:
-                if why := _explain_inert(cause, sessions):
-                    yield f"{cause.name} {why}", ("scenario", number, "name")
+                if reason := _explain_inert(cause, sessions):
+                    yield f"{cause.name} {reason}", ("scenario", number, "name")
 
     def repeatability(self) -> dict[tuple[int, str], float]:
         """The campaign plan's, or one number for every joint and direction in its place."""
@@ -307,7 +307,7 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     )
 
 
-def default_study_strategies(more: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...]:
+def default_study_strategies(extra: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...]:
     """Those of `usual_strategies` that a study compares by default: any campaign takes them milliseconds.
 
     Examples
@@ -317,8 +317,8 @@ def default_study_strategies(more: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...
      'least squares, I-optimal +4']
     """
     return (
-        ConstantStepStrategy(), ClosedForm(), LeastSquares(Thesis(), more), LeastSquares(IOptimal()),
-        LeastSquares(IOptimal(), more),
+        ConstantStepStrategy(), ClosedForm(), LeastSquares(Thesis(), extra), LeastSquares(IOptimal()),
+        LeastSquares(IOptimal(), extra),
     )  # fmt: skip
 
 

@@ -60,9 +60,9 @@ class CampaignDraws:
 
 def draw_campaigns(study: StudyPlan, scenario: Scenario, campaigns: Sequence[int]) -> CampaignDraws:
     """The draws of campaigns by number; the same whatever other campaigns are drawn beside them."""
-    uneven = _scatter_groups(study.plan) if study.scatter == "uneven" else None
-    each = [_draw_campaign(study, scenario, number, uneven) for number in campaigns]
-    return CampaignDraws(*(np.stack(parts) for parts in zip(*each, strict=True)))
+    scatter_groups = _scatter_groups(study.plan) if study.scatter == "uneven" else None
+    draws = [_draw_campaign(study, scenario, number, scatter_groups) for number in campaigns]
+    return CampaignDraws(*(np.stack(parts) for parts in zip(*draws, strict=True)))
 
 
 def nominal_draws(plan: Plan) -> CampaignDraws:
@@ -85,35 +85,37 @@ def campaign_seed(study: StudyPlan, scenario: Scenario, number: int) -> int:
 
 
 def _draw_campaign(
-    study: StudyPlan, scenario: Scenario, number: int, uneven: tuple[IntArray, IntArray] | None
+    study: StudyPlan, scenario: Scenario, number: int, scatter_groups: tuple[IntArray, IntArray] | None
 ) -> tuple[Array, ...]:
     sessions, traverses = len(study.plan.sessions), study.plan.traverses_per_session
-    chance = draw_random(campaign_seed(study, scenario, number), sessions, traverses, len(GROUPS), study.kind)
+    draws = draw_random(campaign_seed(study, scenario, number), sessions, traverses, len(GROUPS), study.kind)
     rng = np.random.default_rng(seed_sequence(study, scenario, number, LAW_STREAM))
-    drawn = rng.standard_normal((sessions + 1, len(GROUPS), MAX_PARAMETERS))
-    law = np.clip(drawn, -MAX_DEVIATION_SD, MAX_DEVIATION_SD)
-    noise = chance.noise if uneven is None else chance.noise * _draw_scatter_factors(*uneven, rng)
-    return chance.day, noise, chance.wait, chance.misfire_draws, law
+    deviations = rng.standard_normal((sessions + 1, len(GROUPS), MAX_PARAMETERS))
+    law = np.clip(deviations, -MAX_DEVIATION_SD, MAX_DEVIATION_SD)
+    noise = (
+        draws.noise if scatter_groups is None else draws.noise * _draw_scatter_factors(*scatter_groups, rng)
+    )
+    return draws.day, noise, draws.wait, draws.misfire_draws, law
 
 
 def _scatter_groups(plan: Plan) -> tuple[IntArray, IntArray]:
     """Of each row, its configuration, whatever the session, and its joint and direction."""
     rows = plan.rows()
-    alike = (
+    keys = (
         rows[[name for name in CONFIGURATION_COLUMNS if name != "session"]]
         .round(9)
         .assign(joint=rows["joint"])
     )
-    place = alike.groupby(list(alike), dropna=False, sort=False).ngroup().to_numpy()
-    drive = alike.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()
-    return place, drive
+    configuration = keys.groupby(list(keys), dropna=False, sort=False).ngroup().to_numpy()
+    group = keys.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()
+    return configuration, group
 
 
-def _draw_scatter_factors(place: IntArray, drive: IntArray, rng: np.random.Generator) -> Array:
+def _draw_scatter_factors(configuration: IntArray, group: IntArray, rng: np.random.Generator) -> Array:
     """Factors of the scatter, shape (n,), whose squares have mean 1 in each joint and direction."""
-    factor = rng.uniform(*SCATTER_RANGE, place.max() + 1)[place]
-    square = np.bincount(drive, factor**2) / np.bincount(drive)
-    return factor / np.sqrt(square)[drive]
+    factor = rng.uniform(*SCATTER_RANGE, configuration.max() + 1)[configuration]
+    square = np.bincount(group, factor**2) / np.bincount(group)
+    return factor / np.sqrt(square)[group]
 
 
 JointDirection = tuple[int, str]
@@ -161,31 +163,31 @@ class CampaignTruths:
         InputError
             If a joint comes to a halt.
         """
-        found, group = np.zeros(len(rows)), number_groups(rows)
+        steps, group = np.zeros(len(rows)), number_groups(rows)
         for joint, law in self.laws.items():
             subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
             if not len(subset):
                 continue
-            these = rows.iloc[subset]
+            joint_rows = rows.iloc[subset]
             values = self._of_rows(self.values, joint, group[subset], number[subset])
-            expected = np.exp(law.predict(these, values))
+            expected = np.exp(law.predict(joint_rows, values))
             if not np.all(np.isfinite(expected)):
-                expected_counts(law, these, values)  # says where the joint comes to a halt
-            added = law.added(these, values) if isinstance(law, ExtendedLaw) else 0.0
+                expected_counts(law, joint_rows, values)  # says where the joint comes to a halt
+            added = law.added(joint_rows, values) if isinstance(law, ExtendedLaw) else 0.0
             factor = self._of_rows(self.factor, joint, group[subset], number[subset])
-            found[subset] = (expected - added) / factor + added
-        return found
+            steps[subset] = (expected - added) / factor + added
+        return steps
 
     def misfires(self, rows: pd.DataFrame, number: IntArray, misfire_draws: Array) -> Array:
         """Log steps by which a stop that is missed or imagined puts counts off, (n, 3) -> (n,)."""
-        off, group = np.zeros(len(rows)), number_groups(rows)
+        deviation, group = np.zeros(len(rows)), number_groups(rows)
         for joint, law in self.laws.items():
             subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
             if isinstance(law, ExtendedLaw) and len(subset):
-                off[subset] = law.misfires(
+                deviation[subset] = law.misfires(
                     self._of_rows(self.values, joint, group[subset], number[subset]), misfire_draws[subset]
                 )
-        return off
+        return deviation
 
     def _of_rows(
         self, table: Mapping[JointDirection, Array], joint: int, group: IntArray, number: IntArray
@@ -214,11 +216,11 @@ def draw_truths(
         subset, law = rows[rows["joint"] == joint], study.truth.laws[joint]
         laws[int(joint)] = extend_by(law, scenario.causes) if scenario.causes else law
         for direction in ("+", "-"):
-            drive = int(joint), direction
-            usual, shared = _nominal_parameters(study, subset, drive)
-            values[drive] = _draw_parameters(study, law, subset, drive, usual, draws, scenario.sizes)
-            day = study.truth.day_to_day.get(drive, 0.0) * shared
-            factor[drive] = 1.0 + day * draws.day[:, :, GROUPS.index(drive)]
+            pair = int(joint), direction
+            nominal, shared = _nominal_parameters(study, subset, pair)
+            values[pair] = _draw_parameters(study, law, subset, pair, nominal, draws, scenario.sizes)
+            day = study.truth.day_to_day.get(pair, 0.0) * shared
+            factor[pair] = 1.0 + day * draws.day[:, :, GROUPS.index(pair)]
     return CampaignTruths(laws, values, factor)
 
 
@@ -228,39 +230,41 @@ def number_groups(rows: pd.DataFrame) -> IntArray:
 
 
 def _nominal_parameters(
-    study: StudyPlan, subset: pd.DataFrame, drive: JointDirection
+    study: StudyPlan, subset: pd.DataFrame, pair: JointDirection
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Each session's parameters as the law file has them, (S, p), and whether days differ from them, (S,)."""
     labels = [session.label for session in study.plan.sessions]
-    if not (subset["direction"] == drive[1]).any():
-        p = len(study.truth.laws[drive[0]].parameters)
+    if not (subset["direction"] == pair[1]).any():
+        p = len(study.truth.laws[pair[0]].parameters)
         return np.zeros((len(labels), p)), np.zeros(len(labels), bool)
-    sessions = pd.DataFrame({"session": labels, "direction": drive[1]})
-    return study.truth.of_rows(sessions, drive[0])
+    sessions = pd.DataFrame({"session": labels, "direction": pair[1]})
+    return study.truth.of_rows(sessions, pair[0])
 
 
 def _draw_parameters(
     study: StudyPlan,
     law: StepLaw,
     subset: pd.DataFrame,
-    drive: JointDirection,
-    usual: Array,
+    pair: JointDirection,
+    nominal: Array,
     draws: CampaignDraws,
-    hidden: Array,
+    cause_values: Array,
 ) -> Array:
     """Parameters of a joint and direction with those of the hidden causes beside them, (C, S, p + q)."""
-    own = law.law if isinstance(law, ExtendedLaw) else law
-    p, group = len(own.parameters), GROUPS.index(drive)
+    base_law = law.law if isinstance(law, ExtendedLaw) else law
+    p, group = len(base_law.parameters), GROUPS.index(pair)
     spread = study.between_campaigns * draws.law[:, :1, group, :p]
     spread = spread + study.between_sessions * draws.law[:, 1:, group, :p]
-    drawn = np.tile(usual, (len(spread), 1, 1))
-    rows = subset[subset["direction"] == drive[1]]
+    values = np.tile(nominal, (len(spread), 1, 1))
+    rows = subset[subset["direction"] == pair[1]]
     if len(rows):
         session = pd.Index([each.label for each in study.plan.sessions]).get_indexer(rows["session"])
-        steps = expected_counts(law, rows.assign(**INITIAL_HISTORY), usual[session])
+        steps = expected_counts(law, rows.assign(**INITIAL_HISTORY), nominal[session])
         mean_step = np.atleast_1d(traverse_length(rows).sum() / steps.sum())
-        drawn[:, :, :p] += spread * own.scales(mean_step)[0]
-    return np.concatenate([drawn, np.broadcast_to(hidden, (*drawn.shape[:2], len(hidden)))], axis=2)
+        values[:, :, :p] += spread * base_law.scales(mean_step)[0]
+    return np.concatenate(
+        [values, np.broadcast_to(cause_values, (*values.shape[:2], len(cause_values)))], axis=2
+    )
 
 
 BASELINE_SCENARIO = Scenario("nothing hidden")
@@ -312,23 +316,23 @@ def simulate_campaigns(study: StudyPlan, scenario: Scenario, draws: CampaignDraw
     InputError
         If a joint comes to a halt, or a session is not over when the next one begins.
     """
-    count, one = len(draws.noise), study.plan.rows()
+    count, campaign = len(draws.noise), study.plan.rows()
     side_by_side = _repeat_sessions(study.plan, count)
     number = np.arange(len(side_by_side.sessions)).repeat(study.plan.traverses_per_session)
-    labels = pd.Series(np.tile(one["session"].astype(object), count))
-    rows = pd.concat([one] * count, ignore_index=True).assign(session=number)
-    truths = draw_truths(study, scenario, one, draws)
+    labels = pd.Series(np.tile(campaign["session"].astype(object), count))
+    rows = pd.concat([campaign] * count, ignore_index=True).assign(session=number)
+    truths = draw_truths(study, scenario, campaign, draws)
     scatter = np.array([study.repeatability.get(each, np.nan) for each in GROUPS])[number_groups(rows)]
-    departure = scatter * draws.noise.ravel() + truths.misfires(
+    deviation = scatter * draws.noise.ravel() + truths.misfires(
         rows, number, draws.misfire_draws.reshape(-1, 3)
     )
 
-    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        steps = truths.steps(_separate_histories(known, labels, count), number)
-        return observed_count(steps * np.exp(departure), known["check_every"])
+    def count_steps(rows_with_history: pd.DataFrame) -> npt.NDArray[np.int64]:
+        steps = truths.steps(_separate_histories(rows_with_history, labels, count), number)
+        return observed_count(steps * np.exp(deviation), rows_with_history["check_every"])
 
-    driven = drive_through(side_by_side, rows, draws.wait.ravel(), seen, truths.laws.values())
-    log = _separate_histories(driven, labels, count).assign(status="ok", note="")
+    traverses = drive_through(side_by_side, rows, draws.wait.ravel(), count_steps, truths.laws.values())
+    log = _separate_histories(traverses, labels, count).assign(status="ok", note="")
     log = log.assign(**{name: np.nan for name in CONDITIONS if name not in log})
     steps = truths.in_motion().steps(log, number)
     return SimulatedCampaigns(count, len(study.plan.sessions), log, truths, steps)
@@ -348,11 +352,11 @@ def _repeat_sessions(plan: Plan, count: int) -> Plan:
     return replace(plan, sessions=tuple(map(PlannedSession, labels, moments)))
 
 
-def _separate_histories(known: pd.DataFrame, labels: pd.Series, count: int) -> pd.DataFrame:
+def _separate_histories(rows: pd.DataFrame, labels: pd.Series, count: int) -> pd.DataFrame:
     """With the plan's session labels, and steps counted from each campaign's first traverse on."""
-    driven = known["steps_before"].to_numpy().reshape(count, -1).copy()
-    joint = known["joint"].to_numpy()[: driven.shape[1]]
-    for each in np.unique(joint):
-        subset = np.flatnonzero(joint == each)
-        driven[:, subset] -= driven[:, subset[:1]]
-    return known.assign(session=labels, steps_before=driven.ravel())
+    steps_before = rows["steps_before"].to_numpy().reshape(count, -1).copy()
+    joint = rows["joint"].to_numpy()[: steps_before.shape[1]]
+    for joint_ in np.unique(joint):
+        subset = np.flatnonzero(joint == joint_)
+        steps_before[:, subset] -= steps_before[:, subset[:1]]
+    return rows.assign(session=labels, steps_before=steps_before.ravel())

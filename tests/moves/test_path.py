@@ -93,7 +93,7 @@ def test_how_far_the_tip_strays_between_the_ends_of_its_drives():
     [
         ({"direction": [1.0, 1.0, 0.0]}, "vector of length 1"),
         ({"order": (1, 2)}, "every joint once"),
-        ({"legs": 0}, "one leg or more"),
+        ({"n_segments": 0}, "one leg or more"),
         ({"length": 0.2}, "out of reach"),
         ({"start": [0.0, -1.2, 0.013]}, "start q3 = 13.00 mm is outside its range"),
     ],

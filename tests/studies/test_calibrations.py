@@ -96,7 +96,7 @@ def test_any_strategy_takes_part(study):
     found = run_study(plan, backend=Cores(1))
     assert set(found.strategies(3)) == {"first traverse", "picky", "Bayes, 2 I-optimal", "closed form"}
     assert set(found.strategies(2)) == {"first traverse", "Bayes, 2 I-optimal", "closed form"}
-    assert "picky: joint 1, direction + and -: it is made for joint 3" in str(found)
+    assert "picky 1 + and \N{MINUS SIGN} it is made for joint 3" in " ".join(str(found).split())
     table = found.campaigns[(found.campaigns["joint"] == 3) & (found.campaigns["direction"] == "+")]
     failed = table.pivot(index="campaign", columns="strategy", values="failed")
     assert 0 < failed["picky"].sum() < 8
