@@ -2,9 +2,8 @@
 
 For each traverse: the steps of its law, times the session's own variation and the noise of the
 repeatability, rounded up to the next check of the end stop. Where a law depends on time or history,
-counts and times are iterated until they agree. Each session has random streams of its own, so that
-adding a session changes no other. `step_through` steps a joint literally and serves as the reference
-for the integrals.
+counts and times are iterated until they agree. `step_through` simulates single steps and is the
+reference for the integrals.
 """
 
 from __future__ import annotations
@@ -42,7 +41,8 @@ def begin_times(
     rows : DataFrame
         The plan's rows, with steps.
     waiting : array, shape (n,)
-        How patiently a person works, between 0 and 1; a session's first entry is not used.
+        Pause before each traverse, 0 for the shortest of the plan and 1 for the longest; a session's first
+        entry is not used.
 
     Raises
     ------
@@ -90,20 +90,19 @@ def drive_through(
 ) -> pd.DataFrame:
     """A plan's rows with steps, time and history.
 
-    Where a law has causes in it, a count may depend on what came before, and the time of what comes after
-    on the count; a few passes make both agree.
+    Where a law depends on time or history, counts and history are iterated until they agree.
 
     Parameters
     ----------
     plan : Plan
     rows : DataFrame
-        Its rows, with whatever else the laws look at.
+        Its rows, with all other columns that the laws depend on.
     waiting : array, shape (n,)
         See `begin_times`.
     count_steps : callable
         From rows with their history to the counts, shape (n,).
     laws : iterable of StepLaw
-        By which they are counted.
+        Those of `count_steps`.
     """
     passes = MAX_PASSES if any(uses_history(law) for law in laws) else 1
     rows_with_history = rows.assign(**INITIAL_HISTORY)
@@ -118,7 +117,7 @@ def drive_through(
 
 
 def uses_history(law: StepLaw) -> bool:
-    """Whether a law's counts depend on what came before a traverse."""
+    """Whether a law's counts depend on time or history."""
     return not INITIAL_HISTORY.keys().isdisjoint(law.columns)
 
 
@@ -127,18 +126,18 @@ T_NOISE_DF = 5
 
 @dataclass(frozen=True)
 class RandomDraws:
-    """The draws for a whole campaign of n traverses.
+    """The draws for a campaign of n traverses.
 
     Attributes
     ----------
     day : array, shape (sessions, groups)
-        How far each group's step size is from its usual one that day; mean 0, standard deviation 1.
+        Deviation of each group's step size in the session; mean 0, standard deviation 1.
     noise : array, shape (n,)
-        Departures of log(steps); mean 0, standard deviation 1.
+        Deviations of log(steps); mean 0, standard deviation 1.
     wait : array, shape (n,)
-        How long a person takes before each traverse, uniform between 0 and 1.
-    luck : array, shape (n, 3)
-        Whether a stop is missed or imagined, and by how much, uniform between 0 and 1.
+        See `begin_times`; uniform between 0 and 1.
+    misfire_draws : array, shape (n, 3)
+        Decide whether a stop is missed or detected too early, and by how much; uniform between 0 and 1.
     """
 
     day: Array
@@ -148,7 +147,7 @@ class RandomDraws:
 
 
 def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: NoiseKind) -> RandomDraws:
-    """Draw for every session from streams of its own, so that adding a session changes no other.
+    """Draw for every session from its own random streams, so that adding a session changes no other.
 
     Parameters
     ----------
@@ -172,18 +171,18 @@ def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: Noi
 def _draw_session(
     stream: np.random.SeedSequence, traverses: int, groups: int, kind: NoiseKind
 ) -> tuple[Array, Array, Array, Array]:
-    day, noise, waiting, misfire_draws = (np.random.default_rng(child) for child in stream.spawn(4))
+    day, noise, waiting, misfires = (np.random.default_rng(child) for child in stream.spawn(4))
     deviations = draw_noise(kind, traverses, noise)
     return (
         day.standard_normal(groups),
         deviations,
         waiting.random(traverses),
-        misfire_draws.random((traverses, 3)),
+        misfires.random((traverses, 3)),
     )
 
 
 def draw_noise(kind: NoiseKind, size: int, rng: np.random.Generator) -> Array:
-    """Independent departures with mean 0 and standard deviation 1, shape (size,).
+    """Independent deviations with mean 0 and standard deviation 1, shape (size,).
 
     Examples
     --------
@@ -202,7 +201,7 @@ def expected_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
     Raises
     ------
     InputError
-        If the joint would come to a halt within one.
+        If the joint stalls within one.
     """
     counts, _ = law.counts(rows, values)
     if not np.all(np.isfinite(counts)):
@@ -224,7 +223,7 @@ def simulate_counts(
     rng: np.random.Generator,
     kind: NoiseKind = "gaussian",
 ) -> npt.NDArray[np.int64]:
-    """Counts that a lab would write down.
+    """Simulated counts of a lab: with noise, rounded up to the next check of the end stop.
 
     Parameters
     ----------
@@ -244,7 +243,7 @@ def simulate_counts(
     Raises
     ------
     InputError
-        If the joint would come to a halt within a traverse.
+        If the joint stalls within a traverse.
 
     Examples
     --------
@@ -267,21 +266,21 @@ LOG_COLUMNS = (
 
 
 def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = None) -> Log:
-    """Make the traverses of a plan under known laws.
+    """Simulate the traverses of a plan under known laws.
 
-    A count is what the law says, over the session's factor of the step size, times exp(noise), and seen
-    at the next look for the end stop. Each session draws from a stream of its own, so that adding a
-    session changes no other.
+    A count is the law's, over the session's factor of the step size, times exp(noise), rounded up to the
+    next check of the end stop. Each session draws from its own random streams, so that adding a session
+    changes no other.
 
     Parameters
     ----------
     plan : Plan
     truth : LawValues
-        A law may have causes in it; steps are counted from the plan's first traverse on.
+        With or without causes; steps are counted from the plan's first traverse on.
     machine : Machine
         The one that `plan` and `truth` were made for.
     seed : int, optional
-        Instead of the plan's, for everything but the order of the traverses.
+        Replaces the plan's, except for the order of the traverses.
 
     Returns
     -------
@@ -291,22 +290,17 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     Raises
     ------
     InputError
-        If the plan says nothing of noise, a law lacks parameters or comes to a halt within a traverse,
-        parameters are given for a session that is not planned, or a session is not over when the next
-        one begins.
+        If the plan has no noise, a law lacks parameters or stalls within a traverse, parameters are given
+        for a session that is not planned, or a session is not over when the next one begins.
     """
     if plan.noise is None:
         raise InputError("the plan has no [noise]; add one with repeatability_pct before simulating it")
     _check_sessions(plan, truth)
     rows = plan.rows()
-    session, group = _index_rows(plan, rows)
-    draws = draw_random(
-        plan.seed if seed is None else seed,
-        len(plan.sessions),
-        plan.traverses_per_session,
-        len(GROUPS),
-        plan.noise.kind,
-    )
+    sessions, traverses = len(plan.sessions), plan.traverses_per_session
+    session, group = np.repeat(np.arange(sessions), traverses), group_index(rows)
+    seed = plan.seed if seed is None else seed
+    draws = draw_random(seed, sessions, traverses, len(GROUPS), plan.noise.kind)
     day = np.array([truth.day_to_day.get(each, 0.0) for each in GROUPS])
     factor = 1.0 + day[group] * draws.day[session, group]
     deviation = _row_repeatability(plan.noise, group) * draws.noise + _misfire_departures(
@@ -322,7 +316,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
 
 
 def _misfire_departures(rows: pd.DataFrame, truth: LawValues, misfire_draws: Array) -> Array:
-    """Log steps by which a stop that is missed or imagined puts counts off, shape (n,)."""
+    """Deviations of log(steps) by stops that are missed or detected too early, shape (n,)."""
     deviation = np.zeros(len(rows))
     for joint, law in truth.laws.items():
         subset = (rows["joint"] == joint).to_numpy()
@@ -332,28 +326,26 @@ def _misfire_departures(rows: pd.DataFrame, truth: LawValues, misfire_draws: Arr
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
-    """A misspelt session must not pass for one without parameters of its own, or in which nothing happens."""
+    """Refuse causes and parameters of sessions that are not planned, such as a misspelt one."""
     planned = {session.label for session in plan.sessions}
     causes = next((law.causes for law in truth.laws.values() if isinstance(law, ExtendedLaw)), ())
-    for cause in causes:
-        if getattr(cause, "session", "") not in ("", *planned):
+    uses = [(getattr(cause, "session", ""), f"{cause.name} happens in") for cause in causes]
+    uses += [
+        (session or "", f"joint {joint}, direction {direction} has parameters for")
+        for joint, direction, session in truth.values
+    ]
+    for session, use in uses:
+        if session not in ("", *planned):
             raise InputError(
-                f"{cause.name} happens in session {cause.session!r}, which the plan does not have; its "
-                f"sessions are {', '.join(map(repr, sorted(planned)))}"
-            )
-    for joint, direction, session in truth.values:
-        if session is not None and session not in planned:
-            raise InputError(
-                f"joint {joint}, direction {direction} has parameters for session {session!r}, which the "
-                f"plan does not have; its sessions are {', '.join(map(repr, sorted(planned)))}"
+                f"{use} session {session!r}, which the plan does not have; its sessions are "
+                f"{', '.join(map(repr, sorted(planned)))}"
             )
 
 
-def _index_rows(plan: Plan, rows: pd.DataFrame) -> tuple[IntArray, IntArray]:
-    """Number of each row's session, and the place of its joint and direction in `GROUPS`."""
+def group_index(rows: pd.DataFrame) -> IntArray:
+    """Index of each row's joint and direction in `GROUPS`."""
     backwards = (rows["direction"] == DIRECTIONS[1]).to_numpy()
-    group = 2 * (rows["joint"].to_numpy() - JOINTS[0]) + backwards
-    return np.repeat(np.arange(len(plan.sessions)), plan.traverses_per_session), group
+    return 2 * (rows["joint"].to_numpy() - JOINTS[0]) + backwards
 
 
 def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
@@ -378,23 +370,20 @@ def _row_repeatability(noise: Noise, group: IntArray) -> Array:
 
 
 def _build_log(rows: pd.DataFrame, machine: Machine) -> Log:
-    """The log that a reader would have made of these rows."""
+    """The log as `read_log` would return it."""
     missing = {name: np.nan for name in CONDITIONS if name not in rows}
     rows = rows.assign(session=rows["session"].astype("str"), status="ok", note="", **missing)
     counts = hashlib.sha256(rows["steps"].to_numpy().tobytes())
     return Log(add_history(rows[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
 
 
-MAX_STEPS_TO_STOP = (
-    1e7  # a joint that much further from its stop than a step is creeping towards where its step size is 0
-)
+MAX_STEPS_TO_STOP = 1e7  # at the present step size; more are taken for a stall
 
 
 def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int64]:
-    """Step every traverse from where it starts until it is at its stop or beyond.
+    """Step every traverse from its start until its stop, one step after another.
 
-    What the closed forms and the quadrature approximate, one step after another; for tests and for
-    measuring what they save.
+    The reference that closed forms and quadrature approximate; for tests and benchmarks.
 
     Parameters
     ----------
@@ -410,7 +399,7 @@ def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int6
     Raises
     ------
     InputError
-        If a joint comes to a halt.
+        If a joint stalls.
 
     Examples
     --------

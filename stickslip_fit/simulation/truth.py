@@ -41,7 +41,7 @@ _QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.
 
 
 class CauseTable(Table, extra="ignore"):
-    """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
+    """A cause, with its parameters and its other settings: the session of a jump, the form of a bend.
 
     A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
     of such, ``k = {"3+" = "2 %"}``.
@@ -90,13 +90,13 @@ Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
 
 
 def _references(cause: Any) -> dict[str, str | float]:
-    """What a cause refers to beside its parameters, with what is usual."""
+    """A cause's settings beside its parameters, with their defaults."""
     given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
     return {name: usual for name, usual in given.items() if name != "column"}
 
 
 def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, Any]:
-    """A field for it; a number has no default."""
+    """The field of a setting; a number has no default."""
     if isinstance(usual, float):
         given = Give('give a number, with its unit where it has one, e.g. "21 °C"')
         default = _si(DEFAULT_REFERENCES[name]) if name in DEFAULT_REFERENCES else ...
@@ -109,13 +109,13 @@ def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, A
 
 
 def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
-    """A value for each of the parameters that one key gives."""
+    """Values of the parameters of one key."""
     if parameters[0].joint is None or not isinstance(entry, dict):
         return [_size(each, entry) for each in parameters]
     drives = [f"{each.joint}{each.direction}" for each in parameters]
     if not entry.keys() <= set(drives):
         raise fault(f"name joints and directions as {', '.join(drives)}")
-    # Joints and directions that are left out have none of it.
+    # It is 0 for joints and directions that are left out.
     return [_size(each, entry.get(drive, 0.0)) for each, drive in zip(parameters, drives, strict=True)]
 
 
@@ -158,6 +158,7 @@ def _parse_quantity(entry: Any) -> tuple[float, str]:
 
 
 Group = tuple[int, str]
+"""Joint and direction."""
 MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
 
 
@@ -254,7 +255,7 @@ class LawTable(Table, extra="ignore"):
         return self
 
     def entry(self) -> tuple[int, str, str | None]:
-        """What the parameters are of."""
+        """Joint, direction and session of the parameters; None for all sessions."""
         return self.joint, self.direction, self.session or None
 
 

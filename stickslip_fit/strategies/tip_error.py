@@ -20,8 +20,8 @@ from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, plan_steps, simulate_open_loop
 from stickslip_fit.moves.path import decompose
-from stickslip_fit.moves.planning import Group
 from stickslip_fit.simulation import draw_noise
+from stickslip_fit.simulation.truth import Group
 from stickslip_fit.strategies.base import Predictor
 from stickslip_fit.units import JOINTS
 
