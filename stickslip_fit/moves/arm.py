@@ -35,7 +35,6 @@ class JointTravel:
     ----------
     row : DataFrame
         The traverse, one row of a log.
-    law : StepLaw
     values : array, shape (p,)
     counts : float
         Expected steps.
@@ -59,8 +58,6 @@ class CalibratedArm:
 
     Attributes
     ----------
-    result : Result
-    session : str
     theta, psi : float
         Orientation of the base, rad.
     conditions : mapping of str to object

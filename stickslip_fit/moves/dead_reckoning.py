@@ -36,7 +36,6 @@ def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
         Traverses in a log's columns; a joint that reaches its row's stop stays there.
     values : array, shape (p,) or (n, p)
@@ -197,8 +196,6 @@ def steps_before_recalibration(
 
     Parameters
     ----------
-    arm : CalibratedArm
-    pose : PoseEstimate
     joint, direction
         Of the next drive.
     tolerance : float

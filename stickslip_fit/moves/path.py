@@ -14,7 +14,7 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import Machine, forward, inverse, jacobian, mean_load, nearest_solution
 from stickslip_fit.moves.arm import check_positions
@@ -33,7 +33,6 @@ class PathSegment:
     ----------
     drive_index : int
         Among a move's drives.
-    joint : int
     direction : {"+", "-"}
     moves : array of int, shape (n,)
     start, stop : array, shape (n,)
@@ -60,7 +59,6 @@ class TipPaths:
 
     Attributes
     ----------
-    machine : Machine
     joint_positions : array, shape (m, k + 1, 3)
         Joint positions, rad, rad, m: at the start of each move, then at the end of each of its k drives.
     order : tuple of int, length k
@@ -79,7 +77,7 @@ class TipPaths:
     direction: Array
     theta: Array
     psi: Array
-    arrival_direction: npt.NDArray[np.int64]
+    arrival_direction: Int64Array
 
     def __len__(self) -> int:
         return len(self.joint_positions)
@@ -135,7 +133,6 @@ def straight_path(
 
     Parameters
     ----------
-    machine : Machine
     start : array_like, shape (3,)
         Joint positions, rad, rad, m.
     direction : array_like, shape (3,)
@@ -245,9 +242,6 @@ def draw_random_paths(
 
     Parameters
     ----------
-    machine : Machine
-    count : int
-    seed : int
     length : float, optional
         m.
     n_segments : int, optional

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,6 @@ class MoveSegment:
 
     Attributes
     ----------
-    joint : int
-    direction : str
     start, stop : float
         rad or m.
     steps : int
@@ -192,7 +191,6 @@ def plan_steps(
 
     Parameters
     ----------
-    paths : TipPaths
     steps_for : mapping of (int, str) to callable
         Of each joint and direction: rows to steps. Rows are the planned drives, in a log's columns; all
         moves of the first session come first, and `number` is the index of the session.
@@ -216,7 +214,7 @@ def plan_steps(
             raise InputError(f"joint {segment.joint} has no calibration in direction {segment.direction}")
         q, stop = paths.joint_positions[segment.moves, segment.drive_index], segment.stop
         rows = build_drive_rows(segment, paths, q, sessions, conditions) | {"stop": stop}
-        rows = {name: np.broadcast_to(of, (count, len(stop))).ravel() for name, of in rows.items()}
+        rows = {name: np.broadcast_to(column, (count, len(stop))).ravel() for name, column in rows.items()}
         exact = np.asarray(steps_for[segment.joint, segment.direction](pd.DataFrame(rows)), float)
         own = (slice(None), segment.moves, segment.joint - 1)
         rounded, left_over = round_steps(exact.reshape(count, -1), stop - segment.start, remainder[own])
@@ -268,18 +266,14 @@ def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
 
 def step_models_from_truth(truth: TrueLaws) -> dict[Group, StepModel]:
     """The true calibration, whose errors are rounding to whole steps and repeatability only."""
-    return {group: _true_step_model(truth, group) for group in truth.values}
+    return {group: partial(_true_steps, truth, group) for group in truth.values}
 
 
-def _true_step_model(truth: TrueLaws, group: Group) -> StepModel:
-    law, values = truth.laws[group[0]], truth.session_values(group)
-
-    def steps_for(rows: pd.DataFrame) -> Array:
-        number = rows["number"].to_numpy()
-        added = truth.added(group, rows, values[number])
-        return added + (np.exp(law.predict(rows, values[number])) - added) / truth.factors(group)[number]
-
-    return steps_for
+def _true_steps(truth: TrueLaws, group: Group, rows: pd.DataFrame) -> Array:
+    number = rows["number"].to_numpy()
+    values = truth.session_values(group)[number]
+    added, steps = truth.added(group, rows, values), np.exp(truth.laws[group[0]].predict(rows, values))
+    return added + (steps - added) / truth.factors(group)[number]
 
 
 def build_drive_rows(
@@ -289,16 +283,22 @@ def build_drive_rows(
     sessions: Sequence[str],
     conditions: Mapping[str, npt.ArrayLike],
 ) -> dict[str, Any]:
-    """A drive's columns with the joints at q, shape (..., 3); every column broadcasts to (c, segment.moves)."""
+    """A drive's columns with the joints at q, shape (..., 3), each broadcast to (c, segment.moves)."""
     shape = len(sessions), len(paths)
     covariates = {name: np.broadcast_to(of, shape)[:, segment.moves] for name, of in conditions.items()}
     joints = {f"q{joint}": q[..., joint - 1] for joint in JOINTS} | {f"q{segment.joint}": np.nan}
-    return covariates | joints | {
-        "session": np.array(sessions, dtype=object)[:, None], "number": np.arange(len(sessions))[:, None],
-        "joint": segment.joint, "direction": segment.direction, "start": q[..., segment.joint - 1],
-        "theta": paths.theta[segment.moves], "psi": paths.psi[segment.moves],
-        "before_direction": segment.before_direction, "before_load": segment.before_load,
-    }  # fmt: skip
+    columns = dict(
+        session=np.array(sessions, dtype=object)[:, None],
+        number=np.arange(len(sessions))[:, None],
+        joint=segment.joint,
+        direction=segment.direction,
+        start=q[..., segment.joint - 1],
+        theta=paths.theta[segment.moves],
+        psi=paths.psi[segment.moves],
+        before_direction=segment.before_direction,
+        before_load=segment.before_load,
+    )
+    return covariates | joints | columns
 
 
 def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
@@ -306,7 +306,6 @@ def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
 
     Parameters
     ----------
-    arm : CalibratedArm
     path : TipPaths
         Of one move, see `straight_path`; the base is oriented as in `arm`.
 
@@ -360,7 +359,6 @@ def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Ar
     ----------
     paths : TipPaths
         Starts of the moves, and directions of their drives.
-    truth : TrueLaws
     steps : array, shape (c, m, k)
         As `plan_steps` returns them.
     noise : array, shape (c, m, k), optional
@@ -378,18 +376,15 @@ def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Ar
     """
     q = np.broadcast_to(paths.joint_positions[:, 0], (len(steps), len(paths), 3)).copy()
     for segment in paths.segments:
-        group, steps_made = (segment.joint, segment.direction), steps[:, segment.moves, segment.drive_index]
+        group, drive = (segment.joint, segment.direction), (slice(None), segment.moves, segment.drive_index)
+        effective = steps[drive]
         if noise is not None:
-            steps_made = steps_made * np.exp(
-                -truth.repeatability.get(group, 0.0) * noise[:, segment.moves, segment.drive_index]
-            )
-        end = paths.machine.ranges[segment.joint][segment.direction == "+"]
-        rows = build_drive_rows(segment, paths, q[:, segment.moves], truth.sessions, truth.conditions) | {
-            "stop": end
-        }
-        rows = {name: np.broadcast_to(of, steps_made.shape).ravel() for name, of in rows.items()}
-        reached = _true_positions(truth, group, rows, steps_made.ravel())
-        q[:, segment.moves, segment.joint - 1] = reached.reshape(steps_made.shape)
+            effective = effective * np.exp(-truth.repeatability.get(group, 0.0) * noise[drive])
+        rows = build_drive_rows(segment, paths, q[:, segment.moves], truth.sessions, truth.conditions)
+        rows["stop"] = paths.machine.ranges[segment.joint][segment.direction == "+"]
+        rows = {name: np.broadcast_to(column, effective.shape).ravel() for name, column in rows.items()}
+        position = _true_positions(truth, group, rows, effective.ravel())
+        q[:, segment.moves, segment.joint - 1] = position.reshape(effective.shape)
     return q
 
 

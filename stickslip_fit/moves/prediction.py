@@ -29,8 +29,6 @@ def predict_plan(
 
     Parameters
     ----------
-    fitted : Result or Posterior
-    plan : Plan
     session : str, optional
         Whose parameters to use. Without it, a Result takes for each joint and direction the latest session
         with all parameters; a Posterior predicts a future session, from the campaign's mean and spread.

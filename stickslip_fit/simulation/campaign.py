@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Rows, StepLaw, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
-from stickslip_fit.logs.plan import Noise, NoiseKind, Plan
+from stickslip_fit.logs.plan import NoiseKind, Plan
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
@@ -30,14 +30,11 @@ from stickslip_fit.simulation.truth import LawValues
 from stickslip_fit.units import JOINTS
 
 
-def begin_times(
-    plan: Plan, rows: pd.DataFrame, waiting: npt.NDArray[np.float64]
-) -> npt.NDArray[np.datetime64]:
+def begin_times(plan: Plan, rows: pd.DataFrame, waiting: Array) -> npt.NDArray[np.datetime64]:
     """The time at which each traverse of a plan begins, to the second.
 
     Parameters
     ----------
-    plan : Plan
     rows : DataFrame
         The plan's rows, with steps.
     waiting : array, shape (n,)
@@ -66,7 +63,7 @@ def begin_times(
     return (begins[:, None] + elapsed).ravel()
 
 
-def _check_overlap(plan: Plan, begins: npt.NDArray[np.datetime64], length: npt.NDArray[np.int64]) -> None:
+def _check_overlap(plan: Plan, begins: npt.NDArray[np.datetime64], length: Int64Array) -> None:
     overlaps = begins[:-1] + length[:-1] > begins[1:]
     if overlaps.any():
         number = int(np.argmax(overlaps))
@@ -84,8 +81,8 @@ INITIAL_HISTORY = {"session_seconds": 0.0, "before_direction": "", "before_load"
 def drive_through(
     plan: Plan,
     rows: pd.DataFrame,
-    waiting: npt.NDArray[np.float64],
-    count_steps: Callable[[pd.DataFrame], npt.NDArray[np.int64]],
+    waiting: Array,
+    count_steps: Callable[[pd.DataFrame], Int64Array],
     laws: Iterable[StepLaw],
 ) -> pd.DataFrame:
     """A plan's rows with steps, time and history.
@@ -94,7 +91,6 @@ def drive_through(
 
     Parameters
     ----------
-    plan : Plan
     rows : DataFrame
         Its rows, with all other columns that the laws depend on.
     waiting : array, shape (n,)
@@ -151,7 +147,6 @@ def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: Noi
 
     Parameters
     ----------
-    seed : int
     sessions, traverses, groups : int
         Number of sessions, of traverses in each, and of groups of traverses that share a law.
     kind : {'gaussian', 't5'}
@@ -182,14 +177,7 @@ def _draw_session(
 
 
 def draw_noise(kind: NoiseKind, size: int, rng: np.random.Generator) -> Array:
-    """Independent deviations with mean 0 and standard deviation 1, shape (size,).
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> [round(float(draw_noise(kind, 100_000, rng).std()), 1) for kind in ("gaussian", "t5")]
-    [1.0, 1.0]
-    """
+    """Independent deviations with mean 0 and standard deviation 1, shape (size,)."""
     if kind == "t5":
         return rng.standard_t(T_NOISE_DF, size) * sqrt((T_NOISE_DF - 2) / T_NOISE_DF)
     return rng.standard_normal(size)
@@ -222,18 +210,16 @@ def simulate_counts(
     repeatability: npt.ArrayLike,
     rng: np.random.Generator,
     kind: NoiseKind = "gaussian",
-) -> npt.NDArray[np.int64]:
+) -> Int64Array:
     """Simulated counts of a lab: with noise, rounded up to the next check of the end stop.
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
         check_every besides what the law needs.
     values : array, shape (p,) or (n, p)
     repeatability : float or array, shape (n,)
         Standard deviation of log(steps).
-    rng : Generator
     kind : {'gaussian', 't5'}
 
     Returns
@@ -274,7 +260,6 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
 
     Parameters
     ----------
-    plan : Plan
     truth : LawValues
         With or without causes; steps are counted from the plan's first traverse on.
     machine : Machine
@@ -301,28 +286,28 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     session, group = np.repeat(np.arange(sessions), traverses), group_index(rows)
     seed = plan.seed if seed is None else seed
     draws = draw_random(seed, sessions, traverses, len(GROUPS), plan.noise.kind)
-    day = np.array([truth.day_to_day.get(each, 0.0) for each in GROUPS])
+    day = np.array([truth.day_to_day.get(pair, 0.0) for pair in GROUPS])
     factor = 1.0 + day[group] * draws.day[session, group]
-    deviation = _row_repeatability(plan.noise, group) * draws.noise + _misfire_departures(
-        rows, truth, draws.misfire_draws
-    )
-
-    def count_steps(rows_with_history: pd.DataFrame) -> npt.NDArray[np.int64]:
-        return observed_count(
-            _simulate_counts(rows_with_history, truth, factor) * np.exp(deviation), rows["check_every"]
-        )
-
-    return _build_log(drive_through(plan, rows, draws.wait, count_steps, truth.laws.values()), machine)
-
-
-def _misfire_departures(rows: pd.DataFrame, truth: LawValues, misfire_draws: Array) -> Array:
-    """Deviations of log(steps) by stops that are missed or detected too early, shape (n,)."""
-    deviation = np.zeros(len(rows))
+    repeatability = np.array([plan.noise.repeatability.get(pair, np.nan) for pair in GROUPS])[group]
+    if np.isnan(repeatability).any():
+        joint, direction = GROUPS[group[int(np.argmax(np.isnan(repeatability)))]]
+        raise InputError(f'the plan drives "{joint}{direction}", but its repeatability_pct has no such entry')
+    misfires = np.zeros(len(rows))  # deviations of log(steps) by stops missed or detected too early
     for joint, law in truth.laws.items():
         subset = (rows["joint"] == joint).to_numpy()
         if isinstance(law, ExtendedLaw) and subset.any():
-            deviation[subset] = law.misfires(truth.of_rows(rows[subset], joint)[0], misfire_draws[subset])
-    return deviation
+            values, _ = truth.of_rows(rows[subset], joint)
+            misfires[subset] = law.misfires(values, draws.misfire_draws[subset])
+    noise = np.exp(repeatability * draws.noise + misfires)
+
+    def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
+        return observed_count(_count_steps(rows_with_history, truth, factor) * noise, rows["check_every"])
+
+    driven = drive_through(plan, rows, draws.wait, count_steps, truth.laws.values())
+    missing = {name: np.nan for name in CONDITIONS if name not in driven}
+    driven = driven.assign(session=driven["session"].astype("str"), status="ok", note="", **missing)
+    counts = hashlib.sha256(driven["steps"].to_numpy().tobytes())
+    return Log(add_history(driven[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
@@ -348,7 +333,7 @@ def group_index(rows: pd.DataFrame) -> IntArray:
     return 2 * (rows["joint"].to_numpy() - JOINTS[0]) + backwards
 
 
-def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
+def _count_steps(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
     """Steps of each traverse by its law, with the step sizes of all sessions changed by a factor."""
     counts = np.zeros(len(rows))
     for joint in rows["joint"].unique():
@@ -361,33 +346,16 @@ def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Arr
     return counts
 
 
-def _row_repeatability(noise: Noise, group: IntArray) -> Array:
-    repeatability = np.array([noise.repeatability.get(each, np.nan) for each in GROUPS])[group]
-    if np.isnan(repeatability).any():
-        joint, direction = GROUPS[group[int(np.argmax(np.isnan(repeatability)))]]
-        raise InputError(f'the plan drives "{joint}{direction}", but its repeatability_pct has no such entry')
-    return repeatability
-
-
-def _build_log(rows: pd.DataFrame, machine: Machine) -> Log:
-    """The log as `read_log` would return it."""
-    missing = {name: np.nan for name in CONDITIONS if name not in rows}
-    rows = rows.assign(session=rows["session"].astype("str"), status="ok", note="", **missing)
-    counts = hashlib.sha256(rows["steps"].to_numpy().tobytes())
-    return Log(add_history(rows[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
-
-
 MAX_STEPS_TO_STOP = 1e7  # at the present step size; more are taken for a stall
 
 
-def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int64]:
+def step_through(law: StepLaw, rows: Rows, values: Array) -> Int64Array:
     """Step every traverse from its start until its stop, one step after another.
 
     The reference that closed forms and quadrature approximate; for tests and benchmarks.
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
     values : array, shape (p,) or (n, p)
 

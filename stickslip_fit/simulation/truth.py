@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from annotated_types import MinLen
 from pydantic import (
@@ -26,7 +25,7 @@ from pydantic import (
 
 from stickslip_fit._format import format_value
 from stickslip_fit._toml import Give, Quantity, Table, Text, chosen_by, fault, read_toml
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
@@ -36,7 +35,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, to_si
 
-DEFAULT_REFERENCES = {"half": "1 K"}  # only a bent response asks for it
+DEFAULT_SETTINGS = {"half": "1 K"}  # of a nonlinear response; others do not use it
 _QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
@@ -51,33 +50,35 @@ class CauseTable(Table, extra="ignore"):
     """One of the library's, or ``covariate:`` and a column of the lab's own."""
     _cause: Any = PrivateAttr()
 
-    def hidden(self) -> tuple[Cause, list[float]]:
+    def parse(self) -> tuple[Cause, list[float]]:
         """The cause, and the values of its parameters, SI."""
-        values = {parameter.name: iter(getattr(self, parameter.name)) for parameter in self._cause.parameters}
-        cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
-        return cause, [next(values[parameter.name]) for parameter in self._cause.parameters]
+        names = [parameter.name for parameter in self._cause.parameters]
+        values = {name: iter(getattr(self, name)) for name in names}
+        cause = replace(self._cause, **{name: getattr(self, name) for name in _settings(self._cause)})
+        return cause, [next(values[name]) for name in names]
 
 
 def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
     """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
-    parsed = [table.hidden() for table in tables]
+    parsed = [table.parse() for table in tables]
     values = [value for _, sizes in parsed for value in sizes]
     return tuple(cause for cause, _ in parsed), np.array(values, dtype=float)
 
 
 def _of_name(entry: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
-    table_ = inner(entry)
+    """The table with the fields of the cause that it names."""
+    header = inner(entry)
     known = {cause.name: cause for cause in library()}
-    if table_.name.startswith(COVARIATE_PREFIX) and table_.name != COVARIATE_PREFIX:
-        known[table_.name] = Covariate(table_.name.removeprefix(COVARIATE_PREFIX))
-    if table_.name not in known:
-        table_.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
-    cause = known[table_.name]
+    if header.name.startswith(COVARIATE_PREFIX) and header.name != COVARIATE_PREFIX:
+        known[header.name] = Covariate(header.name.removeprefix(COVARIATE_PREFIX))
+    if header.name not in known:
+        header.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
+    cause = known[header.name]
     keys: dict[str, Any] = {
-        name: _read_reference(cause, name, parameters) for name, parameters in _references(cause).items()
+        name: _setting_field(cause, name, default) for name, default in _settings(cause).items()
     }
-    for name in dict.fromkeys(each.name for each in cause.parameters):
-        parameters = [each for each in cause.parameters if each.name == name]
+    for name in dict.fromkeys(parameter.name for parameter in cause.parameters):
+        parameters = [parameter for parameter in cause.parameters if parameter.name == name]
         given = Give(f"give {_example_entry(parameters[0])}: {parameters[0].meaning}")
         keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, parameters)), given], ...)
     model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
@@ -89,34 +90,34 @@ def _of_name(entry: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
 Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
 
 
-def _references(cause: Any) -> dict[str, str | float]:
+def _settings(cause: Any) -> dict[str, str | float]:
     """A cause's settings beside its parameters, with their defaults."""
-    given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
-    return {name: usual for name, usual in given.items() if name != "column"}
+    defaults = {field.name: field.default for field in fields(cause) if field.name != "column"}
+    return {name: value for name, value in defaults.items() if isinstance(value, str | float)}
 
 
-def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, Any]:
-    """The field of a setting; a number has no default."""
-    if isinstance(usual, float):
+def _setting_field(cause: Cause, name: str, default: str | float) -> tuple[Any, Any]:
+    """The type and default of a setting; a number has no default but in `DEFAULT_SETTINGS`."""
+    if isinstance(default, float):
         given = Give('give a number, with its unit where it has one, e.g. "21 °C"')
-        default = _si(DEFAULT_REFERENCES[name]) if name in DEFAULT_REFERENCES else ...
-        return Annotated[float, BeforeValidator(_si), given], default
+        number = _si(DEFAULT_SETTINGS[name]) if name in DEFAULT_SETTINGS else ...
+        return Annotated[float, BeforeValidator(_si), given], number
     if name == "session" and "session" in cause.columns:
-        return Annotated[Text, Give("give the session in which it happens, in quotes")], usual or ...
+        return Annotated[Text, Give("give the session in which it happens, in quotes")], default or ...
     if forms := cause.forms:
-        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], usual
-    return Text, usual
+        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], default
+    return Text, default
 
 
 def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
     """Values of the parameters of one key."""
     if parameters[0].joint is None or not isinstance(entry, dict):
-        return [_size(each, entry) for each in parameters]
-    drives = [f"{each.joint}{each.direction}" for each in parameters]
-    if not entry.keys() <= set(drives):
-        raise fault(f"name joints and directions as {', '.join(drives)}")
+        return [_size(parameter, entry) for parameter in parameters]
+    by_key = {f"{parameter.joint}{parameter.direction}": parameter for parameter in parameters}
+    if not entry.keys() <= by_key.keys():
+        raise fault(f"name joints and directions as {', '.join(by_key)}")
     # It is 0 for joints and directions that are left out.
-    return [_size(each, entry.get(drive, 0.0)) for each, drive in zip(parameters, drives, strict=True)]
+    return [_size(parameter, entry.get(key, 0.0)) for key, parameter in by_key.items()]
 
 
 def _size(parameter: CauseParameter, entry: Any) -> float:
@@ -182,7 +183,7 @@ class LawValues:
     values: Mapping[tuple[int, str, str | None], Array]
     day_to_day: Mapping[Group, float] = field(default_factory=dict)
 
-    def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, BoolArray]:
         """The parameters of each row of one joint.
 
         Returns
@@ -201,16 +202,13 @@ class LawValues:
         session, labels = pd.factorize(rows["session"])
         direction_index = (rows["direction"] == DIRECTIONS[1]).to_numpy().astype(int)
         unknown = np.full(len(self.laws[joint].parameters), np.nan)
-        defaults = [self.values.get((joint, direction, None), unknown) for direction in DIRECTIONS]
-        table = [
-            [self.values.get((joint, direction, label), default) for label in labels]
-            for direction, default in zip(DIRECTIONS, defaults, strict=True)
-        ]
-        is_own = [[(joint, direction, label) in self.values for label in labels] for direction in DIRECTIONS]
-        values, shared = (
-            np.array(table)[direction_index, session],
-            ~np.array(is_own)[direction_index, session],
-        )
+        table, is_own = [], []
+        for direction in DIRECTIONS:
+            default = self.values.get((joint, direction, None), unknown)
+            table.append([self.values.get((joint, direction, label), default) for label in labels])
+            is_own.append([(joint, direction, label) in self.values for label in labels])
+        values = np.array(table)[direction_index, session]
+        shared = ~np.array(is_own)[direction_index, session]
         if np.isnan(values).any():
             row = rows.iloc[int(np.argmax(np.isnan(values).any(axis=1)))]
             raise InputError(
@@ -293,7 +291,6 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     ----------
     path : path
         A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters.
-    machine : Machine
 
     Raises
     ------

@@ -152,8 +152,8 @@ def format_heading(comparison: Comparison) -> str:
         f"{len(comparison.strategies)} calibration strategies on {files}. Each calibrates a session from its "
         f"own traverses only, and may look back on {comparison.session_scope}. Errors are predicted less "
         "measured mean step size, of traverses that none of them calibrates from; a traverse costs "
-        f"{comparison.handling_seconds:.0f} s beside its steps. Intervals are made to hold 95 % under scatter "
-        "with heavy tails too, so that they are wide where it is Gaussian."
+        f"{comparison.handling_seconds:.0f} s beside its steps. Intervals are made to hold 95 % under "
+        "scatter with heavy tails too, so that they are wide where it is Gaussian."
     )
     return text if comparison.joints else f"{text} No session is left in which they can be compared."
 
@@ -179,7 +179,11 @@ def strategies_table(comparison: Comparison, joint: int) -> Table:
             format_percent(row["rms_relative"], with_unit=False),
             format_percent_range(row["rms_relative_low"], row["rms_relative_high"]),
             format_percent(row["worst_relative"], with_unit=False),
-            *(("", "", "least rms") if row["strategy"] == best else _against(pairs.loc[row["strategy"]])),
+            *(
+                ("", "", "least rms")
+                if row["strategy"] == best
+                else _difference_cells(pairs.loc[row["strategy"]])
+            ),
         )
         for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
     )
@@ -194,14 +198,11 @@ def errors_table(comparison: Comparison, joint: int) -> Table:
     rows = tuple(
         (
             str(row["strategy"]),
-            format_number(row["rms"], unit),
-            format_range(row["rms_low"], row["rms_high"], unit),
-            format_number(row["bias"], unit),
-            format_range(row["bias_low"], row["bias_high"], unit),
-            format_number(row["worst"], unit),
-            format_number(row["typical_worst"], unit),
+            *_with_interval(row, "rms", unit),
+            *_with_interval(row, "bias", unit),
+            *(format_number(row[name], unit) for name in ("worst", "typical_worst")),
         )
-        for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
+        for _, row in _rows_of_joint(comparison.accuracy(), joint).iterrows()
     )
     caption = f"{capitalize_first(joint_name(joint))}: errors of the step size"
     return Table(caption, columns, rows, folded=True)
@@ -211,7 +212,11 @@ def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
     return table[table["joint"] == joint]
 
 
-def _against(pair: pd.Series) -> tuple[str, str, str]:
+def _with_interval(row: pd.Series, name: str, unit: str) -> tuple[str, str]:
+    return format_number(row[name], unit), format_range(row[f"{name}_low"], row[f"{name}_high"], unit)
+
+
+def _difference_cells(pair: pd.Series) -> tuple[str, str, str]:
     bounds = format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"])
     verdict = str(pair["verdict"]).removesuffix(" on this log")
     return bounds, format_p_value(pair["p_adjusted"]), verdict
@@ -241,8 +246,6 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
 
     Parameters
     ----------
-    comparison : Comparison
-    joint : int
     max_rows : int, optional
         Configurations shown of each strategy.
     """
@@ -294,7 +297,7 @@ def left_out_table(comparison: Comparison) -> Table | None:
     keys = ["strategy", "reason", "joint"]
     for (strategy, reason, joint), cases in comparison.left_out.groupby(keys, sort=False):
         directions = dict.fromkeys(cases["direction"])
-        signs = " and ".join(format_direction(cell) for cell in directions if cell) or MISSING
+        signs = " and ".join(format_direction(sign) for sign in directions if sign) or MISSING
         sessions = ", ".join(dict.fromkeys(cases["session"]))
         joints_of.setdefault((strategy or "all strategies", signs, sessions, reason), []).append(str(joint))
     rows = tuple(

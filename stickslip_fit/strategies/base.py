@@ -107,7 +107,6 @@ def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolu
 
     Parameters
     ----------
-    law : StepLaw
     rows : DataFrame, n rows of one joint
     repeatability : float
         Standard deviation of log(steps); the counts' rounding comes on top.
@@ -137,11 +136,9 @@ class CalibrationTask:
 
     Attributes
     ----------
-    session : str
     direction : {"+", "-"}
     law : StepLaw
         The published one of the joint, or its replacement.
-    machine : Machine
     offered : DataFrame
         The first traverse of each of the session's configurations, in order of time and without the counts.
     others : DataFrame

@@ -32,7 +32,6 @@ class Claim:
     Attributes
     ----------
     model : {"law", "constant step"}
-    limit : float
     unit : {"%", "nm", "µrad"}
     """
 
@@ -132,7 +131,6 @@ def implied(claim: Claim, unit: str) -> str:
 
     Parameters
     ----------
-    claim : Claim
     unit : {"nm", "µrad"}
         Of the joint's step size.
 

@@ -64,8 +64,6 @@ class Comparison(Summarized):
         Seconds that a traverse costs beside its steps.
     session_scope : str
         Which sessions a strategy may use besides the one that it calibrates, in words.
-    machine : Machine
-    provenance : Provenance
     """
 
     strategies: tuple[str, ...]
@@ -181,7 +179,6 @@ def compare_strategies(
 
     Parameters
     ----------
-    log : Log
     strategies : sequence of Strategy, optional
         By default those of `default_strategies`.
     session_selector : callable, optional

@@ -154,8 +154,6 @@ class Design(Protocol):
 
         Parameters
         ----------
-        task : CalibrationTask
-        count : int
         spread : float, optional
             Prior standard deviation of the parameters, in units of their scales; by default infinite.
 

@@ -77,7 +77,6 @@ class Hierarchical:
     ----------
     traverses : int
         Measured in the session; may be fewer than the law's parameters.
-    design : Design
     """
 
     traverses: int

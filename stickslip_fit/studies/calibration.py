@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from scipy.stats import norm
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.laws import StepLaw, constant_law, published_law, traverse_length
@@ -56,11 +55,9 @@ class DesignCell:
 
     Attributes
     ----------
-    session : str
     direction : {"+", "-"}
     law : StepLaw
         The published one, as the plan's configurations can support it.
-    repeatability : float
     offered : array of int, shape (m,)
         The first traverse of each configuration, as row positions in a campaign; all of them are predicted.
     others : array of int
@@ -223,11 +220,8 @@ def calibrate_sessions(
 
     Parameters
     ----------
-    study : StudyPlan
-    strategy : Strategy
     cells : sequence of DesignCell
         Of one joint and direction, one for each session, all of which suit the strategy.
-    campaigns : SimulatedCampaigns
     """
     law_of = LAW_STRATEGIES.get(type(strategy))
     if law_of is None:
@@ -293,7 +287,6 @@ def compute_step_size_errors(
         By strategy.
     cells : sequence of DesignCell
         One for each session.
-    campaigns : SimulatedCampaigns
 
     Returns
     -------
@@ -337,9 +330,7 @@ def compute_cost(
     return pd.DataFrame({"campaign": numbers, "strategy": name, "traverses": traverses, "seconds": seconds})
 
 
-def _summarize_campaigns(
-    log_error: Array, sd: Array, step: Array, shared: npt.NDArray[np.bool_]
-) -> pd.DataFrame:
+def _summarize_campaigns(log_error: Array, sd: Array, step: Array, shared: BoolArray) -> pd.DataFrame:
     """Of each campaign; `log_error` is log(true steps) less its prediction, shape (C, m)."""
     count = shared.sum(axis=1)
     columns: dict[str, object] = {"campaign": np.arange(len(log_error)), "predictions": count}
@@ -369,14 +360,10 @@ def compute_tip_distributions(
 
     Parameters
     ----------
-    study : StudyPlan
-    scenario : Scenario
     numbers : sequence of int, length C
         Of the campaigns.
-    campaigns : SimulatedCampaigns
     calibrations_by_group : mapping of (int, str) to mapping of str to SessionCalibrations
         By joint and direction, then by strategy.
-    paths : TipPaths
 
     Returns
     -------

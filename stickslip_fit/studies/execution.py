@@ -178,7 +178,6 @@ class ResultStore:
     folder : Path
         With a folder ``chunks``, in it one folder for each scenario, named by the hash of all that its
         results depend on: the study, the code and the versions.
-    code_version : CodeVersion
     """
 
     folder: Path

@@ -45,13 +45,12 @@ DEFAULT_MAX_ERROR = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What the published laws do not know of in some of the campaigns.
+    """Causes that act in the simulated campaigns, and of which the strategies' laws know nothing.
 
     Attributes
     ----------
-    name : str
     causes : tuple of Cause
-        None of them: nothing is hidden.
+        None by default.
     sizes : array, shape (q,)
         Values of the causes' parameters one after the other, SI.
     """
@@ -67,12 +66,10 @@ class StudyPlan:
 
     Attributes
     ----------
-    name : str
     plan : Plan
         Of every campaign; the same traverses in the same order.
     truth : LawValues
-        What holds on average over the campaigns.
-    machine : Machine
+        The means over the campaigns.
     scenarios : tuple of Scenario
     strategies : tuple of Strategy
     repeatability : dict of (int, str) to float
@@ -81,7 +78,6 @@ class StudyPlan:
         ``uneven``: Gaussian, and up to twice as large in some configurations as in others.
     campaigns : int
         Of each scenario.
-    seed : int
     between_campaigns, between_sessions : float
         How far each parameter spreads (standard deviation), as a share of what changes a step by its own
         size, see `StepLaw.scales`; cut off at three standard deviations.
@@ -115,7 +111,7 @@ class StudyPlan:
         return "t5" if self.scatter == "t5" else "gaussian"
 
     def sha256(self, scenario: Scenario) -> str:
-        """Of all that the numbers of a scenario's campaigns depend on: not of how many there are."""
+        """Of everything that a campaign of a scenario depends on, which their number is not."""
         content = {
             "traverses": self.plan.rows().to_csv(),
             "sessions": [(each.label, each.begins.isoformat()) for each in self.plan.sessions],
@@ -128,19 +124,15 @@ class StudyPlan:
             "strategies": [(strategy.name, _stable_repr(strategy)) for strategy in self.strategies],
             "repeatability": {str(key): value for key, value in self.repeatability.items()},
             "rest": [
-                self.scatter,
-                self.seed,
-                self.between_campaigns,
-                self.between_sessions,
-                self.moves,
-                self.length,
+                *(self.scatter, self.seed, self.between_campaigns, self.between_sessions),
+                *(self.moves, self.length),
             ],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _stable_repr(strategy: object) -> str:
-    """What a thing is, the same in every process; an object's default repr tells where it lies in memory."""
+    """Class and parameters, the same in every process; an object's default repr has its memory address."""
     parameters = repr(strategy) if is_dataclass(strategy) else repr(getattr(strategy, "causes", ""))
     return f"{type(strategy).__module__}.{type(strategy).__qualname__} {parameters}"
 
@@ -279,7 +271,6 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     ----------
     path : path
         A TOML file with the keys of `StudyFile`.
-    machine : Machine
 
     Raises
     ------
@@ -308,7 +299,7 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
 
 
 def default_study_strategies(extra: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...]:
-    """Those of `usual_strategies` that a study compares by default: any campaign takes them milliseconds.
+    """Those of `default_strategies` that a study compares by default: milliseconds for each campaign.
 
     Examples
     --------
@@ -316,14 +307,12 @@ def default_study_strategies(extra: int = EXTRA_TRAVERSES) -> tuple[Strategy, ..
     ['constant step', 'closed form', 'least squares, thesis +4', 'least squares, I-optimal',
      'least squares, I-optimal +4']
     """
-    return (
-        ConstantStepStrategy(), ClosedForm(), LeastSquares(Thesis(), extra), LeastSquares(IOptimal()),
-        LeastSquares(IOptimal(), extra),
-    )  # fmt: skip
+    fits = (LeastSquares(Thesis(), extra), LeastSquares(IOptimal()), LeastSquares(IOptimal(), extra))
+    return (ConstantStepStrategy(), ClosedForm(), *fits)
 
 
 def _explain_inert(cause: Cause, sessions: set[str]) -> str:
-    """Why a cause could do nothing in a simulated campaign; empty where it could."""
+    """Why a cause would have no effect in a simulated campaign; empty where it would."""
     if cause.session not in ("", *sessions):
         planned = ", ".join(map(repr, sorted(sessions)))
         return f"happens in session {cause.session!r}; the plan's are {planned}"

@@ -13,10 +13,9 @@ from itertools import pairwise
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.base import extend_by
 from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
@@ -196,9 +195,7 @@ def draw_truths(
     return CampaignTruths(laws, values, factor)
 
 
-def _nominal_parameters(
-    study: StudyPlan, subset: pd.DataFrame, pair: Group
-) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _nominal_parameters(study: StudyPlan, subset: pd.DataFrame, pair: Group) -> tuple[Array, BoolArray]:
     """Each session's parameters as the law file has them, (S, p), and whether days differ from them, (S,)."""
     labels = [session.label for session in study.plan.sessions]
     if not (subset["direction"] == pair[1]).any():
@@ -248,7 +245,6 @@ class SimulatedCampaigns:
         C and S.
     rows : DataFrame, C n rows
         A log's columns, campaign after campaign, the plan's order within each.
-    truths : CampaignTruths
     true_steps : array, shape (C n,)
         Expected steps of each traverse: without noise, rounding and effects of detecting the stop.
     """
@@ -293,7 +289,7 @@ def simulate_campaigns(study: StudyPlan, scenario: Scenario, draws: CampaignDraw
         rows, number, draws.misfire_draws.reshape(-1, 3)
     )
 
-    def count_steps(rows_with_history: pd.DataFrame) -> npt.NDArray[np.int64]:
+    def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
         steps = truths.steps(_separate_histories(rows_with_history, labels, count), number)
         return observed_count(steps * np.exp(deviation), rows_with_history["check_every"])
 

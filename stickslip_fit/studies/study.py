@@ -56,11 +56,9 @@ def run_study(
 
     Parameters
     ----------
-    plan : StudyPlan
     folder : path, optional
         Stores finished chunks of up to a hundred campaigns; a later run in the same folder, even with more
         campaigns or scenarios, computes only what is missing.
-    backend : Backend, optional
     progress : bool, optional
         Show a progress bar where there is a terminal.
     command : str, optional
@@ -211,8 +209,6 @@ class SimulationStudy(Summarized):
 
     Attributes
     ----------
-    plan : StudyPlan
-    design : StudyDesign
     campaigns : DataFrame
         See `Chunk.run`: a row for each campaign, strategy, joint and direction, and for the tip.
     command : str
