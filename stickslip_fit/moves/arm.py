@@ -125,7 +125,7 @@ class CalibratedArm:
         Raises
         ------
         InputError
-            If the session has no calibration, or not of every parameter.
+            If the session has no calibration, or not all parameters.
         """
         fit = self.result.joints.get(joint)
         group = fit.groups if fit else pd.DataFrame({"session": [], "direction": []})

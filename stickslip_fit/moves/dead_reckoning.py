@@ -192,19 +192,9 @@ def dead_reckon(
 def steps_before_recalibration(
     arm: CalibratedArm, pose: PoseEstimate, joint: int, direction: str, tolerance: float
 ) -> int | None:
-    """Further steps of a joint until the tip's 95 % uncertainty exceeds a tolerance.
+    """Further steps of a joint until the tip's 95 % uncertainty exceeds a tolerance in m.
 
-    Parameters
-    ----------
-    joint, direction
-        Of the next drive.
-    tolerance : float
-        m.
-
-    Returns
-    -------
-    int or None
-        0 where it exceeds the tolerance now. None where the joint reaches its stop first.
+    0 where it exceeds the tolerance now; None where the joint reaches its stop first.
     """
     low, high = arm.machine.ranges[joint]
     end = high if direction == "+" else low
@@ -225,9 +215,8 @@ def steps_before_recalibration(
         return None
     from scipy.optimize import brentq
 
-    travel = brentq(excess, 0.0, distance)
-    sign = 1.0 if direction == "+" else -1.0
-    return int(arm.joint_travel(pose.q, joint, float(pose.q[joint - 1] + sign * travel)).counts)
+    stop = pose.q[joint - 1] + np.sign(end - pose.q[joint - 1]) * brentq(excess, 0.0, distance)
+    return int(arm.joint_travel(pose.q, joint, float(stop)).counts)
 
 
 def _follow_drive(

@@ -225,17 +225,8 @@ def plan_steps(
 def round_steps(exact: Array, displacement: Array, remainder: Array) -> tuple[Array, Array]:
     """Whole steps of a displacement, with the remainder of earlier roundings added to it.
 
-    Parameters
-    ----------
-    exact : array
-        Steps of the displacement.
-    displacement, remainder : array
-        Signed, rad or m.
-
-    Returns
-    -------
-    steps, remainder : array
-        To command, 0 or more; displacement that they leave undone, rad or m.
+    `exact` are the steps of the displacement. Returned are the steps to command, 0 or more, and the
+    displacement that they leave undone; displacements and remainders are signed, rad or m.
 
     Examples
     --------

@@ -160,8 +160,14 @@ def format_heading(comparison: Comparison) -> str:
 
 def strategies_table(comparison: Comparison, joint: int) -> Table:
     """One joint's strategies: cost, relative errors, and what is seen of a difference from the best."""
-    best, others = compare_with_best(comparison, joint)
-    pairs = others.set_index("strategy") if len(others) else pd.DataFrame()
+    differences = {
+        pair["strategy"]: (
+            format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"]),
+            format_p_value(pair["p_adjusted"]),
+            str(pair["verdict"]).removesuffix(" on this log"),
+        )
+        for _, pair in compare_with_best(comparison, joint)[1].iterrows()
+    }
     columns = (
         Column("strategy", text=True),
         Column("each way", "traverses", "a session"),
@@ -179,11 +185,7 @@ def strategies_table(comparison: Comparison, joint: int) -> Table:
             format_percent(row["rms_relative"], with_unit=False),
             format_percent_range(row["rms_relative_low"], row["rms_relative_high"]),
             format_percent(row["worst_relative"], with_unit=False),
-            *(
-                ("", "", "least rms")
-                if row["strategy"] == best
-                else _difference_cells(pairs.loc[row["strategy"]])
-            ),
+            *differences.get(row["strategy"], ("", "", "least rms")),
         )
         for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
     )
@@ -214,12 +216,6 @@ def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
 
 def _with_interval(row: pd.Series, name: str, unit: str) -> tuple[str, str]:
     return format_number(row[name], unit), format_range(row[f"{name}_low"], row[f"{name}_high"], unit)
-
-
-def _difference_cells(pair: pd.Series) -> tuple[str, str, str]:
-    bounds = format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"])
-    verdict = str(pair["verdict"]).removesuffix(" on this log")
-    return bounds, format_p_value(pair["p_adjusted"]), verdict
 
 
 def _directions_table(comparison: Comparison, joint: int) -> Table | None:

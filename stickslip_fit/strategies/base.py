@@ -29,24 +29,12 @@ SessionSelector = Callable[[Sequence[str], str], tuple[str, ...]]
 
 
 def other_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
-    """All but itself: right where sessions differ at random, and most data from a short log.
-
-    Examples
-    --------
-    >>> other_sessions(["Mon", "Tue", "Wed"], "Tue")
-    ('Mon', 'Wed')
-    """
+    """All but itself: right where sessions differ at random, and most data from a short log."""
     return tuple(other for other in sessions if other != session)
 
 
 def earlier_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
-    """Those before it, which are known on the day.
-
-    Examples
-    --------
-    >>> earlier_sessions(["Mon", "Tue", "Wed"], "Tue")
-    ('Mon',)
-    """
+    """Those before it, which are known on the day."""
     return tuple(sessions[: list(sessions).index(session)])
 
 
@@ -58,12 +46,7 @@ def stepping_seconds(rows: pd.DataFrame) -> Array:
 def handling_seconds(rows: pd.DataFrame) -> float:
     """Median time from the end of a traverse to the beginning of the next in its session; 0 for one traverse.
 
-    The median does not depend on a few long breaks.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        All rows of a log in order of time, whatever their status.
+    The rows are all of a log, in order of time. The median does not depend on a few long breaks.
 
     Examples
     --------

@@ -44,6 +44,11 @@ class Claim:
         """The limit with its unit."""
         return f"±{format_plain(self.limit)} {self.unit}"
 
+    @property
+    def kind(self) -> str:
+        """The column of errors that it limits, see `EvaluationTables`."""
+        return "relative" if self.unit == "%" else "absolute"
+
     def format_kept(self, errors: pd.Series) -> str:
         """Share of traverses within the limit, %; errors are relative for a claim in %, else rad or m.
 
@@ -168,14 +173,12 @@ def implied_table(comparison: Comparison, joint: int) -> Table:
         cells = (MISSING,) * 3
         if len(errors):
             own = accuracy.loc[joint, name]
-            relative = claim.unit == "%"
-            rms = format_percent(own["rms_relative"]) if relative else format_value(own["rms"], unit)
-            worst = (
-                format_percent(own["worst_relative"], signed=True)
-                if relative
-                else format_value(own["worst"], unit)
-            )
-            cells = (rms, worst, claim.format_kept(errors["relative" if relative else "absolute"]))
+            if claim.unit == "%":
+                rms, worst = own["rms_relative"], own["worst_relative"]
+                texts = format_percent(rms), format_percent(worst, signed=True)
+            else:
+                texts = format_value(own["rms"], unit), format_value(own["worst"], unit)
+            cells = (*texts, claim.format_kept(errors[claim.kind]))
         body.append((f"{claim.model} {claim.label}", implied(claim, unit), name, *cells))
     caption = f"{joint_name(joint).capitalize()}: what the thesis claims, implies, and what is reached"
     return Table(caption, columns, tuple(body), note=typeset_text(NOTES[unit]))
@@ -188,8 +191,6 @@ def claimed_table(comparison: Comparison, joint: int) -> Table:
     body = []
     for strategy in comparison.compared(joint):
         own = subset[subset["strategy"] == strategy]
-        errors = (own["relative" if claim.unit == "%" else "absolute"] for claim in claims)
-        kept = (claim.format_kept(error) for claim, error in zip(claims, errors, strict=True))
-        body.append((strategy, *kept))
+        body.append((strategy, *(claim.format_kept(own[claim.kind]) for claim in claims)))
     caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
     return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset_text(NOTE))

@@ -199,15 +199,20 @@ def compare_strategies(
     cases = list(make_cases(log, session_selector))
     handling_time = handling_seconds(log.rows)
     tables = evaluate_strategies(cases, strategies)
-    errors = add_errors(_mark_shared(tables))
+    sessions = find_shared_sessions(tables)
+    errors = add_errors(_mark_shared(tables.errors, sessions))
     costs = tables.costs.assign(seconds=tables.costs["seconds"] + handling_time * tables.costs["traverses"])
-    left_out = pd.concat([tables.left_out, _list_empty_sessions(tables, errors)], ignore_index=True)
+    shared = errors[errors["shared"]]
+    empty = sessions & _joint_sessions(costs) - _joint_sessions(shared)
+    rows = [(ALL_STRATEGIES, session, joint, "", NO_SHARED_TRAVERSE) for joint, session in sorted(empty)]
+    reasons = pd.DataFrame(rows, columns=tables.left_out.columns)
+    left_out = pd.concat([tables.left_out, reasons], ignore_index=True)
     pairs, bounds = [], []
-    for joint, subset in errors[errors["shared"]].groupby("joint"):
-        sessions = set(subset["session"])
-        unit = SESSION_UNIT if len(sessions) > 1 else CONFIGURATION_UNIT
+    for joint, subset in shared.groupby("joint"):
+        own_sessions = set(subset["session"])
+        unit = SESSION_UNIT if len(own_sessions) > 1 else CONFIGURATION_UNIT
         pairs.append(compare_pairs(subset, unit).assign(joint=joint))
-        own = [case for case in cases if case.task.law.joint == joint and case.task.session in sessions]
+        own = [case for case in cases if case.task.law.joint == joint and case.task.session in own_sessions]
         max_traverses = int(costs.loc[costs["joint"] == joint, "traverses"].max()) + EXTRA_BOUND_TRAVERSES
         limit = compute_bounds(own, subset["traverse"].unique(), max_traverses, handling_time)
         bounds.append(limit.assign(joint=joint))
@@ -230,29 +235,20 @@ def find_shared_sessions(tables: EvaluationTables) -> set[tuple[int, str]]:
     """Joints and sessions that every strategy compared there can calibrate, in each direction driven."""
     costs, left_out = tables.costs, tables.left_out
     applicable = set(zip(costs["strategy"], costs["joint"], strict=True))
-    calibrated = set(zip(costs["joint"], costs["session"], strict=True))
-    rows = list(zip(left_out["strategy"], left_out["joint"], left_out["session"], strict=True))
-    attempted = calibrated | {(joint, session) for _, joint, session in rows}
-    return attempted - {
-        (joint, session) for strategy, joint, session in rows if (strategy, joint) in applicable
-    }
+    pairs = zip(left_out["strategy"], left_out["joint"], strict=True)
+    excluded = left_out[np.array([pair in applicable for pair in pairs], dtype=bool)]
+    return (_joint_sessions(costs) | _joint_sessions(left_out)) - _joint_sessions(excluded)
 
 
-def _mark_shared(tables: EvaluationTables) -> pd.DataFrame:
-    errors = tables.errors
+def _joint_sessions(table: pd.DataFrame) -> set[tuple[int, str]]:
+    return set(zip(table["joint"], table["session"], strict=True))
+
+
+def _mark_shared(errors: pd.DataFrame, sessions: set[tuple[int, str]]) -> pd.DataFrame:
     compared = errors.groupby("joint")["strategy"].nunique()
     in_all = errors.groupby("traverse")["strategy"].transform("nunique") == errors["joint"].map(compared)
-    sessions = find_shared_sessions(tables)
     shared = [pair in sessions for pair in zip(errors["joint"], errors["session"], strict=True)]
     return errors.assign(shared=in_all.to_numpy(bool) & np.array(shared, dtype=bool))
-
-
-def _list_empty_sessions(tables: EvaluationTables, errors: pd.DataFrame) -> pd.DataFrame:
-    predicted = set(zip(errors["joint"][errors["shared"]], errors["session"][errors["shared"]], strict=True))
-    calibrated = set(zip(tables.costs["joint"], tables.costs["session"], strict=True))
-    empty = sorted((find_shared_sessions(tables) & calibrated) - predicted)
-    rows = [(ALL_STRATEGIES, session, joint, "", NO_SHARED_TRAVERSE) for joint, session in empty]
-    return pd.DataFrame(rows, columns=tables.left_out.columns)
 
 
 def _concatenate(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:

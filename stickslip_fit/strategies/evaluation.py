@@ -100,20 +100,18 @@ def evaluate_strategies(cases: Sequence[EvaluationCase], strategies: Sequence[St
     for case in cases:
         task = case.task
         for strategy in strategies:
-            values = (strategy.name, task.session, task.law.joint, task.direction)
-            label = dict(zip(_LABEL_COLUMNS, values, strict=True))
+            label = (strategy.name, task.session, task.law.joint, task.direction)
             try:
                 measured, predicted = _evaluate_case(strategy, case)
             except NotApplicable as error:
-                left_out.append({**label, "reason": str(error)})
+                left_out.append((*label, str(error)))
                 continue
             errors.append(predicted.assign(strategy=strategy.name))
-            seconds, steps = float(stepping_seconds(measured).sum()), int(measured["steps"].sum())
-            costs.append({**label, "traverses": len(measured), "steps": steps, "seconds": seconds})
+            steps, seconds = int(measured["steps"].sum()), float(stepping_seconds(measured).sum())
+            costs.append((*label, len(measured), steps, seconds))
+    none = pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"])
     return EvaluationTables(
-        pd.concat(errors, ignore_index=True)
-        if errors
-        else pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"]),
+        pd.concat(errors, ignore_index=True) if errors else none,
         pd.DataFrame(costs, columns=[*_LABEL_COLUMNS, "traverses", "steps", "seconds"]),
         pd.DataFrame(left_out, columns=[*_LABEL_COLUMNS, "reason"]),
     )

@@ -47,7 +47,7 @@ from stickslip_fit.strategies.designs import (
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Fit the law to `more` traverses than it has parameters, chosen by a design."""
+    """Fit the law to traverses chosen by a design, `more` beyond the number of parameters."""
 
     design: Design
     more: int = 0
