@@ -157,10 +157,10 @@ def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(
     move = ("steps", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     status, _, err = run(*move)
     assert status == 2
-    assert "the law looks at how long the session has run: say --condition session_min=NUMBER" in err
+    assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in err
     status, _, err = run(*move, "--condition", "temperature_C=20")
     assert status == 2
-    assert "this law looks at session_min; leave temperature_C out" in err
+    assert "this law depends on session_min; leave temperature_C out" in err
     assert run(*move, "--condition", "session_min=soon")[0] == 2
 
 
