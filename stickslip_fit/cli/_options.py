@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stickslip_fit._io import check_folder
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -92,6 +93,15 @@ Port = Annotated[str | None, typer.Option(help="Serial port of the controller; V
 DialectOption = Annotated[Dialect, typer.Option(help="What the controller speaks.")]
 Device = Annotated[str | None, typer.Option(help="Microphone: its name, a part of it, or its number.")]
 Ratio = Annotated[float, typer.Option(help="Emulated: how loud the stop is, dB over the room.")]
+
+
+def check_chart(path: Path | None) -> None:
+    """Refuse a figure that could not be written, before any work; raises InputError."""
+    if path is not None:
+        from stickslip_fit.plotting._style import check_suffix
+
+        check_folder(path)
+        check_suffix(path)
 
 
 def reject_options(options: Mapping[str, object], where: str) -> None:

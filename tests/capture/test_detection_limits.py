@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.ear import Fixed, Running, rehearse
+from benchmarks.end_stop import Fixed, Running, rehearse
 from stickslip_fit.capture.emulator.acoustics import Acoustics, compute_powers
 from stickslip_fit.capture.tuning import (
     CHECKS_PER_TRAVERSE,
