@@ -20,11 +20,11 @@ from stickslip_fit.cli._options import (
     Port,
     Ratio,
     check_chart,
+    check_same_machine,
     reference_law,
     reject_options,
     require_option,
 )
-from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -225,7 +225,7 @@ def plan(
 
 @dataclass(frozen=True)
 class LawPredictor:
-    """A `CountPredictor` by known laws, without intervals; nothing for a joint and direction without a law."""
+    """A `CountPredictor` by known laws, without intervals; unknown without a law."""
 
     laws: LawValues
 
@@ -246,7 +246,7 @@ class LawPredictor:
 
 @dataclass(frozen=True)
 class ResultPredictor:
-    """A `CountPredictor` by each joint and direction's latest calibration, if any."""
+    """A `CountPredictor` by each joint and direction's latest calibration."""
 
     result: Result
 
@@ -270,20 +270,12 @@ class ResultPredictor:
 
 
 def load_predictor(path: Path, machine: Machine) -> CountPredictor:
-    """Predict by a law file (TOML) or a result saved with ``fit --json``.
-
-    Raises
-    ------
-    InputError
-        If the file is faulty, or the result belongs to another machine.
-    """
+    """Predict by a law file (TOML) or a result saved with ``fit --json`` for the same machine."""
     from stickslip_fit.estimation import load_result
     from stickslip_fit.simulation import read_law_values
 
     if path.suffix != ".json":
         return LawPredictor(read_law_values(path, machine))
     result = load_result(path)
-    if result.machine.sha256 != machine.sha256:
-        message = f"was fitted for the machine {result.machine.name!r}; pass that with --machine"
-        raise InputError(InputIssue(message, str(path)))
+    check_same_machine(result, machine, path)
     return ResultPredictor(result)
