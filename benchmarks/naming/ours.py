@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.cause_set.problem import Answer, Problem
+from benchmarks.naming.problem import Answer, Problem
 
 
 def ours(problem: Problem) -> Answer:

@@ -133,7 +133,7 @@ def test_as_many_traverses_as_it_asks_for_suffice(table, read):
 def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
     rng = np.random.default_rng(3)
     draught = rng.normal(size=len(table))
-    twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, problem=7.0, supply_V=230.0)
+    twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, bench=7.0, supply_V=230.0)
     found = find_causes(read(twins, "twins.csv"), alpha=ALPHA)
     assert found.inclusion["covariate:bench"] is None
     assert found.inclusion["supply-voltage"] is None
