@@ -92,7 +92,7 @@ def diagnose(
     found = diagnose_with_progress(campaign, alpha, seed)
     # Saved before anything is said: whoever reads the answer may stop reading.
     saved = save_diagnosis_outputs(found, json, report)
-    law = save_extended_law(fit_extended_law(campaign, found), save_law) if save_law else ""
+    law = save_extended_law(found.extended_law(command=command_line()), save_law) if save_law else ""
     print("\n\n".join(filter(None, [str(found), "\n".join(saved), law])))
 
 
@@ -160,24 +160,6 @@ def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diag
 
     with show_progress() as tell:
         return diagnose(log, alpha=alpha, seed=seed, progress=tell)
-
-
-def fit_extended_law(log: Log, diagnosis: Diagnosis) -> Result:
-    """The published laws extended by the causes that a diagnosis named, fitted to its log.
-
-    Of causes that the log cannot tell apart it is the likeliest. Traverses in which the stop was misheard
-    take no part; what is unknown has no place in a law.
-    """
-    from dataclasses import replace
-
-    from stickslip_fit.estimation import fit_least_squares
-
-    rows, usable = log.rows.copy(), log.rows.index[log.rows["status"] == "ok"]
-    for each in diagnosis.findings:
-        if each.traverses is not None:
-            rows.loc[usable[each.traverses.index], "status"] = "excluded"
-    versions = [each.version for each in diagnosis.findings if each.version is not None]
-    return fit_least_squares(replace(log, rows=rows), causes=versions, command=command_line())
 
 
 def save_extended_law(law: Result, path: Path) -> str:
@@ -263,28 +245,15 @@ def check_plan_outputs(json_path: Path | None, chart: Path | None) -> None:
 
 def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
     """The traverses worth making next."""
-    from stickslip_fit.causes import covariates, library
-    from stickslip_fit.diagnosis._summary import summarize_next
-    from stickslip_fit.diagnosis.candidate_traverses import forecast_candidates
-    from stickslip_fit.diagnosis.experiments import (
-        find_inseparable_pairs,
-        has_columns,
-        next_experiment,
-        suggest_traverses,
-    )
-    from stickslip_fit.diagnosis.pipeline import find_causes
+    from stickslip_fit.diagnosis import diagnose, next_experiment
+    from stickslip_fit.diagnosis._design_summary import summarize_next
+    from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
     from stickslip_fit.diagnosis.result import traverse_to_json
 
-    diagnosis = find_causes(log, alpha=alpha, seed=seed)
-    problem = diagnosis.search.problem
-    choices = forecast_candidates(problem, log.machine)
-    traverses = next_experiment(diagnosis.search, diagnosis.findings, choices)
+    diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
+    traverses = next_experiment(diagnosis)
     beyond = find_inseparable_pairs(diagnosis.findings, traverses)
-    causes = [
-        cause.bind(problem.rows, log.machine) if has_columns(cause, problem.rows) else cause
-        for cause in (*library(), *covariates(problem.rows))
-    ]
-    missed = suggest_traverses(diagnosis.untestable, causes, problem.rows, choices)
+    missed = suggest_traverses(diagnosis)
     content = {
         "schema": NEXT_SCHEMA,
         "log": {"file": Path(diagnosis.log_file).name, "sha256": diagnosis.log_sha256},
@@ -308,7 +277,7 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
     """What a plan could tell."""
     import numpy as np
 
-    from stickslip_fit.diagnosis._summary import SHOWN_AT, summarize_plan
+    from stickslip_fit.diagnosis._design_summary import SHOWN_AT, summarize_plan
     from stickslip_fit.diagnosis.pipeline import bootstrap_size
     from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan, separability_to_json
 
