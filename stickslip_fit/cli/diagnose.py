@@ -116,7 +116,7 @@ def plan(
         typer.Option("--chart", help="Of a plan: also draw which causes are confused: .png, .svg or .pdf."),
     ] = None,
 ) -> None:
-    """Say which traverses are worth making next; of a plan, which causes it could tell apart."""
+    """Say which traverses to make next; of a plan, which causes it could separate."""
     check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
     check_plan_outputs(json, chart)
     if is_plan(source):

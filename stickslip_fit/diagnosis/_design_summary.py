@@ -32,7 +32,7 @@ def summarize_next(
         return Summary(title, (f"This log can show nothing: {diagnosis.untestable[UNKNOWN]}.",))
     caption = "To make testable what this log could not show, in a new session, least time first"
     tables = [
-        *traverses_table("To tell apart, in a new session", traverses),
+        *traverses_table("To separate causes, in a new session", traverses),
         *traverses_table(caption, [one.traverse for one in untestable if one.traverse is not None]),
     ]
     further = tuple(
@@ -53,12 +53,12 @@ def _next_headline(
     if traverses:
         number = sum(traverse.repeats for traverse in traverses)
         text.append(
-            f"{pluralize(number, 'traverse')}, and the calibration that goes with them, would tell apart "
+            f"{pluralize(number, 'traverse')}, and the calibration that goes with them, would separate "
             "what this log cannot."
         )
     text += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
     if causes and not traverses and not inseparable:
-        text.append("Nothing is left to tell apart.")
+        text.append("Nothing is left to separate.")
     if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
         text.append(
             "What has no name predicts nothing, so that no traverse can be worked out for it; replicates of "
@@ -81,15 +81,15 @@ def summarize_plan(matrix: SeparabilityMatrix, plan: str, traverses: int, sessio
     )
     never = [f"{one} from {other}" for one, other, _ in hard if not matrix.apart(one, other)]
     if never:
-        text += f" At no plausible size could they tell {join_words(never, 'or')}."
+        text += f" At no plausible size could they separate {join_words(never, 'or')}."
     elif hard:
-        text += f" {pluralize(len(hard), 'pair')} of them could be found before they could be told apart."
+        text += f" {pluralize(len(hard), 'pair')} of them could be detected before they could be separated."
     else:
-        text += " Whatever of these is large enough to be found is told from all others."
+        text += " Each of these that is large enough to be detected is separated from all others."
     untestable = tuple(f"{cause}: {reason}" for cause, reason in matrix.untestable.items())
     sections = [Section(tables=(_sizes_table(matrix), *([_pairs_table(matrix, hard)] if hard else [])))]
     sections += [Section("Could not be seen in its log", untestable)] if untestable else []
-    return Summary("What this plan could tell", (text,), tuple(sections))
+    return Summary("What this plan could show", (text,), tuple(sections))
 
 
 def _sizes_table(matrix: SeparabilityMatrix) -> Table:
@@ -103,7 +103,7 @@ def _sizes_table(matrix: SeparabilityMatrix) -> Table:
         for one in matrix.detectable
     )
     columns = (*words("cause"), *map(Column, ("found from", "largest plausible", "hardest rival")))
-    return Table("Could be found", columns, rows, note=_explain_sizes(matrix))
+    return Table("Detectable causes", columns, rows, note=_explain_sizes(matrix))
 
 
 def _hardest_rival(matrix: SeparabilityMatrix, cause: str) -> str:
@@ -144,10 +144,10 @@ def _pairs_table(matrix: SeparabilityMatrix, hard: Sequence[tuple[str, str, floa
         )
         for one, other, needed in hard[:MAX_PAIRS]
     )
-    heads = (f"confused at {SHOWN_AT:.0f}", "told apart from", "cause of", "rival of")
+    heads = (f"confused at {SHOWN_AT:.0f}", "separated from", "cause of", "rival of")
     note = f"The hardest {MAX_PAIRS} of {len(hard)} pairs." if len(hard) > MAX_PAIRS else ""
     return Table(
-        "Hard to tell apart", (*words("cause", "rival"), *map(Column, heads)), rows, stubs=2, note=note
+        "Hard to separate", (*words("cause", "rival"), *map(Column, heads)), rows, stubs=2, note=note
     )
 
 

@@ -171,9 +171,9 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
         )
     following = ""
     if finding.equivalent and diagnosis.next_experiment:
-        following = " The traverses that would tell which it is are below."
+        following = " The traverses that would separate them are below."
     elif finding.equivalent:
-        following = " No traverse that was looked at would tell which it is."
+        following = " No candidate traverse would separate them."
     return f"{what} {cut}; the repeatability is {format_percent(diagnosis.repeatability)}.{following}"
 
 
@@ -192,7 +192,7 @@ def _lower_first(text: str) -> str:
 def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
     """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
     name = Path(diagnosis.log_file).name or "a log that was never in a file"
-    next_traverses = traverses_table("Traverses that would tell", diagnosis.next_experiment)
+    next_traverses = traverses_table("Discriminating traverses", diagnosis.next_experiment)
     return Summary(
         f"Diagnosis of {name}",
         tuple(map(typeset_text, write_headline(diagnosis))),
@@ -222,7 +222,7 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
         *numbers("effect, rms", "95 % interval", unit="%"),
         Column("joints", text=True),
         Column("p"),
-        Column("cannot be told from", text=True),
+        Column("not separable from", text=True),
     )
     rows = tuple(
         (
@@ -290,8 +290,8 @@ def _outliers_table(traverses: pd.DataFrame) -> Table:
         for _, row in largest.iterrows()
     )
     left_out = len(largest) < len(traverses)
-    note = f"The {MAX_TRAVERSES} furthest off of {pluralize(len(traverses), 'count')}." if left_out else ""
-    return Table("Counts that are wildly off", columns, rows, note=note)
+    note = f"The {MAX_TRAVERSES} largest of {pluralize(len(traverses), 'count')}." if left_out else ""
+    return Table("Outlying counts", columns, rows, note=note)
 
 
 def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -332,7 +332,7 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
         for first, second in diagnosis.aliased_causes
     ]
     inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
-    sentences += [f"No traverse within reach tells {one} from {other}." for one, other in inseparable]
+    sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
     if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
         sentences.append("Structure without a name is not put into the law, so that it gains nothing.")
     return sentences
@@ -368,7 +368,7 @@ def _ranking_tables(diagnosis: Diagnosis) -> list[Table]:
         )
         for cause, probability, odds in ranked
     )
-    return [Table("What may be at work", columns, rows)] if rows else []
+    return [Table("Candidate causes", columns, rows)] if rows else []
 
 
 def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Table]:

@@ -45,13 +45,13 @@ class Split:
         From which causes are selected and sized.
     calibration : array of int
         To which the laws' own parameters are fitted.
-    held : array of int
+    held_out : array of int
         Which are predicted.
     """
 
     train: IntArray
     calibration: IntArray
-    held: IntArray
+    held_out: IntArray
 
 
 def make_folds(
@@ -234,7 +234,7 @@ def _prediction_errors(
         law = part.law
         for version in versions:
             law = version.extend(law)
-        calibration, held = np.isin(part.rows, split.calibration), np.isin(part.rows, split.held)
+        calibration, held = np.isin(part.rows, split.calibration), np.isin(part.rows, split.held_out)
         if not held.any():
             continue
         block = of_row[part.rows]
@@ -245,7 +245,7 @@ def _prediction_errors(
         rows, at = part.rows[held], np.searchsorted(labels, block[held])
         both = np.concatenate([own[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
         errors[rows] = problem.responses[rows] - law.predict(problem.rows.iloc[rows], both)
-    return errors[split.held]
+    return errors[split.held_out]
 
 
 def _calibrate_groups(

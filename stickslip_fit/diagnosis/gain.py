@@ -83,11 +83,11 @@ def measure_gain(
     sessions = hold_out_sessions(problem, machine) if machine is not None else []
     gain = new_session = None
     if folds:
-        shown = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
-        gain, own = estimate(selection, findings, folds, others=others, progress=shown)
+        report_split = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
+        gain, own = estimate(selection, findings, folds, others=others, progress=report_split)
     if sessions:
-        shown = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
-        new_session, _ = estimate(selection, findings, sessions, progress=shown)
+        report_split = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
+        new_session, _ = estimate(selection, findings, sessions, progress=report_split)
     return gain, new_session, own if folds else findings
 
 
@@ -175,15 +175,15 @@ def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
     linearized = selection.problem.study()
     residual = linearized.residual[:, None]
     errors = [
-        subtract_calibration(linearized.basis, split.calibration, split.held, residual)[:, 0]
+        subtract_calibration(linearized.basis, split.calibration, split.held_out, residual)[:, 0]
         for split in splits
     ]
-    return np.concatenate(errors) * linearized.scale[np.concatenate([split.held for split in splits])]
+    return np.concatenate(errors) * linearized.scale[np.concatenate([split.held_out for split in splits])]
 
 
 def _make_gain(selection: Selection, splits: Sequence[Split], errors: Array, limits: Array) -> Gain:
     """From the errors before and after, shape (2, number held out)."""
-    held = np.concatenate([split.held for split in splits])
+    held = np.concatenate([split.held_out for split in splits])
     before, after = np.sqrt(np.mean(errors**2, axis=1))
     floor = np.sqrt(np.mean(selection.problem.scale[held] ** 2))
     session = selection.problem.rows["session"].to_numpy(object)[held]

@@ -35,15 +35,15 @@ class CompetingCauses:
     ----------
     shapes : array, shape (n, r)
         The part of the residuals that each explains, whitened.
-    ahead : array, shape (r,)
+    log_bayes_factor : array, shape (r,)
         Log Bayes factor of each rival over the cause where both explain the same share.
-    names : array of bool, shape (r,)
+    is_known : array of bool, shape (r,)
         Whether it can extend the law; unknown structure cannot.
     """
 
     shapes: Array
-    ahead: Array
-    names: BoolArray
+    log_bayes_factor: Array
+    is_known: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +199,10 @@ def _simulate_replicates(
     m, k = responses.shape[1], len(campaign.slopes)
     squares, count = np.zeros((m, k + 1)), 0
     for split in splits:
-        spread = [RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.ahead))) for one in campaign.rivals]
+        spread = [
+            RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
+            for one in campaign.rivals
+        ]
         results = np.stack(
             [simulate_selection(campaign, j, split.train, responses, spread[j]) for j in range(k)], axis=1
         )
@@ -208,8 +211,8 @@ def _simulate_replicates(
             for step in range(k + 1):
                 columns = _extension_columns(campaign, result[:step])
                 errors = predict_held_out_errors(campaign.basis, split, columns, responses[:, logs])
-                squares[logs, step] += np.sum((errors * campaign.scale[split.held, None]) ** 2, axis=0)
-        count += len(split.held)
+                squares[logs, step] += np.sum((errors * campaign.scale[split.held_out, None]) ** 2, axis=0)
+        count += len(split.held_out)
     return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
 
 
@@ -231,10 +234,10 @@ def simulate_selection(
     left = subtract_calibration(campaign.basis, training, training, responses)
     df = len(training) - len(np.unique(campaign.basis[training].indices))
     evidence = log_likelihood_ratio(length**2 / np.sum(left**2, axis=0)[:, None], df)
-    evidence[:, 1:] += rivals.ahead + spread
+    evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
-    return np.where(detected & np.append(True, rivals.names)[best], best, NONE_FOUND)
+    return np.where(detected & np.append(True, rivals.is_known)[best], best, NONE_FOUND)
 
 
 def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
@@ -259,13 +262,13 @@ def predict_held_out_errors(
     `basis`, shape (n, p), spans the calibration; `slopes`, each (n, q), are the directions of each cause;
     `responses` has shape (n, m).
     """
-    plain = subtract_calibration(basis, split.calibration, split.held, responses)
+    plain = subtract_calibration(basis, split.calibration, split.held_out, responses)
     if not slopes:
         return plain
     columns = np.concatenate(slopes, axis=1)
     trained = subtract_calibration(basis, split.train, split.train, columns)
     sizes = np.linalg.lstsq(trained, responses[split.train], rcond=1e-6)[0]
-    return plain - subtract_calibration(basis, split.calibration, split.held, columns) @ sizes
+    return plain - subtract_calibration(basis, split.calibration, split.held_out, columns) @ sizes
 
 
 def subtract_calibration(basis: csr_array, calibration: IntArray, held: IntArray, columns: Array) -> Array:

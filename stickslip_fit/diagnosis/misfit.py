@@ -177,7 +177,7 @@ class Misfit:
     p_value : float
     null_log_evidence : array, shape (n_bootstrap,)
         The statistic in the bootstrap samples.
-    times : float
+    p_value_factor : float
         Factor on the p-value, for heteroscedasticity chosen by the same residuals.
     """
 
@@ -187,13 +187,13 @@ class Misfit:
     log_evidence_by_cause: dict[str, float]
     p_value: float
     null_log_evidence: Array
-    times: float = 1.0
+    p_value_factor: float = 1.0
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""
         if not len(self.null_log_evidence):
             return np.nan
-        return float(np.quantile(self.null_log_evidence, 1.0 - level / self.times))
+        return float(np.quantile(self.null_log_evidence, 1.0 - level / self.p_value_factor))
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause."""
@@ -216,12 +216,12 @@ def compute_misfit(
     n_bootstrap: int,
     rng: np.random.Generator,
     max_exceedances: int | None = None,
-    times: float = 1.0,
+    p_value_factor: float = 1.0,
 ) -> Misfit:
     """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
 
     After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P. Clifford,
-    Biometrika 78:301, 1991). `times` is that of `Misfit`.
+    Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`.
     """
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
@@ -240,7 +240,8 @@ def compute_misfit(
         if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
             break
     share = (1 + int(np.sum(null >= statistic))) / (1 + len(null)) if n_bootstrap else np.nan
-    return Misfit(linearized.residual, tuple(hypotheses), own, by_cause, min(times * share, 1.0), null, times)
+    p_value = min(p_value_factor * share, 1.0)
+    return Misfit(linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor)
 
 
 def _make_null_sampler(

@@ -112,11 +112,11 @@ class NoiseEstimate:
     ----------
     sd : array
         Standard deviation of each drive's responses in quiet configurations, without rounding.
-    uneven : Heteroscedasticity
+    heteroscedasticity : Heteroscedasticity
     """
 
     sd: Array
-    uneven: Heteroscedasticity
+    heteroscedasticity: Heteroscedasticity
 
 
 def estimate_noise(

@@ -100,7 +100,7 @@ class DiagnosisProblem:
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""
-        return replace(self, repeatability=noise.sd, uneven=noise.uneven.ratio)
+        return replace(self, repeatability=noise.sd, uneven=noise.heteroscedasticity.ratio)
 
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.

@@ -228,9 +228,9 @@ def assess_residuals(
 ) -> Misfit:
     """The misfit test over every cause except some, and over the unstructured alternatives."""
     causes = [cause for cause in problem.causes if cause.name not in without]
-    times = SELECTION_FACTOR if np.any(problem.uneven != 1) else 1
+    factor = SELECTION_FACTOR if np.any(problem.uneven != 1) else 1
     hypotheses = [*build_candidates(linearized, causes), *problem.alternatives(linearized)]
-    return compute_misfit(linearized, hypotheses, times * n_bootstrap, rng, max_exceedances, times)
+    return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
 
 
 def extend_problem(
@@ -297,7 +297,7 @@ def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, Line
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
     problem = problem.with_noise(noise)
-    max_ratio = noise.uneven.max_ratio / problem.uneven
+    max_ratio = noise.heteroscedasticity.max_ratio / problem.uneven
     return problem, problem.study(), left.residual * linearized.scale / problem.scale / max_ratio
 
 

@@ -130,7 +130,7 @@ def test_what_is_held_out_takes_no_part():
     problem = make_problem(rows)[0]
     (split,) = later_half_of_the_last_drop(rows)
     named = size_findings(selection(rows), problem, ALPHA)
-    higher = rows["height"] + np.isin(np.arange(len(rows)), split.held)
+    higher = rows["height"] + np.isin(np.arange(len(rows)), split.held_out)
     other = make_problem(rows.assign(height=higher))[0]
     before, after = (
         compute_held_out_errors(each, split, named, partial(select_in_fold, alpha=ALPHA), (0,))

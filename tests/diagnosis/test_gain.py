@@ -94,12 +94,14 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
         number_session_configurations(own_problem.rows),
         make_folds(own_problem.study(), number_session_configurations(own_problem.rows), _rng()),
     )
-    held = np.concatenate([split.held for split in splits])
+    held = np.concatenate([split.held_out for split in splits])
     assert len(np.unique(held)) == len(held) > 0.85 * len(own_problem)
     assert len(splits) == 10
     for split in splits:
-        assert not set(kinds[split.held]) & set(kinds[split.train])
-        np.testing.assert_array_equal(np.sort(np.r_[split.held, split.train]), np.arange(len(own_problem)))
+        assert not set(kinds[split.held_out]) & set(kinds[split.train])
+        np.testing.assert_array_equal(
+            np.sort(np.r_[split.held_out, split.train]), np.arange(len(own_problem))
+        )
     for part in own_problem.parts:
         slopes = part.law.jacobian(own_problem.rows.iloc[part.rows], part.values)
         slopes = slopes / np.linalg.norm(slopes, axis=0)
@@ -137,7 +139,7 @@ def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
     selection = select_causes(problem(hidden), ALPHA, N_BOOTSTRAP, np.random.default_rng(0))
     found = size_findings(selection, selection.problem, ALPHA)
     split = splits_of(selection)[0]
-    wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held)
+    wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held_out)
     disturbed = replace(selection.problem, responses=selection.problem.responses + wrong)
     before, after = (
         compute_held_out_errors(each, split, found, SELECT, (0, 0)) for each in (selection.problem, disturbed)
@@ -153,12 +155,12 @@ def test_a_new_session_is_predicted_by_its_calibration_and_causes_from_the_other
     session = own_problem.rows["session"].to_numpy(object)
     assert len(splits) == 3
     for split in splits:
-        assert len(set(session[split.held]) | set(session[split.calibration])) == 1
-        assert not set(session[split.train]) & set(session[split.held])
-        assert not set(split.calibration) & set(split.held)
+        assert len(set(session[split.held_out]) | set(session[split.calibration])) == 1
+        assert not set(session[split.train]) & set(session[split.held_out])
+        assert not set(split.calibration) & set(split.held_out)
         parameters = 2 * sum(len(part.law.parameters) for part in own_problem.parts)
         assert len(split.calibration) == parameters
-        assert len(split.held) + parameters == np.sum(session == session[split.held[0]])
+        assert len(split.held_out) + parameters == np.sum(session == session[split.held_out[0]])
 
 
 def test_a_log_of_two_sessions_has_no_new_one(problem):
@@ -234,7 +236,7 @@ def oracle(hidden, selection):
         for split in splits_of(selection):
             rest = split.train
             fitted = np.linalg.lstsq(columns[rest] * weight[rest, None], left[rest] * weight[rest])[0]
-            off.append(left[split.held] - columns[split.held] @ fitted)
+            off.append(left[split.held_out] - columns[split.held_out] @ fitted)
         squares.append(np.mean(np.concatenate(off) ** 2))
     return np.sqrt(squares)
 

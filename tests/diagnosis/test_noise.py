@@ -92,11 +92,11 @@ def test_configurations_that_repeat_worse_are_found_and_effects_are_not_taken_fo
         return estimate_noise(linearized, left, np.zeros(len(rows)), drive, kind)
 
     found = judged(NOISE * where * rng.standard_normal(len(rows)))
-    assert found.uneven.ratio[noisy].mean() == pytest.approx(WIDE, rel=0.2)
-    assert found.uneven.ratio[~noisy].mean() == pytest.approx(1.0, abs=0.15)
+    assert found.heteroscedasticity.ratio[noisy].mean() == pytest.approx(WIDE, rel=0.2)
+    assert found.heteroscedasticity.ratio[~noisy].mean() == pytest.approx(1.0, abs=0.15)
     assert found.sd == pytest.approx([NOISE, NOISE], rel=0.2)
     shifted = judged(NOISE * (rng.standard_normal(len(rows)) + 3.0 * noisy * np.where(drive, -1.0, 1.0)))
-    assert np.all(shifted.uneven.ratio == 1.0)
+    assert np.all(shifted.heteroscedasticity.ratio == 1.0)
 
 
 @pytest.mark.parametrize(("tails", "seen"), [(np.inf, True), (5.0, False)])

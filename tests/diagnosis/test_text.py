@@ -72,9 +72,9 @@ def test_what_cannot_be_told_apart_is_named_together(named):
     unsure = replace(named, findings=(rivals,), verdict="cannot tell apart")
     said = told(unsure)
     assert "steps drift through each session (drift) or the drive warms up (thermal-warm-up)" in said
-    assert "No traverse that was looked at would tell" in said
+    assert "No candidate traverse would separate them." in said
     assert "Recalibrating" not in said
-    assert "No traverse within reach tells drift from thermal-warm-up." in str(unsure)
+    assert "No traverse within reach separates drift from thermal-warm-up." in str(unsure)
     traverse = NextTraverse(
         "new",
         3,
@@ -91,7 +91,7 @@ def test_what_cannot_be_told_apart_is_named_together(named):
         "after 5 h",
     )
     text = str(replace(unsure, next_experiment=(traverse,)))
-    assert "The traverses that would tell" in text
+    assert "The traverses that would separate them" in text
     assert re.search(r"3 − +4 +0° +0° +– +0° +0° +stop +stop +after 5 h", text)
     assert "No traverse within reach" not in text
 

@@ -119,8 +119,8 @@ def test_the_tables_hold_the_diagnosis(page, found):
         100 * finding.effect.estimate, abs=0.006
     )
     assert page.column("What the extended law gains", "published law%")[0] == "2.2"
-    assert page.column("Traverses that would tell", "q2") == ["−45°"]
-    assert page.column("Traverses that would tell", "from") == ["stop"]
+    assert page.column("Discriminating traverses", "q2") == ["−45°"]
+    assert page.column("Discriminating traverses", "from") == ["stop"]
     unseen = " ".join(page.texts)
     assert all(cause in unseen for cause in found.untestable)
 
@@ -164,7 +164,7 @@ def test_the_report_has_it_as_a_section(made, found, read_page):
 def test_a_notebook_shows_the_answer_and_the_tables(found, read_page):
     shown_there = read_page(found._repr_html_())
     assert unspaced(write_headline(found)[0]) in unspaced(shown_there.text)
-    assert {"What is wrong", "What may be at work", "What the extended law gains"} <= set(shown_there.tables)
+    assert {"What is wrong", "Candidate causes", "What the extended law gains"} <= set(shown_there.tables)
 
 
 def test_before_shows_the_drift_and_after_shows_none(found):
