@@ -21,9 +21,10 @@ from stickslip_fit._typing import Array
 from stickslip_fit.bayes.priors import Priors, predict_log_steps
 from stickslip_fit.bayes.result import INTERVAL_QUANTILES, group_name
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.estimation import Result, load_result, save_result
-from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation import Flag, JointFit, Result, load_result
+from stickslip_fit.estimation.result import PREDICTION_COLUMNS, AxesArray, Provenance
 from stickslip_fit.laws import traverse_length
+from stickslip_fit.machine import Machine
 
 if TYPE_CHECKING:
     from xarray import Dataset, DataTree
@@ -59,9 +60,56 @@ class Posterior(Summarized):
         )
 
     @property
+    def method(self) -> str:
+        """See `Result`."""
+        return self.result.method
+
+    @property
+    def machine(self) -> Machine:
+        """See `Result`."""
+        return self.result.machine
+
+    @property
+    def joints(self) -> dict[int, JointFit]:
+        """See `Result`."""
+        return self.result.joints
+
+    @property
+    def residuals(self) -> pd.DataFrame:
+        """See `Result`; by the posterior means."""
+        return self.result.residuals
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """See `Result`; what has not converged is among them."""
+        return self.result.flags
+
+    @property
+    def provenance(self) -> Provenance:
+        """See `Result`."""
+        return self.result.provenance
+
+    @property
     def parameters(self) -> pd.DataFrame:
         """See `Result.parameters`; means of the draws, and intervals between their quantiles."""
         return self.result.parameters
+
+    def save(self, path: str | Path) -> None:
+        """Write ``path``, NetCDF that ArviZ and xarray read, and the result beside it, ending in ``.json``.
+
+        Raises
+        ------
+        InputError
+            If they cannot be written.
+        """
+        tree = self.tree.copy()
+        diagnostics = self.diagnostics.astype({"session": str})
+        tree.attrs = {
+            "priors": json.dumps(self.priors.to_json()),
+            "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
+        }
+        write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+        self.result.save(Path(path).with_suffix(".json"))
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
@@ -102,9 +150,39 @@ class Posterior(Summarized):
             f"effective draws, k-hat up to {worst['k_hat'].max():.2f}"
         )
 
-    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """Steps and step size for traverses of fitted sessions and new ones; see `bayes.predict.predict`."""
-        return predict_posterior(self, rows)
+    def predict(self, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+        """Steps and step size for traverses of fitted sessions and of new ones.
+
+        A session that was not fitted, such as today's, is predicted from what the campaign's sessions have
+        in common and how far they spread.
+
+        Parameters
+        ----------
+        rows : DataFrame
+            A log's columns; steps are not needed.
+        seed : int, optional
+
+        Returns
+        -------
+        DataFrame, indexed as `rows`
+            See `Result.predict`. NaN where the fit has not converged or a parameter is not identified.
+
+        Raises
+        ------
+        InputError
+            For a joint or direction that was not fitted, or where the joint may well stall.
+        """
+        rng = np.random.default_rng(seed)
+        predictions = []
+        for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):
+            group = (int(joint), str(direction))
+            if group not in self.groups:
+                fitted = ", ".join(f"{joint} {direction}" for joint, direction in self.groups)
+                raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
+            predictions.append(_predict_group(self, group, subset, rng))
+        if not predictions:
+            return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
+        return pd.concat(predictions).loc[rows.index]
 
     def campaign_means(self) -> pd.DataFrame:
         """Means that the sessions' parameters scatter about; what is not known is not listed.
@@ -152,27 +230,8 @@ class Posterior(Summarized):
         return [str(each) for each in self.group_tree(joint, direction)["posterior"]["session"].to_numpy()]
 
 
-def save_posterior(posterior: Posterior, path: str | Path) -> None:
-    """Write ``path``, netCDF that ArviZ and xarray read, and the result beside it with the ending ``.json``.
-
-    Raises
-    ------
-    InputError
-        If they cannot be written.
-    """
-    path = Path(path)
-    tree = posterior.tree.copy()
-    quality = posterior.diagnostics.astype({"session": str})
-    tree.attrs = {
-        "priors": json.dumps(posterior.priors.to_json()),
-        "diagnostics": json.dumps(quality.to_dict(orient="list")),
-    }
-    write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
-    save_result(posterior.result, path.with_suffix(".json"))
-
-
 def load_posterior(path: str | Path) -> Posterior:
-    """Read what `save_posterior` wrote.
+    """Read what `Posterior.save` wrote.
 
     Raises
     ------
@@ -191,47 +250,6 @@ def load_posterior(path: str | Path) -> Posterior:
         message = f"is no saved posterior that can be read ({error!r}); fit the log again"
         raise InputError(InputIssue(message, str(path))) from None
     return Posterior(load_result(path.with_suffix(".json")), tree, priors, diagnostics)
-
-
-PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
-
-
-def predict_posterior(posterior: Posterior, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
-    """Steps and step size for traverses of any session.
-
-    A session that was not fitted, such as today's, is predicted from what the campaign's sessions have in
-    common and how far they spread.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    rows : DataFrame
-        A log's columns; steps are not needed.
-    seed : int, optional
-
-    Returns
-    -------
-    DataFrame, indexed as `rows`
-        steps, step_size (rad or m), relative_error (of the law, from its parameters), and low, high: 95 %
-        interval of the steps that a new traverse takes, repeatability included. NaN where the fit has
-        not converged or a parameter is not identified, see `Posterior.result.remarks`.
-
-    Raises
-    ------
-    InputError
-        For a joint or direction that was not fitted, or where the joint may well stall.
-    """
-    rng = np.random.default_rng(seed)
-    parts = []
-    for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):
-        group = (int(joint), str(direction))
-        if group not in posterior.groups:
-            fitted = ", ".join(f"{joint} {drive_direction}" for joint, drive_direction in posterior.groups)
-            raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
-        parts.append(_predict_group(posterior, group, subset, rng))
-    if not parts:
-        return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
-    return pd.concat(parts).loc[rows.index]
 
 
 def _predict_group(

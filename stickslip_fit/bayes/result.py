@@ -26,8 +26,8 @@ from stickslip_fit.estimation.identifiability import (
     identifiable_parameters,
 )
 from stickslip_fit.estimation.noise import COVERAGE
-from stickslip_fit.estimation.outliers import flag_outliers
 from stickslip_fit.estimation.result import ALL_JOINTS, build_provenance
+from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine

@@ -183,9 +183,8 @@ def fit_extended_law(log: Log, diagnosis: Diagnosis) -> Result:
 def save_extended_law(law: Result, path: Path) -> str:
     """Write a law; a line on what is in it."""
     from stickslip_fit.causes import ExtendedLaw
-    from stickslip_fit.estimation import save_result
 
-    save_result(law, path)
+    law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)

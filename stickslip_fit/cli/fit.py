@@ -201,14 +201,10 @@ def save_fit_outputs(found: Estimate, outputs: FitOutputs) -> list[str]:
     """Write the files that were asked for; a line for each."""
     lines = []
     if outputs.json is not None:
-        from stickslip_fit.estimation import save_result
-
-        save_result(found.result, outputs.json)
+        found.result.save(outputs.json)
         lines.append(f"saved to {outputs.json}")
     if outputs.tree is not None and found.posterior is not None:
-        from stickslip_fit.bayes import save_posterior
-
-        save_posterior(found.posterior, outputs.tree)
+        found.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
     if outputs.chart is not None:
         from stickslip_fit.plotting._style import write_chart

@@ -26,8 +26,8 @@ from stickslip_fit.estimation.noise import (
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.outliers import flag_outliers
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
+from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     FixedCauses,

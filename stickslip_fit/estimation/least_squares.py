@@ -8,16 +8,18 @@ Analysis and Its Applications, Wiley, 1988, Ch. 6).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import format_value
+from stickslip_fit._format import format_value, join_words
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import (
+    RANK_TOL,
     Groups,
     Minimum,
     group_rows,
@@ -26,7 +28,11 @@ from stickslip_fit.estimation._optimize import (
     usable_rows,
 )
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, FitOptions, JointProblem, single_problem
-from stickslip_fit.estimation.identifiability import flag_unidentified, identifiable_parameters
+from stickslip_fit.estimation.identifiability import (
+    configuration_rows,
+    describe_configuration,
+    identifiable_parameters,
+)
 from stickslip_fit.estimation.noise import (
     GAUSSIAN,
     Flag,
@@ -35,88 +41,17 @@ from stickslip_fit.estimation.noise import (
     flag_doubtful_repeatability,
     flag_missing_error_bars,
     interval_half_widths,
+    one_sided_intervals,
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.outliers import flag_outliers
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
-from stickslip_fit.estimation.reweighting import ConvergedFit, from_residuals, iterate_weights
+from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
 from stickslip_fit.estimation.with_causes import flag_causes, problems_with_causes, published_problem
-from stickslip_fit.laws import StepLaw, published_law
+from stickslip_fit.laws import Configuration, StepLaw, published_law
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
-
-
-def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
-    """How far from its bound a parameter can be before the likelihood rules it out.
-
-    Parameters
-    ----------
-    slope : array
-        By how much half the sum of squares falls per unit of the parameter beyond the bound.
-    variance : array
-        Of the parameter, were there no bound.
-    reach : array
-        Standard errors of an interval, e.g. 1.96.
-
-    Returns
-    -------
-    array
-        The distance d with d^2 / variance + 2 |slope| d = reach^2.
-
-    Examples
-    --------
-    At a bound where the sum of squares is least anyway, it is the ordinary half-width:
-
-    >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
-    array([4.   , 0.944])
-    """
-    slope = np.abs(slope)
-    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
-
-
-def one_sided_intervals(
-    values: Array, at_bound: BoolArray, lower: Array, neg_gradient: Array, covariance: Array, reach: Array
-) -> Array:
-    """Intervals of the parameters that lie on a bound, from it to where the likelihood ends them.
-
-    Parameters
-    ----------
-    values, lower, uphill : array, shape (g, p)
-        `uphill` is by how much half the sum of squares would fall per unit of each parameter.
-    at_bound : array of bool, shape (g, p)
-    covariance : array, shape (g, p, p)
-        Were there no bound.
-    reach : array, shape (g,)
-        Standard errors of an interval.
-
-    Returns
-    -------
-    array, shape (number at a bound, 2)
-    """
-    variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
-    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
-    inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
-    ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
-    return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)
-
-
-def flag_at_bound(problem: JointProblem, values: Array, at_bound: BoolArray) -> list[Flag]:
-    """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
-    law, flags = problem.law, {}
-    for index, k in np.argwhere(at_bound):
-        group, parameter = problem.groups.table.loc[index], law.parameters[k]
-        common = problem.sharing.parameters[k]
-        session = "" if common else str(group["session"])
-        where = "" if common else f", session {session}"
-        flags[session, group["direction"], k] = Flag(
-            "at_bound", law.joint, group["direction"], session, (parameter.name,),
-            f"joint {law.joint}, direction {group['direction']}{where}: {parameter.name} is held back by its "
-            f"bound at {format_value(values[index, k], parameter.unit, 4)}; the counts would have it beyond, "
-            "and the other error bars take the bound for true",
-        )  # fmt: skip
-    return list(flags.values())
 
 
 def fit_least_squares(
@@ -250,17 +185,105 @@ def _joint_result(
     shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
     joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
     published, own = published_problem(problem), slice(0, len(published_problem(problem).law.parameters))
-    flags = flag_unidentified(
+    flags = _flag_unidentified(
         published, machine, known[:, own], curvature[:, own, own], fit.information[fit.rows(number)],
         values[:, own],
     )  # fmt: skip
-    flags += flag_at_bound(published, values[:, own], at_bound[:, own])
+    flags += _flag_at_bound(published, values[:, own], at_bound[:, own])
     flags += _flag_not_converged(law, groups, minimum) + flag_missing_error_bars(
         law, groups.table, repeatability
     )
     estimated = from_residuals(problem, minimum, options.likelihood)
     flags += flag_doubtful_repeatability(law, options.known_noise(law.joint), estimated)
     return joint, minimum.residual, flags
+
+
+def _flag_unidentified(
+    problem: JointProblem,
+    machine: Machine,
+    known: npt.NDArray[np.bool_],
+    curvature: Array,
+    information: Array,
+    values: Array,
+) -> list[Flag]:
+    """For each group with unknown parameters, a remark naming them and the traverses to make.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    machine : Machine
+    known : array of bool, shape (g, p)
+    curvature : array, shape (g, p, p)
+        What the log says of each group's parameters.
+    information : array, shape (n,)
+        What one row like these says of its response.
+    values : array, shape (g, p)
+    """
+    law, groups, flags = problem.law, problem.groups, []
+    names = np.array([parameter.name for parameter in law.parameters])
+    for group in np.flatnonzero(~known.all(axis=1)):
+        session, direction = groups.table.loc[group, ["session", "direction"]]
+        seen = _jacobian_root(curvature[group], problem.scales[group]) / np.sqrt(np.mean(information))
+        wanted = _missing_configurations(law, machine, direction, seen, values[group], problem.scales[group])
+        told = "; ".join(describe_configuration(configuration) for configuration in wanted)
+        count = int(groups.sizes[group])
+        for where, when, subset in (
+            (f", session {session}", str(session), ~problem.sharing.parameters),
+            ("", "", problem.sharing.parameters),
+        ):
+            unknown = tuple(names[~known[group] & subset])
+            together = " one by one" if len(unknown) > 1 else ""
+            counted = f"{count} usable traverse{'s' if count != 1 else ''}"
+            flag = Flag(
+                "not_identified", law.joint, direction, when, unknown,
+                f"joint {law.joint}, direction {direction}{where}: {join_words(unknown)} cannot be known"
+                f"{together} from {counted if when else 'the whole campaign'}; missing: {told}",
+            )  # fmt: skip
+            if unknown and flag not in flags:
+                flags.append(flag)
+    return flags
+
+
+def _jacobian_root(curvature: Array, scales: Array) -> Array:
+    """Slopes that have this curvature, in units of the scales; (p, p) -> (p, p)."""
+    eigenvalue, vector = np.linalg.eigh(curvature * scales[:, None] * scales)
+    return np.sqrt(np.maximum(eigenvalue, 0.0))[:, None] * vector.T
+
+
+def _missing_configurations(
+    law: StepLaw, machine: Machine, direction: str, slopes: Array, values: Array, scales: Array
+) -> tuple[Configuration, ...]:
+    """The smallest choice of the law's calibration that makes every parameter known."""
+    candidates = law.calibration()
+    rows = configuration_rows(candidates, law.joint, direction, machine)
+    # Where the fit left a law that stalls in a candidate, any law of ordinary effect serves to find the rank.
+    gained = law.jacobian(rows, values) * scales
+    if not np.all(np.isfinite(gained)):
+        ordinary = law.start_values(np.array([np.max(np.abs(scales))]))[0]
+        gained = law.jacobian(rows, ordinary) * scales
+    for size in range(1, len(candidates)):
+        for choice in combinations(range(len(candidates)), size):
+            singular = np.linalg.svd(np.vstack([slopes, gained[list(choice)]]), compute_uv=False)
+            if len(singular) == len(scales) and singular[-1] > 100 * RANK_TOL * singular[0]:
+                return tuple(candidates[index] for index in choice)
+    return candidates
+
+
+def _flag_at_bound(problem: JointProblem, values: Array, at_bound: BoolArray) -> list[Flag]:
+    """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
+    law, flags = problem.law, {}
+    for index, k in np.argwhere(at_bound):
+        group, parameter = problem.groups.table.loc[index], law.parameters[k]
+        common = problem.sharing.parameters[k]
+        session = "" if common else str(group["session"])
+        where = "" if common else f", session {session}"
+        flags[session, group["direction"], k] = Flag(
+            "at_bound", law.joint, group["direction"], session, (parameter.name,),
+            f"joint {law.joint}, direction {group['direction']}{where}: {parameter.name} is held back by its "
+            f"bound at {format_value(values[index, k], parameter.unit, 4)}; the counts would have it beyond, "
+            "and the other error bars take the bound for true",
+        )  # fmt: skip
+    return list(flags.values())
 
 
 def _not_applicable(law: StepLaw) -> npt.NDArray[np.bool_]:

@@ -15,8 +15,8 @@ import pandas as pd
 from scipy.optimize.elementwise import find_root
 
 from stickslip_fit._typing import Array
-from stickslip_fit.estimation.result import Result
-from stickslip_fit.estimation.traverses import choose_repeatability, is_full
+from stickslip_fit.estimation.identifiability import is_full
+from stickslip_fit.estimation.result import Result, choose_repeatability
 from stickslip_fit.laws import Elbow, expected_steps, rounding_variance, traverse_length
 from stickslip_fit.laws.integration import harmonic_counts
 from stickslip_fit.logs import Log

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student_t
 
 from stickslip_fit._format import format_value
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.laws import StepLaw
 
 
@@ -277,3 +277,57 @@ def t_quantile(df: int) -> float:
     2.776
     """
     return float(student_t.ppf(0.5 + COVERAGE / 2, df)) if df > 0 else np.nan
+
+
+def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
+    """How far from its bound a parameter can be before the likelihood rules it out.
+
+    Parameters
+    ----------
+    slope : array
+        By how much half the sum of squares falls per unit of the parameter beyond the bound.
+    variance : array
+        Of the parameter, were there no bound.
+    reach : array
+        Standard errors of an interval, e.g. 1.96.
+
+    Returns
+    -------
+    array
+        The distance d with d^2 / variance + 2 |slope| d = reach^2.
+
+    Examples
+    --------
+    At a bound where the sum of squares is least anyway, it is the ordinary half-width:
+
+    >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
+    array([4.   , 0.944])
+    """
+    slope = np.abs(slope)
+    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
+
+
+def one_sided_intervals(
+    values: Array, at_bound: BoolArray, lower: Array, neg_gradient: Array, covariance: Array, reach: Array
+) -> Array:
+    """Intervals of the parameters that lie on a bound, from it to where the likelihood ends them.
+
+    Parameters
+    ----------
+    values, lower, uphill : array, shape (g, p)
+        `uphill` is by how much half the sum of squares would fall per unit of each parameter.
+    at_bound : array of bool, shape (g, p)
+    covariance : array, shape (g, p, p)
+        Were there no bound.
+    reach : array, shape (g,)
+        Standard errors of an interval.
+
+    Returns
+    -------
+    array, shape (number at a bound, 2)
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
+    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
+    inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
+    ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
+    return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)

@@ -17,7 +17,7 @@ from scipy.stats import t as student_t
 
 from stickslip_fit._format import format_direction
 from stickslip_fit.estimation.closed_form import solve_calibration
-from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.estimation.result import JointFit, Result, choose_repeatability
 from stickslip_fit.laws import (
     StepLaw,
     constant_law,
@@ -28,6 +28,8 @@ from stickslip_fit.laws import (
 )
 from stickslip_fit.logs import Log
 from stickslip_fit.units import from_si
+
+POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi"]
 
 
 def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
@@ -135,6 +137,34 @@ def held_out_errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:
     table["law"] = law.predict(rows)["step_size"]
     table["constant"] = constant.predict(rows)["step_size"]
     return table.dropna(subset=["law", "constant"])
+
+
+def collect_traverses(joint: int, log: Log, calibration: Result, fit: Result) -> pd.DataFrame:
+    """Usable traverses of a joint with what figures show of them.
+
+    Returns
+    -------
+    DataFrame
+        The log's columns, positions rounded to 1e-9, and centre (middle of the traverse, rad or m),
+        step_size (mean over the traverse), error (one repeatability, rounding included; 0 where it is
+        not known), model (by the fitted law), departure (step_size / model - 1).
+    """
+    rows = log.usable
+    rows = rows[rows["joint"] == joint].copy()
+    rows[POSITION_COLUMNS] = rows[POSITION_COLUMNS].round(9) + 0.0
+    seen = expected_steps(rows["steps"], rows["check_every"])
+    rows["centre"] = (rows["start"] + rows["stop"]) / 2
+    rows["step_size"] = traverse_length(rows) / seen
+    noise = {
+        direction: choose_repeatability(joint, direction, calibration, fit).value for direction in ("+", "-")
+    }
+    spread = np.nan_to_num(rows["direction"].astype(object).map(noise).to_numpy(float))
+    rows["error"] = rows["step_size"] * np.sqrt(
+        spread**2 + rounding_variance(rows["steps"], rows["check_every"])
+    )
+    rows["model"] = fit.predict(rows)["step_size"]
+    rows["departure"] = rows["step_size"] / rows["model"] - 1.0
+    return rows
 
 
 def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:

@@ -20,7 +20,7 @@ from stickslip_fit._format import joint_name
 from stickslip_fit._format import pluralize as count
 from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
-from stickslip_fit.estimation.traverses import choose_repeatability, select_recent
+from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
@@ -35,6 +35,7 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
+    select_recent,
     set_log_ticks,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture

@@ -26,7 +26,7 @@ from stickslip_fit._format import pluralize as count
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
-from stickslip_fit.estimation.traverses import MAX_SESSIONS, is_full, select_recent, thin_rows
+from stickslip_fit.estimation.identifiability import is_full
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
@@ -35,6 +35,7 @@ from stickslip_fit.plotting._style import (
     INK,
     LEGEND_LINE,
     MARKERS,
+    MAX_SESSIONS,
     PURPLE,
     TITLE_LINE,
     add_legend,
@@ -42,7 +43,9 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
+    select_recent,
     set_angle_ticks,
+    thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si
