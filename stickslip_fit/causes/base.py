@@ -388,7 +388,7 @@ def _sizes(values: Array, places: range) -> list[Array]:
 
 def _unloaded(state: State) -> State:
     still = np.zeros((len(state.position), 1))
-    return state.with_changes(given_load=still, given_recoil=still)
+    return state.with_changes(override_load=still, override_recoil=still)
 
 
 POSE = ("q1", "q2", "q3", "theta", "psi")

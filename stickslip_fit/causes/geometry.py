@@ -129,7 +129,7 @@ class Q1Gravity(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.with_changes(given_load=(1.0 - values[0]) * state.load + values[0] * state.full_load)
+        return state.with_changes(override_load=(1.0 - values[0]) * state.load + values[0] * state.full_load)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class RecoilAxis(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.with_changes(given_recoil=np.abs(np.cos(state.q2 - values[0])))
+        return state.with_changes(override_recoil=np.abs(np.cos(state.q2 - values[0])))
 
 
 @dataclass(frozen=True)
@@ -192,4 +192,4 @@ class RecoilShape(StateCause):
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
-        return state.with_changes(given_recoil=state.recoil ** values[0])
+        return state.with_changes(override_recoil=state.recoil ** values[0])

@@ -258,9 +258,9 @@ class PayloadChange(StateCause):
         """See `StateCause.change`."""
         if self.session == "":
             payload = filled(state.column("payload"), self.mean)
-            return state.with_changes(given_load=state.load * (1.0 + values[0] * payload))
+            return state.with_changes(override_load=state.load * (1.0 + values[0] * payload))
         size, moment = values
-        return state.with_changes(given_load=state.load * (1.0 + size * since(state, self.session, moment)))
+        return state.with_changes(override_load=state.load * (1.0 + size * since(state, self.session, moment)))
 
 
 GUIDE_END = 0.012  # m; with the law linear between 0 and here, only the bend between them is new
