@@ -76,9 +76,9 @@ def configuration_rows(
     )
 
 
-def is_full(rows: pd.DataFrame, span: float) -> pd.Series[bool]:
+def is_full(rows: pd.DataFrame, span: float, rtol: float = 1e-6) -> pd.Series[bool]:
     """Which traverses run the joint's whole range."""
-    return pd.Series(np.isclose(traverse_length(rows), span, rtol=1e-6), index=rows.index)
+    return pd.Series(np.isclose(traverse_length(rows), span, rtol=rtol, atol=0.0), index=rows.index)
 
 
 def describe_configuration(configuration: Configuration) -> str:

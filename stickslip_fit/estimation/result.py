@@ -34,19 +34,9 @@ from stickslip_fit.units import from_si
 
 @dataclass(frozen=True)
 class Provenance:
-    """Hashes, versions and command behind a result.
+    """Hashes, versions and command behind a result; an empty command stands for a notebook.
 
-    Attributes
-    ----------
-    log_files : tuple of str
-        Names of the log's files.
-    log_sha256, machine_sha256 : str
-    machine_name : str
-    versions : dict of str to str
-    command : str
-        As typed; empty where the result was made in a notebook.
-    seed : int or None
-        None where nothing random took part.
+    `seed` is None where nothing random took part.
     """
 
     log_files: tuple[str, ...]
@@ -70,7 +60,7 @@ class Provenance:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of what computes the numbers."""
+    """Versions of the package, Python and the numerical libraries."""
     return {
         "stickslip_fit": __version__,
         "python": ".".join(str(part) for part in sys.version_info[:3]),
@@ -92,9 +82,9 @@ def build_provenance(log: Log, command: str) -> Provenance:
     )
 
 
-AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel; see `report.figures.axes.Panels`
+AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
 PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
-ALL_JOINTS = 0  # in place of a joint, where something is said of all of them
+ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
 
 
 @dataclass(frozen=True)
@@ -114,7 +104,7 @@ class JointFit:
         Of `values`; NaN where no error bar can be given.
     interval : array, shape (g, p, 2)
         95 % of each parameter, low and high.
-    repeatability : dict of str to Repeatability
+    repeatability : dict of str to NoiseLevel
         By direction.
     shared : tuple of str
         Parameters with one value in each direction for all sessions; it stands in each of their groups.
@@ -133,7 +123,7 @@ class JointFit:
     def common(self) -> tuple[str, ...]:
         """Parameters of causes, with one value for the whole campaign; it stands in each group."""
         law = self.law
-        return tuple(each.name for each in law.common) if isinstance(law, ExtendedLaw) else ()
+        return tuple(parameter.name for parameter in law.common) if isinstance(law, ExtendedLaw) else ()
 
     def group_index(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
         """Index of each row's group; -1 where the fit has none for its session and direction."""
@@ -155,7 +145,7 @@ class Result(Summarized):
     residuals : DataFrame
         Indexed as the log's usable rows: joint, residual (log steps seen less predicted), used (whether
         the traverse took part in the fit).
-    remarks : tuple of Remark
+    flags : tuple of Flag
     provenance : Provenance
     """
 
@@ -211,13 +201,12 @@ class Result(Summarized):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
+        """Every parameter: name, joint, direction, session, unit, estimate, standard_error, low, high, flags.
 
-        That is standard_error, low, high and flags; session is None for one that all sessions share. A
-        cause's parameter, one for the whole campaign, comes last, with joint 0 and an empty direction.
-        Numbers are SI; unit is the one people read them in. low and high bound 95 %; estimate and what
-        follows are NaN where the log does not know them, and standard_error is where a bound holds the
-        parameter.
+        session is None for a parameter that all sessions share. A cause's parameter, one for the whole
+        campaign, comes last, with joint 0 and an empty direction. Numbers are SI; unit is the one people
+        read them in. low and high bound 95 %. All are NaN where the log does not determine them;
+        standard_error also is where the parameter is on a bound.
         """
         table = pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
         common = table["joint"] == ALL_JOINTS
@@ -247,15 +236,15 @@ class Result(Summarized):
         return table[~((common | everywhere) & table.duplicated(["name", "direction"]))]
 
     def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
-        """What is wrong with each parameter; a shared one has the flags of all its sessions."""
+        """Flags of each parameter; a shared one has those of all its sessions."""
         raised: dict[tuple[str, str, str], list[str]] = {}
         for flag in self.flags:
             if flag.joint in (fit.law.joint, ALL_JOINTS):
                 for name in flag.parameters:
                     everywhere = not flag.session or name in fit.shared
                     for session in fit.groups["session"].unique() if everywhere else [flag.session]:
-                        for way in flag.direction or "+-":
-                            raised.setdefault((session, way, name), []).append(flag.flag)
+                        for direction in flag.direction or "+-":
+                            raised.setdefault((session, direction, name), []).append(flag.flag)
         return [
             tuple(dict.fromkeys(raised.get((session, direction, name), ())))
             for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
@@ -281,10 +270,10 @@ class Result(Summarized):
         InputError
             For a session, direction or joint that was not fitted.
         """
-        parts = [self._predict_joint(joint, rows[rows["joint"] == joint]) for joint in rows["joint"].unique()]
-        if not parts:
+        tables = [self._predict_joint(k, rows[rows["joint"] == k]) for k in rows["joint"].unique()]
+        if not tables:
             return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
-        return pd.concat(parts).loc[rows.index]
+        return pd.concat(tables).loc[rows.index]
 
     def _predict_joint(self, joint: int, rows: pd.DataFrame) -> pd.DataFrame:
         if joint not in self.joints:
@@ -301,15 +290,9 @@ class Result(Summarized):
         response, jacobian = fit.law.model(rows)(fit.values[group])
         spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
         directions = fit.groups["direction"].to_numpy()[group]
-        found = fit.repeatability.items()
-        noise = (
-            pd.Series({way: repeatability.value for way, repeatability in found}).loc[directions].to_numpy()
-        )
-        reach = (
-            pd.Series({way: t_quantile(repeatability.df) for way, repeatability in found})
-            .loc[directions]
-            .to_numpy()
-        )
+        levels = fit.repeatability.items()
+        noise = pd.Series({sign: level.value for sign, level in levels}).loc[directions].to_numpy()
+        reach = pd.Series({sign: t_quantile(level.df) for sign, level in levels}).loc[directions].to_numpy()
         total = reach * np.hypot(spread, noise)
         steps = np.exp(response)
         return pd.DataFrame(
@@ -328,14 +311,14 @@ MIN_REPLICATE_DF = 3  # degrees of freedom
 
 
 def choose_repeatability(joint: int, direction: str, calibration: Result, fit: Result) -> NoiseLevel:
-    """The replicates' repeatability; the fit's residuals' where there are hardly any replicates."""
+    """The replicates' repeatability; the fit's residuals' where there are few replicates."""
     replicates = calibration.joints[joint].repeatability[direction]
     return replicates if has_enough_replicates(replicates) else fit.joints[joint].repeatability[direction]
 
 
-def has_enough_replicates(found: NoiseLevel) -> bool:
-    """Whether replicates, not what a law leaves over, say how well a traverse repeats."""
-    return found.source == "replicates" and found.df >= MIN_REPLICATE_DF
+def has_enough_replicates(noise: NoiseLevel) -> bool:
+    """Whether the repeatability comes from replicates, not residuals, with enough degrees of freedom."""
+    return noise.source == "replicates" and noise.df >= MIN_REPLICATE_DF
 
 
 SCHEMA = "stickslip-fit/result/1"
@@ -348,7 +331,7 @@ def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
     ----------
     path : path
     causes : sequence of Cause, optional
-        Of your own, where they are in the result's laws; see `stickslip_fit.causes.restore`.
+        Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
 
     Raises
     ------
@@ -478,14 +461,14 @@ def _machine_from_json(item: dict[str, Any]) -> Machine:
 
 
 def _number_to_json(value: float) -> float | None:
-    """JSON has no NaN: an unknown number is null."""
+    """The number; null for an unknown one, since JSON has no NaN."""
     return float(value) if np.isfinite(value) else None
 
 
 def _numbers_to_json(values: npt.NDArray[np.float64]) -> Any:
-    shown = values.astype(object)
-    shown[~np.isfinite(values)] = None
-    return shown.tolist()
+    content = values.astype(object)
+    content[~np.isfinite(values)] = None
+    return content.tolist()
 
 
 def _array_from_json(values: Any) -> npt.NDArray[np.float64]:
