@@ -51,13 +51,11 @@ class Posterior(Summarized):
     diagnostics: pd.DataFrame
 
     def summary(self) -> Summary:
-        """As a result's, with how good the draws are, and the priors."""
-        of_result = self.result.summary()
-        return replace(
-            of_result,
-            headline=(f"{self.quality}.", *of_result.headline),
-            sections=(*of_result.sections, Section(tables=self.priors.tables())),
-        )
+        """The result's, with the convergence of the draws and the priors."""
+        summary = self.result.summary()
+        headline = (f"{self.quality}.", *summary.headline)
+        sections = (*summary.sections, Section(tables=self.priors.tables()))
+        return replace(summary, headline=headline, sections=sections)
 
     @property
     def method(self) -> str:
@@ -112,7 +110,7 @@ class Posterior(Summarized):
         self.result.save(Path(path).with_suffix(".json"))
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
-        """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
+        """Draws of a session's parameters, by default the latest session's, in pairs; the prior behind.
 
         Raises
         ------
@@ -143,7 +141,7 @@ class Posterior(Summarized):
 
     @property
     def quality(self) -> str:
-        """How good the draws are, in a line."""
+        """Convergence diagnostics in a line."""
         worst = self.diagnostics
         return (
             f"R-hat up to {worst['r_hat'].max():.4f}, at least {worst['ess_bulk'].min():.0f} "
@@ -185,13 +183,7 @@ class Posterior(Summarized):
         return pd.concat(predictions).loc[rows.index]
 
     def campaign_means(self) -> pd.DataFrame:
-        """Means that the sessions' parameters scatter about; what is not known is not listed.
-
-        Returns
-        -------
-        DataFrame
-            name, joint, direction, estimate, low, high (95 %), SI.
-        """
+        """Campaign means of the known parameters: name, joint, direction, estimate, low, high (95 %), SI."""
         tables = []
         for joint, direction in self.groups:
             fit, names = self.result.joints[joint], list(self.priors.prior(joint, direction).names)
@@ -255,34 +247,30 @@ def load_posterior(path: str | Path) -> Posterior:
 def _predict_group(
     posterior: Posterior, group: tuple[int, str], rows: pd.DataFrame, rng: np.random.Generator
 ) -> pd.DataFrame:
-    values, repeatability = (
-        _draw_parameters(posterior, group, rows, rng),
-        posterior.draws(*group, "repeatability"),
-    )
-    response = predict_log_steps(posterior.result.joints[group[0]].law, rows, values)
+    values = _draw_parameters(posterior, group, rows, rng)
+    repeatability = posterior.draws(*group, "repeatability")
+    response = predict_log_steps(posterior.joints[group[0]].law, rows, values)
     if np.any(np.mean(np.isnan(response), axis=0) > INTERVAL_QUANTILES[0]):
         raise InputError(
             f"joint {group[0]}, direction {group[1]} may stall in a traverse that is to be predicted; "
             "log more traverses, or leave this one out"
         )
-    # A draw that stalls takes steps without end.
-    response = np.where(np.isnan(response), np.inf, response)
-    seen = response + repeatability[:, None] * _stratified_noise(response.shape, rng)
+    response = np.where(np.isnan(response), np.inf, response)  # a joint that stalls takes infinitely many
+    total = response + repeatability[:, None] * _stratified_noise(response.shape, rng)
     steps = np.exp(np.median(response, axis=0))
-    low, high = np.exp(np.quantile(seen, INTERVAL_QUANTILES, axis=0))
+    low, high = np.exp(np.quantile(total, INTERVAL_QUANTILES, axis=0))
     spread = np.nanstd(np.where(np.isinf(response), np.nan, response), axis=0)
     columns = (steps, traverse_length(rows) / steps, spread, low, high)
-    known = _has_known_parameters(posterior, group)
-    found = {
-        name: column if known else np.nan for name, column in zip(PREDICTION_COLUMNS, columns, strict=True)
-    }
-    return pd.DataFrame(found, index=rows.index)
+    predicted = pd.DataFrame(dict(zip(PREDICTION_COLUMNS, columns, strict=True)), index=rows.index)
+    fit = posterior.joints[group[0]]
+    known = fit.known[(fit.groups["direction"] == group[1]).to_numpy()].all()
+    return predicted if known else predicted * np.nan
 
 
 def _stratified_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Standard normal noise, (d, n), its d numbers as even as can be: few give good quantiles."""
-    steps = ndtri((np.arange(shape[0]) + 0.5) / shape[0])
-    return rng.permuted(np.broadcast_to(steps[:, None], shape), axis=0)
+    """Standard normal noise, (d, n), stratified over the d draws for good quantiles."""
+    levels = ndtri((np.arange(shape[0]) + 0.5) / shape[0])
+    return rng.permuted(np.broadcast_to(levels[:, None], shape), axis=0)
 
 
 def _draw_parameters(
@@ -291,13 +279,8 @@ def _draw_parameters(
     """Draws of each row's parameters, shape (d, n, p)."""
     fitted, mean, spread = (posterior.draws(*group, name) for name in ("parameters", "mean", "spread"))
     sessions = posterior.sessions(*group)
-    fresh = [each for each in rows["session"].astype(str).unique() if each not in sessions]
-    noise = rng.standard_normal((len(mean), len(fresh), mean.shape[1]))
-    to_come = mean[:, None] + spread[:, None] * noise
-    index = pd.Index([*sessions, *fresh]).get_indexer(rows["session"].astype(str))
-    return np.concatenate([fitted, to_come], axis=1)[:, index]
-
-
-def _has_known_parameters(posterior: Posterior, group: tuple[int, str]) -> bool:
-    fit = posterior.result.joints[group[0]]
-    return bool(fit.known[(fit.groups["direction"] == group[1]).to_numpy()].all())
+    new = [session for session in rows["session"].astype(str).unique() if session not in sessions]
+    noise = rng.standard_normal((len(mean), len(new), mean.shape[1]))
+    of_new = mean[:, None] + spread[:, None] * noise
+    index = pd.Index([*sessions, *new]).get_indexer(rows["session"].astype(str))
+    return np.concatenate([fitted, of_new], axis=1)[:, index]

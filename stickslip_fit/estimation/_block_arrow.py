@@ -167,7 +167,7 @@ class _ArrowFactors:
 
     @cached_property
     def own(self) -> SingularFactors:
-        """Each group's own parameters, the shared ones held."""
+        """Each group's own parameters, the shared ones fixed."""
         own = np.flatnonzero(~self.sharing.parameters)
         form, gradient = self.products[:, own[:, None], own], self.products[:, own, -1]
         return factorize(form, gradient, self.lengths[:, own], self.rank_tol)

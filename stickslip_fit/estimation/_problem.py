@@ -178,7 +178,7 @@ def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
     It has the rows and groups of one joint after the other's, and columns as of `columns_of`.
     """
     width = max(joint.start.shape[1] for joint in joints)
-    columns = [_columns(joint, width, shared) for joint in joints]
+    columns = [np.r_[: joint.start.shape[1] - shared, width - shared : width] for joint in joints]
     before = np.cumsum([0, *(len(joint.groups) for joint in joints)])
     tables = [joint.groups.table.assign(joint=joint.law.joint) for joint in joints]
     of_row = [joint.groups.of_row + first for joint, first in zip(joints, before[:-1], strict=True)]
@@ -213,8 +213,5 @@ def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
 
 def columns_of(whole: Problem, joint: JointProblem) -> IntArray:
     """Positions of a joint's parameters among those of a combined problem: its own first, the shared last."""
-    return _columns(joint, len(whole.sharing.parameters), int(whole.sharing.parameters.sum()))
-
-
-def _columns(joint: JointProblem, width: int, shared: int) -> IntArray:
+    width, shared = len(whole.sharing.parameters), int(whole.sharing.parameters.sum())
     return np.r_[: joint.start.shape[1] - shared, width - shared : width]

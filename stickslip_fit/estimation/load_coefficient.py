@@ -1,10 +1,8 @@
-"""The load coefficient d of a rotary joint from one count, three ways (thesis Eq. 6.6 is one).
+"""The load coefficient d of a rotary joint from one count: exactly, and by the thesis's two methods.
 
-With gravity acting, the steps over a traverse are N = integral of dq / (gamma0 + d u(q)), and the mean
-step changes by delta = traverse / N - gamma0. The thesis gets d from delta by an iteration and, for
-daily use, by a fitted quadratic (Eq. 6.6); solving the integral has the error of neither.
-
-Joint 2's gamma0 and d at each q3 of a log, d by exact solving and in the thesis's two ways (its 6.3).
+With gravity, the steps over a traverse are N = integral of dq / (gamma0 + d u(q)), and the mean step changes
+by delta = traverse / N - gamma0. The thesis (Sec. 6.3) gets d from delta by an iteration and by a fitted
+quadratic (Eq. 6.6); solving the integral has the error of neither.
 """
 
 from __future__ import annotations
@@ -196,6 +194,6 @@ def _solve_pairs(pairs: pd.DataFrame, noise: dict[str, float], ends: tuple[float
 
 
 def _mean_relative_error(pairs: pd.DataFrame, which: str, noise: dict[str, float]) -> np.ndarray:
-    """Of the mean of n replicates: repeatability and rounding."""
+    """Standard error of the mean of n replicates: repeatability and rounding."""
     variance = pairs["direction"].map(noise) ** 2 + pairs[f"rounding_{which}"]
     return np.sqrt(variance / pairs[f"n_{which}"]).to_numpy(float)

@@ -246,8 +246,7 @@ def latest_control(result: Result) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The last row of each parameter in `control_chart`. Parameters with fewer than three earlier sessions
-        are not listed.
+        The last row in `control_chart` of each parameter with three or more earlier sessions.
     """
     chart = control_chart(result)
     latest = chart.groupby(["joint", "direction", "name"], sort=False).tail(1)

@@ -417,7 +417,7 @@ def _from_json(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
         residuals=pd.DataFrame(
             {
                 "joint": np.array(residuals["joint"], dtype=np.int64),
-                "residual": _array_from_json(residuals["residual"]),
+                "residual": np.array(residuals["residual"], dtype=float),
                 "used": np.array(residuals["used"], dtype=bool),
             },
             index=np.array(residuals["row"], dtype=np.int64),
@@ -436,10 +436,10 @@ def _joint_from_json(item: dict[str, Any], machine: Machine, causes: Sequence[Ca
                 "direction": np.array(item["directions"], dtype=object),
             }
         ),
-        values=_array_from_json(item["values"]),
+        values=np.array(item["values"], dtype=float),
         known=np.array(item["known"], dtype=bool),
-        covariance=_array_from_json(item["covariance"]),
-        interval=_array_from_json(item["interval"]),
+        covariance=np.array(item["covariance"], dtype=float),
+        interval=np.array(item["interval"], dtype=float),
         repeatability={
             direction: NoiseLevel(**{**noise, "value": np.nan if noise["value"] is None else noise["value"]})
             for direction, noise in item["repeatability"].items()
@@ -450,14 +450,8 @@ def _joint_from_json(item: dict[str, Any], machine: Machine, causes: Sequence[Ca
 
 def _machine_from_json(item: dict[str, Any]) -> Machine:
     links = [Link(link["mass"], link["com"], tuple(link["inertia"])) for link in item["links"]]
-    return Machine(
-        name=item["name"],
-        a1=item["a1"],
-        l2=item["l2"],
-        ranges={int(joint): (low, high) for joint, (low, high) in item["ranges"].items()},
-        links=(links[0], links[1], links[2]),
-        sha256=item["sha256"],
-    )
+    ranges = {int(joint): (low, high) for joint, (low, high) in item["ranges"].items()}
+    return Machine(**item | {"ranges": ranges, "links": (links[0], links[1], links[2])})
 
 
 def _number_to_json(value: float) -> float | None:
@@ -469,7 +463,3 @@ def _numbers_to_json(values: npt.NDArray[np.float64]) -> Any:
     content = values.astype(object)
     content[~np.isfinite(values)] = None
     return content.tolist()
-
-
-def _array_from_json(values: Any) -> npt.NDArray[np.float64]:
-    return np.array(values, dtype=float)
