@@ -212,7 +212,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
         findings=[
             SimpleNamespace(version=ThermalWarmUp(), traverses=None),
             SimpleNamespace(version=None, traverses=log.usable.iloc[misheard]),
-        ]
+        ],
     )
     law = Diagnosis.extended_law(found)
     assert isinstance(law.joints[3].law, ExtendedLaw)

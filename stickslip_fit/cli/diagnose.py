@@ -161,9 +161,8 @@ def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diag
 def save_extended_law(law: Result, path: Path) -> str:
     """Write a law; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
-    from stickslip_fit.estimation import save_result
 
-    save_result(law, path)
+    law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)

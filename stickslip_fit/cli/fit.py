@@ -194,14 +194,10 @@ def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
     """Write the requested files; a line for each."""
     lines = []
     if outputs.json is not None:
-        from stickslip_fit.estimation import save_result
-
-        save_result(estimate.result, outputs.json)
+        estimate.result.save(outputs.json)
         lines.append(f"saved to {outputs.json}")
     if outputs.tree is not None and estimate.posterior is not None:
-        from stickslip_fit.bayes import save_posterior
-
-        save_posterior(estimate.posterior, outputs.tree)
+        estimate.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
     if outputs.chart is not None:
         from stickslip_fit.plotting._style import write_chart
