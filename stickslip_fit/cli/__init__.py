@@ -1,6 +1,5 @@
-"""The command line: one verb a question."""
+"""The command line: one verb for each question."""
 
-from stickslip_fit.cli._app import main
-from stickslip_fit.cli.capture import app
+from stickslip_fit.cli._app import app, main
 
 __all__ = ["app", "main"]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from playwright.sync_api import Browser, sync_playwright
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 CHROMIUM = shutil.which("chromium")
 QUIET = (
@@ -22,8 +24,10 @@ def browser_here() -> Iterator[Browser]:
     Raises
     ------
     ImportError
-        If there is none.
+        If there is none, or Playwright is not installed.
     """
+    from playwright.sync_api import sync_playwright
+
     if CHROMIUM is None:
         raise ImportError("chromium is not installed (apt-get install chromium)")
     with sync_playwright() as playwright:

@@ -6,15 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-pytest.importorskip("playwright", reason="playwright is not installed (pip install 'stickslip-fit[browser]')")
-
-from playwright.sync_api import Browser, BrowserContext, Dialog, Page
-
-from tests.browser.chromium import CHROMIUM, browser_here
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Dialog, Page
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 LOCAL = ("file:", "data:", "blob:", "about:")
@@ -56,6 +53,9 @@ class Visit:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """One browser for all tests."""
+    pytest.importorskip("playwright", reason="playwright is not installed: the extra browser")
+    from tests.browser.chromium import CHROMIUM, browser_here
+
     if CHROMIUM is None:
         pytest.skip("chromium is not installed (apt-get install chromium)")
     with browser_here() as opened:
