@@ -81,6 +81,8 @@ class Condition(Field):
         return f"{self.stem.replace('_', ' ')} ({self.unit})"
 
 
+_TOO_COLD = "is at or below absolute zero; correct it, or the column's unit"
+_BAD_PERIOD = "is no period; write a time above 0"
 FIELDS = (
     Field("session", "session", required=True),
     Field("time", "time", required=True),
@@ -99,22 +101,12 @@ FIELDS = (
     Field("check_every", "check_every"),
     Field("status", "status"),
     Condition(
-        "temperature",
-        "temperature",
-        ("C", "K"),
-        label="ambient temperature",
-        beyond=5.0,
-        fault="is at or below absolute zero; correct it, or the column's unit",
+        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0, fault=_TOO_COLD
     ),
     Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
     Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
     Condition(
-        "step_period",
-        "step_period",
-        ("ms", "s"),
-        label="step period",
-        beyond=0.005,
-        fault="is no period; write a time above 0",
+        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005, fault=_BAD_PERIOD
     ),
     Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
     Field("note", "note"),
@@ -240,10 +232,8 @@ def _intended_fields(name: str) -> set[str]:
 
 
 def _spelling_hint(field: Field, unknown: list[str]) -> str:
-    for other in unknown:
-        if _guess_field(other) is field:
-            return f" (found {other!r}: write {_closest_spelling(other, field)})"
-    return ""
+    similar = (name for name in unknown if _guess_field(name) is field)
+    return next((f" (found {name!r}: write {_closest_spelling(name, field)})" for name in similar), "")
 
 
 def _note_lookalikes(file: str, known: dict[str, SourceColumn], unknown: list[str]) -> list[str]:
