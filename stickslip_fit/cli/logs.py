@@ -28,7 +28,7 @@ from stickslip_fit.errors import InputError
 
 
 def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
-    """Read a log, report every fault in it, and say what it holds."""
+    """Check a log for faults and summarize it."""
     print(load_log(log, machine, since, until).summary())
 
 
@@ -42,25 +42,22 @@ def simulate(
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
 ) -> None:
     """Simulate a plan under a law; the same seed, the same log."""
+    from stickslip_fit import simulation
     from stickslip_fit.logs import write_log
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.machine import load_machine
     from stickslip_fit.moves.arm import column_key, required_columns
-    from stickslip_fit.simulation import simulate as run
 
-    chosen = load_machine(machine)
-    planned = read_plan(plan, chosen)
-    truth = load_law_values(law, chosen, planned)
-    log = run(planned, truth, chosen, seed)
+    geometry = load_machine(machine)
+    planned = read_plan(plan, geometry)
+    truth = load_law_values(law, geometry, planned)
+    log = simulation.simulate(planned, truth, geometry, seed)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
-    unsaid = [
-        name
-        for name in required_columns(truth.laws.values())
-        if name not in log.rows.dropna(axis=1, how="all")
-    ]
-    if unsaid:
-        print(f"the plan does not say {', '.join(map(column_key, unsaid))}: the law was taken at its mean")
+    known = log.rows.dropna(axis=1, how="all")
+    missing = [column_key(name) for name in required_columns(truth.laws.values()) if name not in known]
+    if missing:
+        print(f"the plan does not say {', '.join(missing)}: the law was taken at its mean")
 
 
 def sheet(
@@ -88,10 +85,8 @@ def sheet(
 def report(
     log: LogPath,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
-    diagnosis: Annotated[bool, typer.Option(help="With what the laws get wrong, and why.")] = True,
-    strategies: Annotated[
-        bool, typer.Option(help="With what each way to calibrate costs and reaches.")
-    ] = True,
+    diagnosis: Annotated[bool, typer.Option(help="With the diagnosis.")] = True,
+    strategies: Annotated[bool, typer.Option(help="With the comparison of strategies.")] = True,
     cause: CauseNames = None,
     machine: MachinePath = None,
     since: Since = None,
@@ -120,7 +115,7 @@ def demo(
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
 ) -> None:
-    """Go the whole way on the reference campaign, or on a log."""
+    """Check, calibrate and report the reference campaign, or a log."""
     from stickslip_fit.estimation import fit_closed_form
     from stickslip_fit.reporting import report as make_report
 
@@ -137,7 +132,7 @@ def demo(
     page.save(written)
     print(f"\nreport written to {written}")
     whole = shlex.join(["stickslip-fit", "report", *map(str, chosen)])
-    print(f"what the law gets wrong, and which calibration to choose: {whole}")
+    print(f"with diagnosis and comparison of strategies: {whole}")
     if browse and has_browser():
         import webbrowser
 

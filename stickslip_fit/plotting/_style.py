@@ -16,6 +16,7 @@ from typing import Any, Literal
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure, FigureBase
@@ -359,3 +360,20 @@ def write_figure(figure: Figure, path: Path, key: str) -> None:
     with report_style(), mpl.rc_context({"svg.hashsalt": key}):
         figure.savefig(stream, format=kind[1:], dpi=DPI, metadata=DATE_METADATA[kind])
     write_atomically(path, stream.getvalue())
+
+
+MAX_SESSIONS = 3
+
+
+def select_recent(rows: pd.DataFrame, most: int = MAX_SESSIONS) -> pd.DataFrame:
+    """The rows of the most recent sessions; more of them would hide each other."""
+    sessions = rows["session"].astype(object).unique()
+    return rows[rows["session"].isin(list(sessions[-most:]))]
+
+
+def thin_rows(rows: pd.DataFrame, most: int) -> pd.DataFrame:
+    """At most `most` of the rows, chosen at random but the same each time.
+
+    Every k-th row would not do: directions take turns, so that an even k would leave only one.
+    """
+    return rows if len(rows) <= most else rows.sample(most, random_state=0).sort_index()

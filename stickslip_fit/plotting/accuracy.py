@@ -20,7 +20,7 @@ from stickslip_fit._format import (
     pluralize,
 )
 from stickslip_fit.estimation import Result
-from stickslip_fit.estimation.traverses import choose_repeatability, select_recent
+from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
@@ -33,6 +33,7 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
+    select_recent,
     set_log_axis,
     sweep_entries,
 )

@@ -20,7 +20,6 @@ from stickslip_fit._format import (
 )
 from stickslip_fit.anova import FactorTest
 from stickslip_fit.errors import InputError, shorten
-from stickslip_fit.estimation.traverses import thin_rows
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     INK,
@@ -32,6 +31,7 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
+    thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
 from stickslip_fit.units import from_si

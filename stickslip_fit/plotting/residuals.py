@@ -22,7 +22,6 @@ from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
 from stickslip_fit.diagnosis.selection import SelectedCause
 from stickslip_fit.errors import InputError, shorten
-from stickslip_fit.estimation.traverses import thin_rows
 from stickslip_fit.laws import expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
@@ -40,6 +39,7 @@ from stickslip_fit.plotting._style import (
     report_style,
     robust_limit,
     set_angle_ticks,
+    thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si

@@ -28,12 +28,13 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation import Result
-from stickslip_fit.estimation.traverses import MAX_SESSIONS, is_full, select_recent, thin_rows
+from stickslip_fit.estimation.identifiability import is_full
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.plotting._style import (
     GREEN,
     INK,
     MARKERS,
+    MAX_SESSIONS,
     PURPLE,
     TITLE_LINE,
     PointStyle,
@@ -42,8 +43,10 @@ from stickslip_fit.plotting._style import (
     make_legend_entry,
     report_style,
     robust_limit,
+    select_recent,
     set_angle_ticks,
     sweep_entries,
+    thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si

@@ -39,14 +39,10 @@ from stickslip_fit.estimation import (
 )
 from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
-from stickslip_fit.estimation.traverses import (
-    POSITION_COLUMNS,
-    choose_repeatability,
-    collect_traverses,
-    select_recent,
-    thin_rows,
-)
+from stickslip_fit.estimation.prediction import POSITION_COLUMNS, collect_traverses
+from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.logs import Log
+from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.accuracy import configurations_picture, errors_picture, load_coefficient_picture
 from stickslip_fit.plotting.parameters import control_picture
