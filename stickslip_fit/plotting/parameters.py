@@ -117,7 +117,7 @@ def _draw_control_joint(part: SubFigure, chart: pd.DataFrame, sessions: list[str
         share_y=False,
     )
     part.suptitle(
-        joint_name(int(chart["joint"].iloc[0])), x=0.0, y=1.0, ha="left", va="top", fontweight="bold"
+        joint_name(int(chart["joint"].iloc[0])), x=0.005, y=1.0, ha="left", va="top", fontweight="bold"
     )
     for row, sign in enumerate(directions):
         for column, name in enumerate(names):
