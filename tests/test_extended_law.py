@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import pytest
 from stickslip_fit import cli
 from stickslip_fit.causes import ExtendedLaw, ThermalWarmUp
 from stickslip_fit.cli import diagnose as diagnosing
+from stickslip_fit.diagnosis import Diagnosis
 from stickslip_fit.logs import read_log
 
 A, TAU, LOST = 0.04, 1200.0, 80
@@ -133,7 +135,7 @@ def steps_of(out: str) -> list[int]:
 
 
 def test_a_move_takes_fewer_steps_once_warm(run):
-    move = ("steps", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
+    move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     cold, hot = (run(*move, "--condition", f"session_{time}") for time in ("s=0", "h=100"))
     assert cold[0] == hot[0] == 0
     ratios = np.divide(steps_of(cold[1]), steps_of(hot[1]))
@@ -142,7 +144,7 @@ def test_a_move_takes_fewer_steps_once_warm(run):
 
 def test_a_reversal_within_a_run_of_drives_costs_its_steps(run):
     """Out and back by as many steps as it takes: what the reversal loses is missing on the way back."""
-    at = ("where", "fit.json", "--at", "0,-90,6", "--condition", "session_h=100", "--drive")
+    at = ("dead-reckon", "fit.json", "--at", "0,-90,6", "--condition", "session_h=100", "--drive")
     back = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3-3000")[1])[1])
     there = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3+3000", "--drive", "3-3000")[1])[1])
     out = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3+3000")[1])[1])
@@ -154,7 +156,7 @@ def test_a_reversal_within_a_run_of_drives_costs_its_steps(run):
 
 
 def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(run):
-    move = ("steps", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
+    move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     status, _, err = run(*move)
     assert status == 2
     assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in err
@@ -204,25 +206,33 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     misheard = [5, 40]
     rows = log.rows.copy()
     rows.loc[misheard, "steps"] = (rows.loc[misheard, "steps"] * 1.3).astype(int)
-    from dataclasses import replace
-
     log = replace(log, rows=rows)
     found = SimpleNamespace(
+        require_log=lambda: log,
         findings=[
             SimpleNamespace(version=ThermalWarmUp(), traverses=None),
             SimpleNamespace(version=None, traverses=log.usable.iloc[misheard]),
-        ]
+        ],
     )
-    law = diagnosing.fit_extended_law(log, found)
+    law = Diagnosis.extended_law(found)
     assert isinstance(law.joints[3].law, ExtendedLaw)
     assert len(law.residuals) == len(log.rows) - 2
     size = law.parameters.set_index("name").loc["thermal-warm-up.A"]
     assert abs(size["estimate"] - A) < 0.015
     told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
-    move = ("steps", "named.json", "--at", "0,-90,0", "--joints", "0,-60,6", "--condition", "session_min=30")
+    move = (
+        "plan-move",
+        "named.json",
+        "--at",
+        "0,-90,0",
+        "--joints",
+        "0,-60,6",
+        "--condition",
+        "session_min=30",
+    )
     assert run(*move)[0] == 0
-    nothing = diagnosing.fit_extended_law(log, SimpleNamespace(findings=[]))
+    nothing = Diagnosis.extended_law(SimpleNamespace(findings=[], require_log=lambda: log))
     assert "published, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
 
 
