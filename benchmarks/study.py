@@ -34,19 +34,19 @@ LOOPED = 4
 
 def lmfit_loop(law: StepLaw, name: str, cells: list[DesignCell], campaigns: SimulatedCampaigns) -> np.ndarray:
     """Parameters of each campaign and session of a joint and direction, shape (c, p)."""
-    found = []
+    parameters = []
     for number in range(campaigns.count):
         rows = campaigns.campaign_rows(number)
         for cell in cells:
-            found.append(lmfit_one(law, rows.iloc[cell.chosen[name]], cell.repeatability))
-    return np.array(found)
+            parameters.append(lmfit_one(law, rows.iloc[cell.chosen[name]], cell.repeatability))
+    return np.array(parameters)
 
 
-def lmfit_one(law: StepLaw, made: pd.DataFrame, repeatability: float) -> np.ndarray:
+def lmfit_one(law: StepLaw, measured: pd.DataFrame, repeatability: float) -> np.ndarray:
     """One calibration; parameters are handed over in units of their scales."""
-    y, rounding = law.response(made)
-    root, model = 1.0 / np.sqrt(repeatability**2 + rounding), law.model(made)
-    mean = np.exp(np.mean(np.log(np.abs(made["stop"] - made["start"])) - y))
+    y, rounding = law.response(measured)
+    root, model = 1.0 / np.sqrt(repeatability**2 + rounding), law.model(measured)
+    mean = np.exp(np.mean(np.log(np.abs(measured["stop"] - measured["start"])) - y))
     start, scales = law.start_values(np.array([mean]))[0], law.scales(np.array([mean]))[0]
     names = [f"p{k}" for k in range(len(scales))]
 
@@ -61,10 +61,10 @@ def lmfit_one(law: StepLaw, made: pd.DataFrame, repeatability: float) -> np.ndar
 
 def loop(study: StudyPlan) -> tuple[float, float]:
     """Seconds that a looped study of `LOOPED` campaigns takes, and the largest relative disagreement."""
-    plain, common = study.scenarios[0], design_study(study)
-    began, worst, own = time.perf_counter(), 0.0, 0.0
+    plain, design = study.scenarios[0], design_study(study)
+    began, worst, own_time = time.perf_counter(), 0.0, 0.0
     campaigns = simulate_campaigns(study, plain, draw_campaigns(study, plain, range(LOOPED)))
-    for _, _, cells, _ in common.drives():
+    for _, _, cells, _ in design.drives():
         offered = np.concatenate([cell.offered for cell in cells])
         session = np.repeat(np.arange(len(cells)), [len(cell.offered) for cell in cells])
         number = (np.arange(LOOPED)[:, None] * len(cells) + session).ravel()
@@ -73,12 +73,12 @@ def loop(study: StudyPlan) -> tuple[float, float]:
             law = LAW_STRATEGIES[type(strategy)](cells[0].law)
             values = lmfit_loop(law, strategy.name, cells, campaigns)
             predicted = law.predict(rows, values[number])
-            aside = time.perf_counter()
-            ours: LawCalibrations = calibrate_by_law(law, strategy.name, cells, campaigns)
-            off = np.abs(np.expm1(ours.predict(rows, number)[0] - predicted))
-            worst = max(worst, float(np.median(off)))
-            own += time.perf_counter() - aside
-    return time.perf_counter() - began - own, worst
+            start = time.perf_counter()
+            batched: LawCalibrations = calibrate_by_law(law, strategy.name, cells, campaigns)
+            error = np.abs(np.expm1(batched.predict(rows, number)[0] - predicted))
+            worst = max(worst, float(np.median(error)))
+            own_time += time.perf_counter() - start
+    return time.perf_counter() - began - own_time, worst
 
 
 def main() -> None:
@@ -89,11 +89,11 @@ def main() -> None:
     chunk = Chunk(study, design_study(study), study.scenarios[0], 0, 100)
     began = time.perf_counter()
     chunk.run()
-    ours = (time.perf_counter() - began) / len(chunk)
-    theirs, off = loop(study)
-    theirs /= LOOPED
-    print(f"one core: {1 / ours:.0f} campaigns a second; looped over lmfit {1 / theirs:.2f}, ", end="")
-    print(f"{theirs / ours:.0f} times as long; typical disagreement of predictions {off:.0e} at most")
+    batched = (time.perf_counter() - began) / len(chunk)
+    looped, error = loop(study)
+    looped /= LOOPED
+    print(f"one core: {1 / batched:.0f} campaigns a second; looped over lmfit {1 / looped:.2f}, ", end="")
+    print(f"{looped / batched:.0f} times as long; typical disagreement of predictions {error:.0e} at most")
     began = time.perf_counter()
     run_study(study, backend=Cores())
     took = time.perf_counter() - began

@@ -29,7 +29,7 @@ STEP_TOL = 1e-6  # of a step; the last Newton step makes the error far smaller
 
 
 def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike) -> Array:
-    """Positions of the moving joint after so many steps from the start of each traverse.
+    """Positions of the moving joint after so many steps of each traverse, rad or m, shape (n,).
 
     Solves counts(start, x) = steps for x by Newton's method, with derivative 1 / step size, safeguarded by
     bisection.
@@ -42,11 +42,6 @@ def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike
         The law's parameters.
     steps : array_like, shape (n,) or ()
         0 or more, not necessarily whole.
-
-    Returns
-    -------
-    array, shape (n,)
-        rad or m.
 
     Raises
     ------

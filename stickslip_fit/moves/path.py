@@ -147,11 +147,6 @@ def straight_path(
     theta, psi : float, optional
         Orientation of the base, rad.
 
-    Returns
-    -------
-    TipPaths
-        Of one move.
-
     Raises
     ------
     InputError

@@ -187,7 +187,9 @@ def plan_steps(
     sessions: Sequence[str],
     conditions: Mapping[str, npt.ArrayLike],
 ) -> Array:
-    """Whole steps of every drive by a calibration.
+    """Whole steps of every drive by a calibration, shape (c, m, k).
+
+    0 where a joint does not move; NaN where the calibration gives none.
 
     Parameters
     ----------
@@ -196,11 +198,6 @@ def plan_steps(
         moves of the first session come first, and `number` is the index of the session.
     sessions, conditions
         See `TrueLaws`.
-
-    Returns
-    -------
-    array, shape (c, m, k)
-        0 where a joint does not move; NaN where the calibration gives none.
 
     Raises
     ------
@@ -341,10 +338,10 @@ def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
 
 
 def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Array | None = None) -> Array:
-    """Joint positions under the true laws after so many steps.
+    """Joint positions under the true laws after so many steps, rad, rad, m, shape (c, m, 3).
 
     Every drive starts from the joints' true positions and ends at a mechanical stop if it reaches one.
-    Effects on detecting the stop play no part.
+    Effects on detecting the stop play no part. Positions are NaN where steps are.
 
     Parameters
     ----------
@@ -354,11 +351,6 @@ def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Ar
         As `plan_steps` returns them.
     noise : array, shape (c, m, k), optional
         Deviations of log(steps) with standard deviation 1, see `simulation.draw_noise`; none by default.
-
-    Returns
-    -------
-    array, shape (c, m, 3)
-        rad, rad, m; NaN where steps are.
 
     Raises
     ------

@@ -211,7 +211,7 @@ def simulate_counts(
     rng: np.random.Generator,
     kind: NoiseKind = "gaussian",
 ) -> Int64Array:
-    """Simulated counts of a lab: with noise, rounded up to the next check of the end stop.
+    """Simulated counts, shape (n,): with noise, rounded up to the next check of the end stop.
 
     Parameters
     ----------
@@ -221,10 +221,6 @@ def simulate_counts(
     repeatability : float or array, shape (n,)
         Standard deviation of log(steps).
     kind : {'gaussian', 't5'}
-
-    Returns
-    -------
-    array of int, shape (n,)
 
     Raises
     ------
@@ -350,7 +346,7 @@ MAX_STEPS_TO_STOP = 1e7  # at the present step size; more are taken for a stall
 
 
 def step_through(law: StepLaw, rows: Rows, values: Array) -> Int64Array:
-    """Step every traverse from its start until its stop, one step after another.
+    """Steps of every traverse, counted one after another from its start to its stop, shape (n,).
 
     The reference that closed forms and quadrature approximate; for tests and benchmarks.
 
@@ -358,11 +354,6 @@ def step_through(law: StepLaw, rows: Rows, values: Array) -> Int64Array:
     ----------
     rows : mapping of str to array, shape (n,)
     values : array, shape (p,) or (n, p)
-
-    Returns
-    -------
-    array of int, shape (n,)
-        Steps made.
 
     Raises
     ------

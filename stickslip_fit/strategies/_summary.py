@@ -34,13 +34,8 @@ DIFFERENCE_COLUMNS = ("difference", "difference_relative")
 def compare_with_best(comparison: Comparison, joint: int) -> tuple[str, pd.DataFrame]:
     """The strategy with the least relative rms, and its pair with every other strategy.
 
-    The p-values are adjusted for all pairs, so that they stay valid for the best, which the data choose.
-
-    Returns
-    -------
-    best : str
-    others : DataFrame
-        Rows of `Comparison.pairs`, reversed where needed so that `other` is the best.
+    The pairs are rows of `Comparison.pairs`, reversed where needed so that `other` is the best. Their
+    p-values are adjusted for all pairs, so that they stay valid for the best, which the data choose.
     """
     subset = _rows_of_joint(comparison.accuracy(), joint)
     best = str(subset.loc[subset["rms_relative"].idxmin(), "strategy"])
@@ -274,12 +269,9 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
 
 
 def worst_configurations(comparison: Comparison, joint: int) -> pd.DataFrame:
-    """Errors by strategy, direction and configuration, each strategy's largest relative rms first.
+    """Errors by strategy, direction and configuration, the largest relative rms first.
 
-    Returns
-    -------
-    DataFrame
-        As `Comparison.accuracy` returns it, and times_scatter: the relative rms over the repeatability.
+    As `Comparison.accuracy` returns them, and times_scatter: the relative rms over the repeatability.
     """
     table = _rows_of_joint(comparison.accuracy("direction", *POSITION_COLUMNS), joint)
     scatter = [comparison.repeatability[joint, str(direction)] for direction in table["direction"]]

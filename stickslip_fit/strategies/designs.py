@@ -34,7 +34,7 @@ IMPROVEMENT_TOL = 1e-9
 
 
 def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
-    """The design of least loss by greedy addition and exchange, no row twice.
+    """The design of least loss by greedy addition and exchange, no row twice; positions in ascending order.
 
     Parameters
     ----------
@@ -46,10 +46,6 @@ def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntA
     prior : array, shape (p, p)
         Prior information; positive definite.
 
-    Returns
-    -------
-    array of int, shape (count,)
-        In ascending order.
     """
     single, rows = jacobian[:, :, None] * jacobian[:, None, :], np.arange(len(jacobian))
     chosen: list[int] = []

@@ -195,13 +195,7 @@ def _estimate_repeatability(law: FixedCauseLaw, task: CalibrationTask) -> float:
 def causes_from_other_sessions(
     log: Log, causes: Sequence[Cause], session_selector: SessionSelector = other_sessions
 ) -> dict[str, FixedCauses | str]:
-    """Sizes of causes for each session, fitted to the other sessions that `session_selector` gives it.
-
-    Returns
-    -------
-    dict of str to FixedCauses or str
-        By session; where they cannot be fitted, the reason.
-    """
+    """Causes by session, fitted to the other sessions that it may use; the reason where they cannot be."""
     known: dict[str, FixedCauses | str] = {}
     for session in log.sessions:
         others = session_selector(log.sessions, session)

@@ -222,7 +222,7 @@ def compare_pairs(errors: pd.DataFrame, unit: Sequence[str]) -> pd.DataFrame:
 
 
 def paired_t_p_values(log_ratios: Array, max_df: int) -> Array:
-    """Of paired t tests with shrunken variances; 1 where there is one unit or nothing differs.
+    """Of paired t tests with shrunken variances, shape (m,); 1 where one unit or nothing differs.
 
     Parameters
     ----------
@@ -230,10 +230,6 @@ def paired_t_p_values(log_ratios: Array, max_df: int) -> Array:
         Of what is compared, such as rms errors.
     max_df : int
         Of all of them together, see `shrink_variances`.
-
-    Returns
-    -------
-    array, shape (m,)
 
     Examples
     --------

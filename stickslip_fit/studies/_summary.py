@@ -61,8 +61,8 @@ def _heading(study: SimulationStudy) -> str:
     plan = study.plan
     return (
         f"{plan.name}: {plan.campaigns:,} campaigns of {len(plan.plan.sessions)} sessions with "
-        f"{'each of ' * (len(plan.scenarios) > 1)}{len(plan.scenarios)} "
-        f"scenario{'s' * (len(plan.scenarios) > 1)}, {len(plan.strategies)} calibration strategies. Each "
+        f"{'each of ' * (len(plan.scenarios) > 1)}{pluralize(len(plan.scenarios), 'scenario')}, "
+        f"{len(plan.strategies)} calibration strategies. Each "
         "calibrates a session from its own traverses, which it chooses once, before any campaign. Errors are "
         "predicted less true mean step size, of all configurations of the plan, with 95 % intervals over "
         "campaigns; held is the share of stated 95 % intervals that hold the truth; a traverse costs "
@@ -144,17 +144,10 @@ def _tips_table(study: SimulationStudy, tips: pd.DataFrame) -> Table:
 def _left_out(study: SimulationStudy) -> Table:
     """Which strategies take no part where, and why."""
     columns = tuple(Column(head, text=True) for head in ("strategy", "joint", "direction", "why"))
-    table = study.design.left_out
-    if table.empty:
-        return Table("Left out", columns, ())
+    groups = study.design.left_out.groupby(["strategy", "joint", "reason"], sort=False)["direction"]
     rows = tuple(
-        (
-            strategy,
-            str(joint),
-            " and ".join(map(format_direction, dict.fromkeys(cases["direction"]))),
-            reason,
-        )
-        for (strategy, joint, reason), cases in table.groupby(["strategy", "joint", "reason"], sort=False)
+        (strategy, str(joint), " and ".join(map(format_direction, dict.fromkeys(directions))), reason)
+        for (strategy, joint, reason), directions in groups
     )
     return Table("Left out", columns, rows)
 
@@ -174,9 +167,8 @@ def write_study_headline(study: SimulationStudy, joint: int) -> str:
     first, strategies = study.scenarios[0], study.strategies(joint)
     in_all = [name for name in accurate[first] if all(name in names for names in accurate.values())]
     in_none = [name for name in strategies if not any(name in names for names in accurate.values())]
-    count = len(accurate)
-    scenarios = f" in {'all ' * (count > 1)}{pluralize(count, 'scenario')}"
-    sentences = [f"Within {100 * limit:g} % rms{scenarios}: {'; '.join(in_all) or 'none'}."]
+    scenarios = f"{'all ' * (len(accurate) > 1)}{pluralize(len(accurate), 'scenario')}"
+    sentences = [f"Within {100 * limit:g} % rms in {scenarios}: {'; '.join(in_all) or 'none'}."]
     if in_all:
         minutes = float(table.loc[table["strategy"] == in_all[0], "seconds"].mean()) / 60
         sentences.append(f"The cheapest, {in_all[0]}, takes {minutes:.0f} min a session.")

@@ -276,7 +276,7 @@ def compute_step_size_errors(
     cells: Sequence[DesignCell],
     campaigns: SimulatedCampaigns,
 ) -> pd.DataFrame:
-    """Statistics of the errors of one joint and direction, for each campaign and strategy.
+    """Statistics of the step-size errors of one joint and direction, for each campaign and strategy.
 
     Every configuration's mean step size is predicted, at the time of its first traverse in each session. A
     session that a strategy cannot calibrate is left out for all.

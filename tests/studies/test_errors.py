@@ -11,7 +11,7 @@ from stickslip_fit.strategies.statistics import prediction_variance
 from stickslip_fit.studies import Cores, run_study
 from stickslip_fit.studies.calibration import design_study
 from tests.conftest import Truth
-from tests.strategies.test_cramer_rao import slopes_by_hand
+from tests.strategies.test_bounds import slopes_by_hand
 from tests.studies.conftest import JOINT_3, ROTARY, hidden
 
 EXACT = {"check_every": 1, "day_to_day_pct": 0.0, "between_campaigns": 0.0, "between_sessions": 0.0}

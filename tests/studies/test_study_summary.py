@@ -10,7 +10,7 @@ from stickslip_fit.causes import ThermalWarmUp
 from stickslip_fit.errors import InputError
 from stickslip_fit.studies import Cores, Scenario, run_study, save_study
 from tests.studies.conftest import HEAD, JOINT_3, ROTARY, hidden, law_file
-from tests.studies.test_read import GOOD
+from tests.studies.test_plan import GOOD
 
 SCENARIOS = (Scenario("nothing hidden"), hidden("a warm-up", ThermalWarmUp(), 0.08, 3600.0))
 
