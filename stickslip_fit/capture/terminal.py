@@ -51,7 +51,7 @@ class Console(Protocol):
         """Wait for input and return it."""
 
 
-class PosixConsole:
+class PosixConsole(Console):
     """The standard input, read past Python's buffer, which would hide its content from `waiting`."""
 
     def __init__(self) -> None:
@@ -83,17 +83,11 @@ class PosixConsole:
         return re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", SPECIAL, text)
 
 
-class WindowsConsole:
-    """The console window, which has to be polled and delivers one key at a time."""
+class WindowsConsole(Console):
+    """The console window, which always delivers keys at once, one at a time, and has to be polled."""
 
     def __init__(self) -> None:
         self._console: Any = import_module("msvcrt")
-
-    def open(self) -> None:
-        """See `Console.open`: it always does."""
-
-    def close(self) -> None:
-        """See `Console.close`."""
 
     def waiting(self, seconds: float | None) -> bool:
         """See `Console.waiting`."""
