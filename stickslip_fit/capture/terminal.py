@@ -51,7 +51,7 @@ class Console(Protocol):
         """Wait for input and return it."""
 
 
-class PosixConsole(Console):
+class PosixConsole:
     """The standard input, read past Python's buffer, which would hide its content from `waiting`."""
 
     def __init__(self) -> None:
@@ -83,11 +83,17 @@ class PosixConsole(Console):
         return re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", SPECIAL, text)
 
 
-class WindowsConsole(Console):
+class WindowsConsole:
     """The console window, which always delivers keys at once, one at a time, and has to be polled."""
 
     def __init__(self) -> None:
         self._console: Any = import_module("msvcrt")
+
+    def open(self) -> None:
+        """See `Console.open`: nothing to do."""
+
+    def close(self) -> None:
+        """See `Console.close`."""
 
     def waiting(self, seconds: float | None) -> bool:
         """See `Console.waiting`."""
