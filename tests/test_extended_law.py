@@ -16,6 +16,7 @@ import pytest
 from stickslip_fit import cli
 from stickslip_fit.causes import ExtendedLaw, ThermalWarmUp
 from stickslip_fit.cli import diagnose as diagnosing
+from stickslip_fit.diagnosis import Diagnosis
 from stickslip_fit.logs import read_log
 
 A, TAU, LOST = 0.04, 1200.0, 80
@@ -158,10 +159,10 @@ def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(
     move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     status, _, err = run(*move)
     assert status == 2
-    assert "the law looks at how long the session has run: say --condition session_min=NUMBER" in err
+    assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in err
     status, _, err = run(*move, "--condition", "temperature_C=20")
     assert status == 2
-    assert "this law looks at session_min; leave temperature_C out" in err
+    assert "this law depends on session_min; leave temperature_C out" in err
     assert run(*move, "--condition", "session_min=soon")[0] == 2
 
 
@@ -207,12 +208,13 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     rows.loc[misheard, "steps"] = (rows.loc[misheard, "steps"] * 1.3).astype(int)
     log = replace(log, rows=rows)
     found = SimpleNamespace(
+        require_log=lambda: log,
         findings=[
             SimpleNamespace(version=ThermalWarmUp(), traverses=None),
             SimpleNamespace(version=None, traverses=log.usable.iloc[misheard]),
         ]
     )
-    law = diagnosing.fit_extended_law(log, found)
+    law = Diagnosis.extended_law(found)
     assert isinstance(law.joints[3].law, ExtendedLaw)
     assert len(law.residuals) == len(log.rows) - 2
     size = law.parameters.set_index("name").loc["thermal-warm-up.A"]
@@ -230,7 +232,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
         "session_min=30",
     )
     assert run(*move)[0] == 0
-    nothing = diagnosing.fit_extended_law(log, SimpleNamespace(findings=[]))
+    nothing = Diagnosis.extended_law(SimpleNamespace(findings=[], require_log=lambda: log))
     assert "published, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
 
 

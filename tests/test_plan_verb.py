@@ -119,7 +119,7 @@ def test_causes_that_a_log_confuses_come_with_the_traverses_that_tell_them_apart
     content = json.loads(saved.read_text("utf-8"))
     assert status == 0
     assert content["verdict"] == "cannot tell apart"
-    assert "To tell apart, in a new session" in out
+    assert "To separate causes, in a new session" in out
     assert "drift" in content["next_experiment"][0]["tells_apart"]
     assert content["next_experiment"][0]["repeats"] >= 1
     assert content["out_of_reach"] == []

@@ -1,5 +1,5 @@
 """Score rivals and ours; see `harness`."""
 
-from benchmarks.cause_set.harness import main
+from benchmarks.naming.harness import main
 
 main()

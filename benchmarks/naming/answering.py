@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cause_set import ours, regressions, stepwise
-from benchmarks.cause_set.problem import Answer, Contender, Problem
+from benchmarks.naming import ours, regressions, stepwise
+from benchmarks.naming.problem import Answer, Contender, Problem
 
 CONTENDERS: dict[str, Contender] = {
     "ours": ours.ours,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from benchmarks.cause_set.problem import Array
+from benchmarks.naming.problem import Array
 from tests.hidden.physics import DEG, FULL, MM, STROKE, Place, full_load
 
 Candidates = Iterator[tuple[str, Array]]

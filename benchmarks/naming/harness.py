@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import gettempdir
 
-from benchmarks.cause_set.answering import CONTENDERS, lines
-from benchmarks.cause_set.logs import SIZES, make_logs
-from benchmarks.cause_set.scores import table
+from benchmarks.naming.answering import CONTENDERS, lines
+from benchmarks.naming.logs import SIZES, make_logs
+from benchmarks.naming.scores import table
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmarks.cause_set.columns import candidates
-from benchmarks.cause_set.problem import Array, Problem
+from benchmarks.naming.columns import candidates
+from benchmarks.naming.problem import Array, Problem
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.logs import Log, read_log

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.cause_set.problem import Answer, Problem
+from benchmarks.naming.problem import Answer, Problem
 
 
 def ours(problem: Problem) -> Answer:
     """Decide and name as ``stickslip-fit diagnose`` does, without the gain and the next experiment."""
-    from stickslip_fit.diagnosis.pipeline import find_causes
+    from stickslip_fit.diagnosis import diagnose
     from stickslip_fit.logs import read_log
 
-    decided = find_causes(read_log(problem.log), seed=0)
+    decided = diagnose(read_log(problem.log), seed=0, gain=False)
     told = {cause: float(value) for cause, value in decided.inclusion.items() if value is not None}
     # Alarms go by the p-value of anything at all: digits by which it is below 1 %.
     loud = -2.0 - float(np.log10(decided.p_value))

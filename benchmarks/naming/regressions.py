@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cause_set.problem import Answer, Array, Indices, Problem
+from benchmarks.naming.problem import Answer, Array, Indices, Problem
 
 FOLDS, SHUFFLES = 4, 5
 # The machine's defaults, 14 bags at a rate of 0.015, take half a minute a log.

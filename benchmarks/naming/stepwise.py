@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cause_set.problem import Answer, Array, Indices, Problem
+from benchmarks.naming.problem import Answer, Array, Indices, Problem
 
 MOST = 8  # candidates taken in, at most
 Worth = Callable[[float, float, int, int, Problem], float]

@@ -1,4 +1,4 @@
-"""The Python API room by room: one page for each, of what the room's own list of names has."""
+"""The Python API: one page for each package, with the names that its modules list."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import inspect
 from importlib import import_module
 from types import ModuleType
 
-ROOMS = {
+PACKAGES = {
     "units": ("stickslip_fit.units", "stickslip_fit.errors"),
     "machine": ("stickslip_fit.machine",),
-    "logs": ("stickslip_fit.logs", "stickslip_fit.logs.plan", "stickslip_fit.logs.plan_reader"),
+    "logs": ("stickslip_fit.logs", "stickslip_fit.logs.plan"),
     "laws": ("stickslip_fit.laws",),
     "causes": ("stickslip_fit.causes",),
     "simulate": ("stickslip_fit.simulation",),
@@ -21,10 +21,7 @@ ROOMS = {
     "capture": (
         "stickslip_fit.capture",
         "stickslip_fit.capture.protocols",
-        "stickslip_fit.capture.protocols",
         "stickslip_fit.capture.operator",
-        "stickslip_fit.capture.operator",
-        "stickslip_fit.capture.protocols",
         "stickslip_fit.capture.tuning",
     ),
     "report": ("stickslip_fit.reporting",),
@@ -32,22 +29,22 @@ ROOMS = {
 
 
 def pages() -> dict[str, str]:
-    """The page of each room."""
-    return {room: "\n\n".join([f"# {room}", *map(_section, names)]) for room, names in ROOMS.items()}
+    """The page of each package."""
+    return {title: "\n\n".join([f"# {title}", *map(_section, names)]) for title, names in PACKAGES.items()}
 
 
 def _section(name: str) -> str:
     module = import_module(name)
     names = _names(module)
-    listed = "\n".join(f"   {each}" for each in names)
-    directives = "\n\n".join(f".. auto{_kind(getattr(module, each))}:: {each}" for each in names)
+    listed = "\n".join(f"   {entry}" for entry in names)
+    directives = "\n\n".join(f".. auto{_kind(getattr(module, entry))}:: {entry}" for entry in names)
     summary = f".. autosummary::\n   :nosignatures:\n\n{listed}\n\n{directives}" if names else ""
     rst = f".. automodule:: {name}\n   :no-members:\n\n.. currentmodule:: {name}\n\n{summary}"
     return f"## {name}\n\n```{{eval-rst}}\n{rst}\n```"
 
 
 def _names(module: ModuleType) -> list[str]:
-    """What the module offers: its own list, or else what it defines."""
+    """The module's own list of names, or else what it defines."""
     listed = getattr(module, "__all__", None)
     if listed is not None:
         return list(listed)

@@ -15,8 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stickslip_fit.diagnosis import Finding
-from stickslip_fit.diagnosis.pipeline import find_causes
+from stickslip_fit.diagnosis import Finding, diagnose
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import Log, read_log, write_log
 from stickslip_fit.logs.plan_reader import read_plan
@@ -43,7 +42,7 @@ def main() -> None:
     """Draw both versions beside this file."""
     with tempfile.TemporaryDirectory() as folder:
         log = hidden_campaign(Path(folder))
-    (found,) = find_causes(log).findings
+    (found,) = diagnose(log, gain=False).findings
     before, after = left_over(log), left_over(log, found)
     for name, look in LOOKS.items():
         with mpl.rc_context(_style(look)):

@@ -91,7 +91,7 @@ def diagnose(
     result = diagnose_with_progress(campaign, alpha, seed)
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
-    law = save_extended_law(fit_extended_law(campaign, result), save_law) if save_law else ""
+    law = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
     print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
 
 
@@ -158,24 +158,6 @@ def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diag
         return diagnose(log, alpha=alpha, seed=seed, progress=progress)
 
 
-def fit_extended_law(log: Log, diagnosis: Diagnosis) -> Result:
-    """The published laws extended by the causes that a diagnosis named, fitted to its log.
-
-    Of causes that the log cannot distinguish it is the likeliest. Traverses with a misdetected stop are left
-    out; an unknown misfit is not modelled.
-    """
-    from dataclasses import replace
-
-    from stickslip_fit.estimation import fit_least_squares
-
-    rows, usable = log.rows.copy(), log.rows.index[log.rows["status"] == "ok"]
-    for finding in diagnosis.findings:
-        if finding.traverses is not None:
-            rows.loc[usable[finding.traverses.index], "status"] = "excluded"
-    versions = [finding.version for finding in diagnosis.findings if finding.version is not None]
-    return fit_least_squares(replace(log, rows=rows), causes=versions, command=command_line())
-
-
 def save_extended_law(law: Result, path: Path) -> str:
     """Write a law; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
@@ -198,7 +180,7 @@ def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report:
         save_diagnosis(diagnosis, json_path)
         saved.append(f"saved to {json_path}")
     if report is not None:
-        from stickslip_fit.reporting.diagnosis import diagnosis_page
+        from stickslip_fit.reporting.sections import diagnosis_page
 
         write_atomically(report, diagnosis_page(diagnosis, command=command_line()))
         saved.append(f"report written to {report}")
@@ -232,28 +214,15 @@ def check_plan_options(paths: list[Path], of_plan: dict[str, object], of_log: di
 
 def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
     """The most informative next traverses."""
-    from stickslip_fit.causes import covariates, library
-    from stickslip_fit.diagnosis._summary import summarize_next
-    from stickslip_fit.diagnosis.candidate_traverses import forecast_candidates
-    from stickslip_fit.diagnosis.experiments import (
-        find_inseparable_pairs,
-        has_columns,
-        next_experiment,
-        suggest_traverses,
-    )
-    from stickslip_fit.diagnosis.pipeline import find_causes
+    from stickslip_fit.diagnosis import diagnose, next_experiment
+    from stickslip_fit.diagnosis._design_summary import summarize_next
+    from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
     from stickslip_fit.diagnosis.result import traverse_to_json
 
-    diagnosis = find_causes(log, alpha=alpha, seed=seed)
-    problem = diagnosis.search.problem
-    candidates = forecast_candidates(problem, log.machine)
-    traverses = next_experiment(diagnosis.search, diagnosis.findings, candidates)
+    diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
+    traverses = next_experiment(diagnosis)
     inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
-    causes = [
-        cause.bind(problem.rows, log.machine) if has_columns(cause, problem.rows) else cause
-        for cause in (*library(), *covariates(problem.rows))
-    ]
-    suggestions = suggest_traverses(diagnosis.untestable, causes, problem.rows, candidates)
+    suggestions = suggest_traverses(diagnosis)
     content = {
         "schema": NEXT_SCHEMA,
         "log": {"file": Path(diagnosis.log_file).name, "sha256": diagnosis.log_sha256},
@@ -277,7 +246,7 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
     """Which causes a plan could detect and distinguish."""
     import numpy as np
 
-    from stickslip_fit.diagnosis._summary import SHOWN_AT, summarize_plan
+    from stickslip_fit.diagnosis._design_summary import SHOWN_AT, summarize_plan
     from stickslip_fit.diagnosis.pipeline import bootstrap_size
     from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan, separability_to_json
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder
+from stickslip_fit._io import check_folder, show_progress
 from stickslip_fit.cli._options import (
     CauseNames,
     LogPath,
@@ -26,17 +23,8 @@ from stickslip_fit.cli._options import (
     load_log,
     reference_campaign,
 )
-from stickslip_fit.cli.diagnose import CLEAR_LINE, diagnose_with_progress
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from stickslip_fit.causes import Cause
-    from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.logs import Log
-    from stickslip_fit.strategies import Comparison
 
 
 def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
@@ -94,9 +82,6 @@ def sheet(
     print(f"sheet to fill in: {output}\npage to print: {page}")
 
 
-MAX_COMPARED_SESSIONS = 12
-
-
 def report(
     log: LogPath,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
@@ -108,17 +93,19 @@ def report(
     until: Until = None,
 ) -> None:
     """Write the whole report of a log: one HTML page."""
-    page = output or default_output(log)
-    check_folder(page)
+    from stickslip_fit.reporting import report as make_report
+
+    wanted = output or default_output(log)
+    check_folder(wanted)
     campaign = load_log(log, machine, since, until)
     causes = select_named_causes(cause or (), campaign)
-    with _show_step() as show:
-        result = _try_section(lambda: diagnose_with_progress(campaign)) if diagnosis else None
-        show("comparing strategies" if strategies else "")
-        comparison = _try_section(lambda: _compare_strategies(campaign, causes)) if strategies else None
-        show("fitting and drawing")
-        written = _write_report(campaign, page, causes, result, comparison)
-    print(f"report written to {written}")
+    sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
+    with show_progress() as progress:
+        page = make_report(
+            campaign, causes=causes, sections=sections, command=command_line(), progress=progress
+        )
+    page.save(wanted)
+    print(f"report written to {wanted}")
 
 
 def demo(
@@ -130,14 +117,19 @@ def demo(
 ) -> None:
     """Check, calibrate and report the reference campaign, or a log."""
     from stickslip_fit.estimation import fit_closed_form
+    from stickslip_fit.reporting import report as make_report
 
     chosen = log or [reference_campaign()]
     campaign = load_log(chosen, machine)
     print(campaign.summary())
-    print(f"\n{fit_closed_form(campaign, command=command_line())}")
-    with _show_step() as show:
-        show("fitting and drawing")
-        written = _write_report(campaign, default_output(chosen)).resolve()
+    calibration = fit_closed_form(campaign, command=command_line())
+    print(f"\n{calibration}")
+    written = default_output(chosen).resolve()
+    with show_progress() as progress:
+        page = make_report(
+            campaign, calibration=calibration, sections=(), command=command_line(), progress=progress
+        )
+    page.save(written)
     print(f"\nreport written to {written}")
     whole = shlex.join(["stickslip-fit", "report", *map(str, chosen)])
     print(f"with diagnosis and comparison of strategies: {whole}")
@@ -145,62 +137,3 @@ def demo(
         import webbrowser
 
         webbrowser.open(written.as_uri())
-
-
-@contextmanager
-def _show_step() -> Iterator[Callable[[str], None]]:
-    """A function that shows the current step at a terminal; erased in the end."""
-
-    def show(step: str) -> None:
-        if sys.stderr.isatty():
-            print(f"{CLEAR_LINE}{step}", end="", file=sys.stderr, flush=True)
-
-    try:
-        yield show
-    finally:
-        show("")
-
-
-def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
-    """A section of the report, or the error instead, so that the rest of the page is still written."""
-    try:
-        return make()
-    except InputError as error:
-        return error
-
-
-def _compare_strategies(log: Log, causes: Sequence[Cause]) -> Comparison:
-    """The default strategies on the latest sessions: each uses all others, so that many would take hours."""
-    from stickslip_fit.strategies import (
-        causes_from_other_sessions,
-        compare_strategies,
-        default_strategies,
-        default_strategies_with_causes,
-    )
-
-    log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
-    strategies = default_strategies()
-    if causes:
-        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes))
-    return compare_strategies(log, strategies, command=command_line())
-
-
-def _write_report(
-    log: Log,
-    output: Path,
-    causes: Sequence[Cause] = (),
-    diagnosis: Diagnosis | InputError | None = None,
-    comparison: Comparison | InputError | None = None,
-) -> Path:
-    from stickslip_fit._io import write_atomically
-    from stickslip_fit.estimation import fit_closed_form, fit_constant_step, fit_least_squares
-    from stickslip_fit.reporting import report_html
-
-    best = fit_least_squares(log, causes=causes, command=command_line())
-    calibration = fit_closed_form(log, causes_from=best if causes else None, command=command_line())
-    constant = fit_constant_step(log, calibration)
-    page = report_html(
-        log, calibration, constant, best, diagnosis=diagnosis, comparison=comparison, command=command_line()
-    )
-    write_atomically(output, page)
-    return output

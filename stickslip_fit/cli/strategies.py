@@ -111,8 +111,8 @@ def study(
     from stickslip_fit.machine import load_machine
     from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_study_errors, plot_study_tips
+    from stickslip_fit.strategies.compare import make_folder
     from stickslip_fit.studies import Cluster, Cores, read_study, run_study, save_study
-    from stickslip_fit.studies.study import make_folder
 
     if cluster is not None and workers is not None:
         raise InputError("--cluster and --workers exclude each other: a cluster has its own workers")

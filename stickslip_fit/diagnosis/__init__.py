@@ -1,7 +1,9 @@
 """What the laws get wrong in a log: show it, name the cause, extend the law, measure the gain."""
 
 from stickslip_fit.diagnosis import _summary as _summary  # registers how results are summarized
+from stickslip_fit.diagnosis.experiments import next_experiment
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.pipeline import diagnose
-from stickslip_fit.diagnosis.result import Diagnosis, Finding, Gain, NextTraverse, save_diagnosis
+from stickslip_fit.diagnosis.result import Diagnosis, save_diagnosis
 
-__all__ = ["Diagnosis", "Finding", "Gain", "NextTraverse", "diagnose", "save_diagnosis"]
+__all__ = ["Diagnosis", "Finding", "Gain", "NextTraverse", "diagnose", "next_experiment", "save_diagnosis"]

@@ -1,4 +1,4 @@
-"""Cross-validation splits, and held-out errors of the laws with the causes found in the training rows.
+"""Cross-validation splits, and held-out errors of the laws with the causes selected from the training rows.
 
 Whole configurations are held out together, except those without which a parameter or a cause would no
 longer be determined. The entire selection is repeated on the training rows of each split.
@@ -13,44 +13,45 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.result import Finding
 from stickslip_fit.diagnosis.selection import SelectedCause, Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.machine import Machine
 
 N_FOLDS = 10
-# What the rest of a session leaves open by more than this share counts as not known without a configuration:
-# a prediction would be off by 1 / sqrt(1 - share), here four and a half times, what a traverse repeats to.
+# Leverage of the held-out rows on a parameter above which it counts as undetermined without them: the
+# prediction error would be 1 / sqrt(1 - leverage), here 4.5, times the repeatability.
 MAX_UNKNOWN_SHARE = 0.95
-MIN_KNOWN_STRENGTH = (
-    5.0  # strength below which the search would more often than not miss a cause in what is left
-)
+MIN_KNOWN_STRENGTH = 5.0  # below, the selection misses a cause in the training rows more often than not
+TOLERANCE, MAX_ITERATIONS = 1e-5, 60  # of the calibration of a split
+MIN_SESSIONS, MAX_SPLITS = 3, 5  # to hold sessions out; of more than `MAX_SPLITS`, several together
+
+Selector = Callable[[DiagnosisProblem, np.random.Generator], Selection]
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Rows of a log by what they are used for.
+    """Rows of a log by their use.
 
     Attributes
     ----------
     train : array of int
-        By which causes are chosen and sized.
-    calibrating : array of int
-        By which the laws' own parameters are fitted.
-    held : array of int
-        That are predicted.
+        From which causes are selected and sized.
+    calibration : array of int
+        To which the laws' own parameters are fitted.
+    held_out : array of int
+        Which are predicted.
     """
 
     train: IntArray
     calibration: IntArray
-    held: IntArray
+    held_out: IntArray
 
 
 def make_folds(
@@ -60,49 +61,54 @@ def make_folds(
     effects: Array | None = None,
     number: int = N_FOLDS,
 ) -> list[Split]:
-    """Hold out every configuration once, but for those without which a parameter cannot be known.
+    """Hold out every configuration once, except those without which a parameter is not determined.
 
     Parameters
     ----------
-    linearized : Study
+    linearized : LinearizedFit
         Of the baseline; n rows.
     kinds : array of int, shape (n,)
         Configuration of each row; all of its rows are held out together.
     rng : Generator
     effects : array, shape (n, k), optional
-        Of the causes found, in units of the noise, recalibration taken out: they, too, have to stay known.
+        Of the selected causes, whitened and projected; these must stay determined, too.
     number : int, optional
-        Of folds; those in which nothing can be held out are left out.
+        Of folds; folds in which nothing can be held out are left out.
     """
     n = len(linearized)
-    block, place = number_blocks(linearized.parts, n), _coordinates(linearized)
-    shown = np.zeros((n, 0)) if effects is None else effects
-    taken = [_FoldInformation.empty(int(block.max()) + 1, place.shape[1], shown) for _ in range(number)]
-    fold_of, filled = np.full(n, -1), np.zeros(number, dtype=np.intp)
+    block, coordinates = number_blocks(linearized.parts, n), _coordinates(linearized)
+    effects = np.zeros((n, 0)) if effects is None else effects
+    n_blocks, width = int(block.max()) + 1, coordinates.shape[1]
+    folds = [_FoldInformation.empty(n_blocks, width, effects) for _ in range(number)]
+    fold_of, sizes = np.full(n, -1), np.zeros(number, dtype=np.intp)
     members = split_positions(kinds)
     for kind in rng.permutation(len(members)):
         rows = members[kind]
-        for fold in np.argsort(filled, kind="stable"):
-            if taken[fold].try_add(block[rows], place[rows], shown[rows]):
-                fold_of[rows], filled[fold] = fold, filled[fold] + len(rows)
+        for fold in np.argsort(sizes, kind="stable"):
+            if folds[fold].try_add(block[rows], coordinates[rows], effects[rows]):
+                fold_of[rows], sizes[fold] = fold, sizes[fold] + len(rows)
                 break
-    return [_hold_out(np.flatnonzero(fold_of == fold), n) for fold in range(number) if filled[fold]]
+    splits = []
+    for fold in np.flatnonzero(sizes):
+        train = np.flatnonzero(fold_of != fold)
+        splits.append(Split(train, train, np.flatnonzero(fold_of == fold)))
+    return splits
 
 
 @dataclass(frozen=True, eq=False)
 class _FoldInformation:
-    """What a fold's rows know of B blocks with up to w parameters, and of k causes.
+    """Information in a fold's rows on B blocks with up to w parameters, and on k causes.
 
     Attributes
     ----------
     own : array, shape (B, w, w)
-        Products of the rows' coordinates.
+        Sums of products of the rows' coordinates.
     cross : array, shape (B, w, k)
         Of the rows' coordinates and the causes' effects.
     effect : array, shape (B, k)
         Squared effects.
     left : array, shape (k,)
-        Squared strength of each cause in the rest of the log, recalibrated by that rest.
+        Squared strength of each cause in the training rows, calibrated by them.
     least : array, shape (k,)
     """
 
@@ -114,47 +120,42 @@ class _FoldInformation:
 
     @classmethod
     def empty(cls, blocks: int, width: int, effects: Array) -> _FoldInformation:
-        """No row yet."""
+        """Of no row."""
         k, whole = effects.shape[1], np.sum(effects**2, axis=0)
-        empty = np.zeros((blocks, width, width)), np.zeros((blocks, width, k)), np.zeros((blocks, k))
-        return cls(*empty, whole, np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2))
+        sums = np.zeros((blocks, width, width)), np.zeros((blocks, width, k)), np.zeros((blocks, k))
+        return cls(*sums, whole, np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2))
 
-    def try_add(self, block: IntArray, place: Array, effect: Array) -> bool:
-        """Hold these rows out, too, if every parameter stays known."""
-        touched, at = np.unique(block, return_inverse=True)
-        own, across, alone = self.own[touched], self.cross[touched], self.effect[touched]
-        before = _lost_strength(own, across, alone)
-        np.add.at(own, at, place[:, :, None] * place[:, None, :])
-        np.add.at(across, at, place[:, :, None] * effect[:, None, :])
-        np.add.at(alone, at, effect**2)
+    def try_add(self, block: IntArray, coordinates: Array, effect: Array) -> bool:
+        """Hold these rows out, too, if every parameter stays determined."""
+        blocks, at = np.unique(block, return_inverse=True)
+        own, cross, squares = self.own[blocks], self.cross[blocks], self.effect[blocks]
+        before = _lost_strength(own, cross, squares)
+        np.add.at(own, at, coordinates[:, :, None] * coordinates[:, None, :])
+        np.add.at(cross, at, coordinates[:, :, None] * effect[:, None, :])
+        np.add.at(squares, at, effect**2)
         if np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
             return False
-        left = self.left + before - _lost_strength(own, across, alone)
+        left = self.left + before - _lost_strength(own, cross, squares)
         if np.any(left < self.least):
             return False
-        self.own[touched], self.cross[touched], self.effect[touched] = own, across, alone
+        self.own[blocks], self.cross[blocks], self.effect[blocks] = own, cross, squares
         self.left[:] = left
         return True
 
 
-def _lost_strength(own: Array, across: Array, alone: Array) -> Array:
-    """Squared strength that goes with the rows held out, and with what the rest then absorbs; shape (k,)."""
-    solved = np.linalg.solve(np.eye(own.shape[1]) - own, across)
-    return np.sum(alone + np.sum(across * solved, axis=1), axis=0)
+def _lost_strength(own: Array, cross: Array, squares: Array) -> Array:
+    """Squared strength in the held-out rows, and what the training rows then absorb; shape (k,)."""
+    solved = np.linalg.solve(np.eye(own.shape[1]) - own, cross)
+    return np.sum(squares + np.sum(cross * solved, axis=1), axis=0)
 
 
 def number_blocks(parts: Sequence[LawBlock], n: int) -> IntArray:
-    """Which set of own parameters each row uses, over all parts, shape (n,)."""
-    found, first = np.zeros(n, dtype=np.intp), 0
+    """Number of each row's block of own parameters over all parts, shape (n,)."""
+    numbers, first = np.zeros(n, dtype=np.intp), 0
     for part in parts:
-        found[part.rows] = first + part.block
+        numbers[part.rows] = first + part.block
         first += int(part.block.max(initial=-1)) + 1
-    return found
-
-
-def _hold_out(held: IntArray, n: int) -> Split:
-    rest = np.setdiff1d(np.arange(n), held)
-    return Split(rest, rest, held)
+    return numbers
 
 
 def _coordinates(linearized: LinearizedFit) -> Array:
@@ -163,14 +164,9 @@ def _coordinates(linearized: LinearizedFit) -> Array:
     first = np.full(block.max() + 1, linearized.basis.shape[1])
     np.minimum.at(first, block[entries.row], entries.col)
     column = entries.col - first[block[entries.row]]
-    place = np.zeros((len(linearized), int(column.max(initial=0)) + 1))
-    place[entries.row, column] = entries.data
-    return place
-
-
-Selector = Callable[[DiagnosisProblem, np.random.Generator], Selection]
-
-TOLERANCE, MAX_ITERATIONS = 1e-5, 60
+    coordinates = np.zeros((len(linearized), int(column.max(initial=0)) + 1))
+    coordinates[entries.row, column] = entries.data
+    return coordinates
 
 
 def compute_held_out_errors(
@@ -180,107 +176,94 @@ def compute_held_out_errors(
     selector: Selector,
     seed: Sequence[int],
 ) -> Array:
-    """Search the training rows, and predict those held out under ever more of what was found.
+    """Repeat the selection on the training rows, and predict the held-out rows with ever more causes.
 
     Parameters
     ----------
-    bench : Bench
-        Without the log's misfires.
+    problem : DiagnosisProblem
+        Without outlying counts.
     split : Split
     findings : sequence of Finding
-        Those of the whole log that extend its laws.
-    seek : callable
-        The search, from a bench and a generator.
+        Those of the whole log that extend its laws, k.
+    selector : callable
     seed : sequence of int
 
     Returns
     -------
     array, shape (k + 1, number held out)
-        Measured less predicted, relative: under the baseline, then with what the search made of the first
-        finding, of the first two, and so on; in the last with everything it found.
+        Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
+        for the first two, and so on; at last with all selected causes.
     """
     training = problem.without(np.setdiff1d(np.arange(len(problem)), split.train))
     selection = selector(training, np.random.default_rng(seed))
-    off = [_prediction_errors(problem, split.calibration, split.held, (), np.zeros(0))]
-    named = [each for each in selection.found if each.version is not None]
-    step_of = match_findings(named, findings)
+    errors = [_prediction_errors(problem, split, (), np.zeros(0))]
+    causes = selection.law_causes
+    step_of = match_findings(causes, findings)
     for step in range(len(findings)):
-        chosen = [each for each, subset in zip(named, step_of, strict=True) if subset <= step]
-        versions = [each.version for each in chosen]
-        if len(chosen) == len(named):
+        chosen = [one for one, its_step in zip(causes, step_of, strict=True) if its_step <= step]
+        versions = [one.version for one in chosen]
+        if len(chosen) == len(causes):
             values = selection.fit.values
         else:
-            start = np.concatenate([np.zeros(0), *(each.start for each in chosen)])
+            start = np.concatenate([np.zeros(0), *(one.start for one in chosen)])
             values = selection.problem.fit_extended(versions, start).values
-        off.append(_prediction_errors(problem, split.calibration, split.held, versions, values))
-    return np.stack(off)
+        errors.append(_prediction_errors(problem, split, versions, values))
+    return np.stack(errors)
 
 
-def match_findings(named: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:
-    """Which finding of the whole log each cause found in a part of it stands for.
+def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:
+    """The finding of the whole log for which each cause selected in a part of it stands.
 
-    That which names it, or names it as a rival; what no finding names stands for the last.
+    It is the one with this cause in its cause set, or else the last.
     """
 
-    def step(found: SelectedCause) -> int:
-        alike = [found.cause in (each.cause, *each.equivalent) for each in findings]
-        return alike.index(True) if any(alike) else len(findings) - 1
+    def match(cause: str) -> int:
+        inside = [cause in finding.cause_set for finding in findings]
+        return inside.index(True) if any(inside) else len(findings) - 1
 
-    return [step(each) for each in named]
+    return [match(selected.cause) for selected in causes]
 
 
 def _prediction_errors(
-    problem: DiagnosisProblem, calibration: IntArray, held: IntArray, versions: Sequence[Any], values: Array
+    problem: DiagnosisProblem, split: Split, versions: Sequence[Any], values: Array
 ) -> Array:
-    """Errors on rows held out, of laws that hold causes of known size and are calibrated by some rows."""
-    off, measured = np.zeros(len(problem)), problem.responses
+    """Errors on the held-out rows of laws with causes of known size, calibrated by the calibration rows."""
+    errors = np.zeros(len(problem))
     of_row = number_blocks(problem.parts, len(problem))
     for part in problem.parts:
         law = part.law
         for version in versions:
             law = version.extend(law)
-        known, wanted = np.isin(part.rows, calibration), np.isin(part.rows, held)
-        if not wanted.any():
+        calibration, held = np.isin(part.rows, split.calibration), np.isin(part.rows, split.held_out)
+        if not held.any():
             continue
-        subset, block = part.rows[known], of_row[part.rows]
-        kinds, group = np.unique(block[known], return_inverse=True)
-        start = part.values[known][np.unique(group, return_index=True)[1]]
-        groups = Groups(pd.DataFrame({"block": kinds}), group.ravel())
-        fitted = _calibrate_groups(problem, law, subset, groups, start, values)
-        rows, at = part.rows[wanted], np.searchsorted(kinds, block[wanted])
-        both = np.concatenate([fitted[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
-        off[rows] = measured[rows] - law.predict(problem.rows.iloc[rows], both)
-    return off[held]
+        block = of_row[part.rows]
+        labels, first, group = np.unique(block[calibration], return_index=True, return_inverse=True)
+        groups = Groups(pd.DataFrame({"block": labels}), group.ravel())
+        start = part.values[calibration][first]
+        own = _calibrate_groups(problem, law, part.rows[calibration], groups, start, values)
+        rows, at = part.rows[held], np.searchsorted(labels, block[held])
+        both = np.concatenate([own[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
+        errors[rows] = problem.responses[rows] - law.predict(problem.rows.iloc[rows], both)
+    return errors[split.held_out]
 
 
 def _calibrate_groups(
     problem: DiagnosisProblem, law: Any, rows: IntArray, groups: Groups, start: Array, values: Array
 ) -> Array:
-    """Own parameters of each group, shape (g, p), the causes' being known."""
+    """Own parameters of each group, shape (g, p), the causes' values being fixed."""
     model = law.model(problem.rows.iloc[rows])
     shared = np.broadcast_to(values, (len(rows), len(values)))
 
-    def own(each: Array) -> tuple[Array, Array]:
-        predicted, slopes = model(np.concatenate([each, shared], axis=1))
-        return predicted, slopes[:, : each.shape[1]]
+    def own_model(own: Array) -> tuple[Array, Array]:
+        predicted, slopes = model(np.concatenate([own, shared], axis=1))
+        return predicted, slopes[:, : own.shape[1]]
 
     scales = np.maximum(np.abs(start), 0.1 * np.abs(start[:, :1]))
-    weight = 1.0 / problem.scale[rows] ** 2
+    y, weight = problem.responses[rows], 1.0 / problem.scale[rows] ** 2
     return minimize(
-        own,
-        problem.responses[rows],
-        weight,
-        groups,
-        start,
-        scales,
-        damping=0.0,
-        tolerance=TOLERANCE,
-        most=MAX_ITERATIONS,
+        own_model, y, weight, groups, start, scales, damping=0.0, tolerance=TOLERANCE, most=MAX_ITERATIONS
     ).values
-
-
-MIN_SESSIONS = 3  # sessions
-MAX_SPLITS = 5  # times that sessions are held out; of more sessions several are held out together
 
 
 def hold_out_sessions(problem: DiagnosisProblem, machine: Machine) -> list[Split]:
@@ -289,7 +272,7 @@ def hold_out_sessions(problem: DiagnosisProblem, machine: Machine) -> list[Split
     Returns
     -------
     list of Split
-        Empty where the log has too few sessions, or none was calibrated as the laws ask for.
+        Empty where the log has too few sessions, or none with the calibration that the laws ask for.
     """
     session, labels = pd.factorize(problem.rows["session"].astype(object))
     if len(labels) < MIN_SESSIONS:
@@ -304,9 +287,7 @@ def hold_out_sessions(problem: DiagnosisProblem, machine: Machine) -> list[Split
     return splits
 
 
-def _find_calibration(
-    problem: DiagnosisProblem, machine: Machine
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _find_calibration(problem: DiagnosisProblem, machine: Machine) -> tuple[BoolArray, BoolArray]:
     """Which rows are calibration traverses, and which are of a session and direction that has them all."""
     calibration, calibrated = np.zeros(len(problem), dtype=bool), np.zeros(len(problem), dtype=bool)
     for part in problem.parts:

@@ -1,8 +1,11 @@
 """Effect sizes: from selected causes to findings with parameters and 95 % intervals.
 
 The effect of a cause is estimated in the fitted form and in its alternative forms, as rms over all
-rows. Strengths have intervals conditional on detection (`intervals`). The AR(1) coefficient is
-estimated by simulation, since projecting out the calibration reduces the correlation of residuals.
+rows. The length z of an estimated effect, in standard deviations of the noise, is noncentral chi
+distributed; since it was selected only because it exceeded the detection threshold, its interval inverts
+the distribution of z conditional on detection (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal
+case). The AR(1) coefficient is estimated by simulation, since projecting out the calibration parameters
+reduces the correlation of residuals.
 """
 
 from __future__ import annotations
@@ -12,17 +15,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from scipy.stats import beta
+from scipy.optimize import brentq
+from scipy.stats import beta, ncx2
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, acts_on, compute_changes
-from stickslip_fit.diagnosis.intervals import strength_interval, threshold_length
 from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
-from stickslip_fit.diagnosis.misfit import STRENGTHS, UNKNOWN
+from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.result import Finding
 from stickslip_fit.diagnosis.selection import (
     MISFIRE,
     SelectedCause,
@@ -34,70 +36,30 @@ from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Interval
 
+QUANTILES_95 = (0.025, 0.5, 0.975)
+Z_95, Z_STRONG = 1.959964, 1.96  # the latter for strengths beyond the limit of the next line
+MAX_CONDITIONAL_STRENGTH = 12.0  # beyond, the alarm was certain and conditioning changes nothing
 AR1_GRID = np.arange(0.0, 0.96, 0.05)
 N_SIMULATIONS = 200
-INTERVAL_TAILS = (
-    0.975,
-    0.5,
-    0.025,
-)  # of the correlations left: the lowest share makes the log's own unusually large
-
-
-def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
-    """Rms of what is carried on to each departure, in units of what is new in it.
-
-    Parameters
-    ----------
-    linearized : Study
-    ar1 : Memory
-        As it was found.
-    """
-    sign = np.sign(ar1.coefficient)
-    own = sign * _lag1_correlation(linearized.residual[:, None], ar1)[0]
-    noise = np.random.default_rng(0).standard_normal((len(linearized), N_SIMULATIONS))
-    left = [
-        sign * _lag1_correlation(linearized.project(_simulate_ar1(noise, ar1, sign * k)), ar1)
-        for k in AR1_GRID
-    ]
-    limits = np.maximum.accumulate(np.quantile(left, [1 - tail for tail in INTERVAL_TAILS], axis=1), axis=1)
-    low, middle, high = (float(np.interp(own, limit, AR1_GRID)) for limit in limits[::-1])
-    return Interval(*(share / np.sqrt(1.0 - share**2) for share in (middle, low, high)))
-
-
-def _simulate_ar1(noise: Array, ar1: AR1, share: float) -> Array:
-    """Noise of which each row keeps a share of the row before, a first one being as large as any other."""
-    found = noise.copy()
-    for row, before in enumerate(ar1.before):
-        found[row] = (
-            found[row] + share * found[before] if before >= 0 else found[row] / np.sqrt(1.0 - share**2)
-        )
-    return found
-
-
-def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
-    """Of each row with the one before, (n, k) -> (k,)."""
-    follows = ar1.before >= 0
-    products = residuals[follows] * residuals[ar1.before[follows]]
-    return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
-
-
 DIFFERENCE_STEP = 1e-3  # of a parameter's scale
-MIN_EXCESS_SD = 2.0  # standard deviations of what noise alone puts into so many further forms
+MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
+FORM_RANK_TOL = 0.05
+MIN_LENGTH = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class CauseEffect:
-    """A cause's effect on a log, in units of the noise, recalibration taken out.
+    """A cause's effect on a log, whitened, beyond what calibration absorbs.
 
     Attributes
     ----------
     rows : array, shape (n,)
     rms : float
-        Over all rows with equal weight, relative, all that an even recalibration would absorb taken out.
+        Relative, over all rows with equal weight.
     error : float
         Standard deviation of its length.
     dimensions : int
-        Numbers that were fitted for it.
+        Number of fitted parameters.
     """
 
     rows: Array
@@ -107,49 +69,96 @@ class CauseEffect:
 
     @property
     def length(self) -> float:
-        """In repeatabilities."""
+        """Norm, in standard deviations of the noise."""
         return float(np.linalg.norm(self.rows))
 
 
-def estimate_effect(
-    selection: Selection, linearized: LinearizedFit, found: SelectedCause, subset: slice
-) -> CauseEffect:
-    """The effect of one of the causes found.
+def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
+    """Findings of all selected causes, largest effect first, unknown structure last.
 
-    Parameters
-    ----------
-    searched : Search
-    linearized : Study
-        Of the baseline.
-    found : Found
-    mine : slice
-        Where its parameters stand among those of the fit.
+    `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
-    values, covariance = selection.fit.values[subset], selection.fit.covariance[subset, subset]
-    steps = DIFFERENCE_STEP * np.array(found.version.scale)
+    linearized, slices = selection.problem.study(), iter(selection.slices)
+    findings = []
+    for selected in selection.found:
+        if selected.cause == MISFIRE:
+            findings.append(_size_misfires(selection, problem, selected))
+        elif selected.cause == UNKNOWN:
+            findings.append(_size_unknown(selection, selected, alpha))
+        else:
+            findings.append(_size_cause(selection, linearized, selected, next(slices), alpha))
+    return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
+
+
+def _size_cause(
+    selection: Selection, linearized: LinearizedFit, selected: SelectedCause, place: slice, alpha: float
+) -> Finding:
+    values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
+    effect = estimate_effect(selection, linearized, selected, place)
+    strength = _estimate_strength(selected, effect.length, effect.error, effect.dimensions, linearized, alpha)
+    misfit = selected.misfit
+    assert misfit is not None
+    rivals = tuple(
+        rival
+        for rival in selected.cause_set.rivals
+        if not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength.estimate)
+    )
+    error = np.sqrt(np.diag(covariance))
+    error = np.where(error > 0, error, np.nan)  # the moment of a sudden change has none
+    parameters = tuple(
+        SizedParameter(
+            parameter.name,
+            parameter.unit,
+            Interval(value, value - Z_95 * sd, value + Z_95 * sd),
+            parameter.joint,
+            parameter.direction,
+            parameter.session,
+        )
+        for parameter, value, sd in zip(selected.version.parameters, values, error, strict=True)
+        if np.isfinite(sd) or getattr(parameter, "sudden", False)
+    )
+    return Finding(
+        selected.cause,
+        selected.version,
+        rivals,
+        selected.p_value,
+        _joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
+        strength.times(effect.rms / max(effect.length, MIN_LENGTH)),
+        () if selected.cause.startswith(COVARIATE_PREFIX) else parameters,
+    )
+
+
+def estimate_effect(
+    selection: Selection, linearized: LinearizedFit, selected: SelectedCause, place: slice
+) -> CauseEffect:
+    """The effect of a selected cause, whose parameters are `place` of those of the fit.
+
+    `linearized` is the baseline.
+    """
+    values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
+    steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
-    made = compute_changes(linearized, found.version, trials)
-    scaled = linearized.project(made / linearized.scale[:, None])
-    form = scaled[:, 0]
-    length = max(float(np.linalg.norm(form)), 1e-12)
-    slopes = (scaled[:, 1:] - form[:, None]) / steps
+    changes = compute_changes(linearized, selected.version, trials)
+    whitened = linearized.project(changes / linearized.scale[:, None])
+    form = whitened[:, 0]
+    length = max(float(np.linalg.norm(form)), MIN_LENGTH)
+    slopes = (whitened[:, 1:] - form[:, None]) / steps
     along = slopes.T @ form / length
     error = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
     dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
-    beyond = _effect_beyond_fit(selection, found)
-    even = linearize_fit(
+    beyond = _effect_beyond_fit(selection, selected)
+    unweighted = linearize_fit(
         linearized.rows, linearized.parts, selection.problem.responses, np.ones(len(linearized))
     )
-    rms = float(np.sqrt(np.mean(even.project(made[:, 0] + beyond * linearized.scale) ** 2)))
+    rms = _rms(unweighted.project(changes[:, 0] + beyond * linearized.scale))
     return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)
 
 
-def _effect_beyond_fit(selection: Selection, found: SelectedCause) -> Array:
-    """What the cause's other forms explain beyond the one fitted, shape (n,); 0 where that is chance."""
-    problem, fit = selection.problem, selection.fit
-    plain = linearize_fit(problem.rows, fit.parts, problem.responses, problem.scale, shared=len(fit.values))
-    left, singular, _ = np.linalg.svd(plain.project(alternative_forms(plain, found)), full_matrices=False)
-    forms = left[:, singular > 0.05]
+def _effect_beyond_fit(selection: Selection, selected: SelectedCause) -> Array:
+    """The effect in the cause's alternative forms beyond the one fitted, (n,); 0 where noise explains it."""
+    plain = selection.problem.linearize_extended(selection.fit)
+    left, singular, _ = np.linalg.svd(plain.project(alternative_forms(plain, selected)), full_matrices=False)
+    forms = left[:, singular > FORM_RANK_TOL]
     along = forms.T @ plain.residual
     excess = float(along @ along) - len(along)
     if not len(along) or excess < MIN_EXCESS_SD * np.sqrt(2.0 * len(along)):
@@ -157,153 +166,163 @@ def _effect_beyond_fit(selection: Selection, found: SelectedCause) -> Array:
     return np.asarray(forms @ along * (excess / (excess + len(along))))
 
 
-Z_95 = 1.959964
-
-
-def size_findings(selection: Selection, given: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
-    """Size up everything that was found, strongest first; what has no name comes last.
-
-    Parameters
-    ----------
-    searched : Search
-    given : Bench
-        What was searched, misfired rows and all.
-    alpha : float
-        Of the search.
-    """
-    linearized, first = selection.problem.study(), 0
-    sized = []
-    for found in selection.found:
-        number = len(found.start)
-        if found.cause == MISFIRE:
-            sized.append(_size_misfires(selection, given, found))
-        elif found.cause == UNKNOWN:
-            sized.append(_size_unknown(selection, found, alpha))
-        else:
-            sized.append(_size_cause(selection, linearized, found, slice(first, first + number), alpha))
-            first += number
-    return tuple(sorted(sized, key=lambda each: (each.cause == UNKNOWN, -each.effect.estimate)))
-
-
-def _size_cause(
-    selection: Selection, linearized: LinearizedFit, found: SelectedCause, subset: slice, alpha: float
-) -> Finding:
-    values, covariance = selection.fit.values[subset], selection.fit.covariance[subset, subset]
-    effect = estimate_effect(selection, linearized, found, subset)
-    strength = _estimate_strength(found, effect.length, effect.error, effect.dimensions, linearized, alpha)
-    per_strength = effect.rms / max(effect.length, 1e-12)
-    misfit = found.misfit
-    assert misfit is not None
-    rivals = tuple(
-        rival
-        for rival in found.cause_set.rivals
-        if not is_distinguishable(misfit.best_hypothesis(found.cause), misfit, rival, strength.estimate)
-    )
-    error = np.sqrt(np.diag(covariance))
-    error = np.where(error > 0, error, np.nan)  # of a sudden moment no error is known
-    sizes = [
-        SizedParameter(
-            parameter.name, parameter.unit,
-            Interval(value, value - Z_95 * spread, value + Z_95 * spread),
-            parameter.joint, parameter.direction, parameter.session,
-        )
-        for parameter, value, spread in zip(found.version.parameters, values, error, strict=True)
-        if np.isfinite(spread) or getattr(parameter, "sudden", False)
-    ]  # fmt: skip
-    shown = () if found.cause.startswith(COVARIATE_PREFIX) else tuple(sizes)
-    laws = [part.law for part in selection.problem.parts if acts_on(found.version, part.law)]
-    return Finding(
-        found.cause, found.version, rivals, found.p_value, _joints_of_laws(laws),
-        strength.times(per_strength), shown,
-    )  # fmt: skip
-
-
-def _size_unknown(selection: Selection, found: SelectedCause, alpha: float) -> Finding:
-    misfit, linearized = found.misfit, selection.study
-    assert misfit is not None
-    best = misfit.best_hypothesis(UNKNOWN)
-    shape = _shrink_structure(best, linearized.residual)
-    strength2 = float(shape @ shape)
-    length = float(np.linalg.norm(shape))
-    if isinstance(best, AR1):
-        effect = estimate_ar1_effect(linearized, best).times(_rms(linearized.scale))
-    else:
-        strength = _estimate_strength(found, np.sqrt(strength2 + 1.0), 1.0, 1, linearized, alpha)
-        effect = strength.times(_rms(shape * linearized.scale) / max(length, 1e-12))
-    causes = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
-    closest = max(causes, key=lambda cause: causes[cause]) if causes else ""
-    share = 0.0
-    if closest:
-        near = misfit.best_hypothesis(closest)
-        assert isinstance(near, Hypothesis)
-        share = float(np.sum(near.along(shape) ** 2)) / max(strength2, 1e-12)
-    carrier = best.cause.removeprefix(f"{UNKNOWN}:")
-    size = np.abs(shape)
-    touched = _joints_of_laws(
-        part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
-    )
-    return Finding(UNKNOWN, None, (), found.p_value, touched, effect, (), None, closest, share, carrier)
-
-
-def _shrink_structure(shape: Hypothesis | AR1, residual: Array) -> Array:
-    """What a structure explains of the residuals, shrunk by what noise alone would give it; shape (n,)."""
-    if isinstance(shape, AR1):
-        return shape.shape(residual)
-    along = shape.along(residual)
-    strength2 = max(float(along @ along) - len(along), 0.0)
-    taken = shape.share * strength2 / (1.0 + shape.share * strength2)
-    return shape.combine(taken * along)
-
-
-def _size_misfires(selection: Selection, given: DiagnosisProblem, found: SelectedCause) -> Finding:
-    out, n = selection.outliers, len(given)
-    departure = _misfire_offsets(selection, given, out)
-    off = np.abs(departure)
-    rms = float(np.sqrt(np.sum(off**2) / n))
-    spread = Z_95 * rms * float(np.sqrt(np.mean(given.scale[out] ** 2) / np.mean(off**2) / len(out)))
-    share = Interval(
-        len(out) / n,
-        float(beta.ppf(0.025, len(out), n - len(out) + 1)),
-        float(beta.ppf(0.975, len(out) + 1, n - len(out))),
-    )
-    low, middle, high = np.quantile(off, [0.025, 0.5, 0.975])
-    joints = _joints_of_laws(part.law for part in given.parts if np.isin(part.rows, out).any())
-    return Finding(
-        MISFIRE, None, (), found.p_value, joints, Interval(rms, max(rms - spread, 0.0), rms + spread),
-        (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
-        traverses=given.rows.iloc[out].assign(departure=departure),
-    )  # fmt: skip
-
-
-def _misfire_offsets(selection: Selection, given: DiagnosisProblem, out: npt.NDArray[np.intp]) -> Array:
-    """By how much rows that were left out of the fit differ from it; those it cannot predict by nothing."""
-    off = np.zeros(len(given))
-    for part, fitted in zip(given.parts, selection.fit.parts, strict=True):
-        blocks, first = np.unique(fitted.block, return_index=True)
-        subset = np.isin(part.rows, out) & np.isin(part.block, blocks)
-        values = fitted.values[first[np.searchsorted(blocks, part.block[subset])]]
-        rows = part.rows[subset]
-        if len(rows):
-            off[rows] = given.responses[rows] - fitted.law.predict(given.rows.iloc[rows], values)
-    return off[out]
-
-
 def _estimate_strength(
-    found: SelectedCause,
+    selected: SelectedCause,
     length: float,
     error: float,
     dimensions: int,
     linearized: LinearizedFit,
     alpha: float,
 ) -> Interval:
-    """Strength of an effect seen with this length, known to within `error`, because it raised the alarm."""
-    misfit = found.misfit
+    """Strength of an effect of this length, known to within `error`, conditional on its detection."""
+    misfit = selected.misfit
     assert misfit is not None
-    shapes = sum(each.cause == found.cause for each in misfit.hypotheses) or 1
-    threshold = threshold_length(
-        misfit.critical_value(allocate_alpha(alpha)), shapes, linearized.df, STRENGTHS
-    )
+    critical = misfit.critical_value(allocate_alpha(alpha))
+    threshold = detection_length(critical, misfit.n_shapes(selected.cause), linearized.df)
     return strength_interval(length / error, dimensions, threshold / error).times(error)
+
+
+def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
+    """Strength of an effect of length `z` that was detected because `z` exceeded `threshold`.
+
+    `z` is in standard deviations of the noise; `dimensions` is the number of estimated parameters.
+
+    Examples
+    --------
+    A strong effect has the ordinary interval; one just above the threshold may well be close to 0.
+
+    >>> strong, weak = strength_interval(20.0, 1, 4.0), strength_interval(4.2, 1, 4.0)
+    >>> round(strong.low, 1), round(strong.high, 1), round(weak.low, 1)
+    (18.0, 22.0, 0.0)
+    >>> round(strength_interval(11.8, 1, 9.3).low, 1)
+    9.7
+    """
+    if z > MAX_CONDITIONAL_STRENGTH:
+        middle = np.sqrt(max(z**2 - dimensions, 0.0))
+        return Interval(middle, max(z - Z_STRONG, 0.0), float(np.sqrt((z + Z_STRONG) ** 2 - dimensions + 1)))
+    threshold = min(threshold, z * (1 - 1e-9))
+
+    def cdf(strength: float) -> float:
+        """Probability of less than `z`, given detection."""
+        # By survival functions: far below the threshold, 1 - cdf would round to 0.
+        detection = max(float(ncx2.sf(threshold**2, dimensions, strength**2)), 1e-300)
+        return 1.0 - float(ncx2.sf(z**2, dimensions, strength**2)) / detection
+
+    def solve(probability: float) -> float:
+        if cdf(1e-6) < probability:
+            return 0.0
+        return float(brentq(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, xtol=1e-4))
+
+    high, middle, low = map(solve, QUANTILES_95)
+    return Interval(middle, low, high)
+
+
+def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+    misfit, linearized = selected.misfit, selection.study
+    assert misfit is not None
+    best = misfit.best_hypothesis(UNKNOWN)
+    shape = _shrink_structure(best, linearized.residual)
+    squares, length = float(shape @ shape), float(np.linalg.norm(shape))
+    if isinstance(best, AR1):
+        effect = estimate_ar1_effect(linearized, best).times(_rms(linearized.scale))
+    else:
+        strength = _estimate_strength(selected, np.sqrt(squares + 1.0), 1.0, 1, linearized, alpha)
+        effect = strength.times(_rms(shape * linearized.scale) / max(length, MIN_LENGTH))
+    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
+    closest = max(known, key=lambda cause: known[cause]) if known else ""
+    share = 0.0
+    if closest:
+        near = misfit.best_hypothesis(closest)
+        assert isinstance(near, Hypothesis)
+        share = float(np.sum(near.along(shape) ** 2)) / max(squares, MIN_LENGTH)
+    size = np.abs(shape)
+    joints = _joints_of_laws(
+        part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
+    )
+    carrier = best.cause.removeprefix(f"{UNKNOWN}:")
+    return Finding(UNKNOWN, None, (), selected.p_value, joints, effect, (), None, closest, share, carrier)
+
+
+def _shrink_structure(structure: Hypothesis | AR1, residual: Array) -> Array:
+    """Posterior mean of a structure given the residuals, shape (n,)."""
+    if isinstance(structure, AR1):
+        return structure.shape(residual)
+    along = structure.along(residual)
+    strength2 = max(float(along @ along) - len(along), 0.0)
+    kept = structure.share * strength2 / (1.0 + structure.share * strength2)
+    return structure.combine(kept * along)
+
+
+def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
+    """Rms of what each residual keeps of the one before, in units of its innovation.
+
+    Of `ar1` only the sign and the order of rows are used.
+    """
+    sign = np.sign(ar1.coefficient)
+    observed = sign * _lag1_correlation(linearized.residual[:, None], ar1)[0]
+    noise = np.random.default_rng(0).standard_normal((len(linearized), N_SIMULATIONS))
+    simulated = [
+        sign * _lag1_correlation(linearized.project(_simulate_ar1(noise, ar1, sign * coefficient)), ar1)
+        for coefficient in AR1_GRID
+    ]
+    limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)
+    high, middle, low = (float(np.interp(observed, limit, AR1_GRID)) for limit in limits)
+    return Interval(*(value / np.sqrt(1.0 - value**2) for value in (middle, low, high)))
+
+
+def _simulate_ar1(noise: Array, ar1: AR1, coefficient: float) -> Array:
+    """A stationary AR(1) sequence with these innovations, (n, k)."""
+    series = noise.copy()
+    for row, before in enumerate(ar1.before):
+        if before >= 0:
+            series[row] += coefficient * series[before]
+        else:
+            series[row] /= np.sqrt(1.0 - coefficient**2)
+    return series
+
+
+def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
+    """Of each row with the one before, (n, k) -> (k,)."""
+    follows = ar1.before >= 0
+    products = residuals[follows] * residuals[ar1.before[follows]]
+    return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
+
+
+def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
+    rows, n = selection.outliers, len(problem)
+    departure = _misfire_departures(selection, problem, rows)
+    sizes = np.abs(departure)
+    rms = float(np.sqrt(np.sum(sizes**2) / n))
+    error = Z_95 * rms * float(np.sqrt(np.mean(problem.scale[rows] ** 2) / np.mean(sizes**2) / len(rows)))
+    share = Interval(
+        len(rows) / n,
+        float(beta.ppf(0.025, len(rows), n - len(rows) + 1)),
+        float(beta.ppf(0.975, len(rows) + 1, n - len(rows))),
+    )
+    low, middle, high = np.quantile(sizes, QUANTILES_95)
+    return Finding(
+        MISFIRE,
+        None,
+        (),
+        selected.p_value,
+        _joints_of_laws(part.law for part in problem.parts if np.isin(part.rows, rows).any()),
+        Interval(rms, max(rms - error, 0.0), rms + error),
+        (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
+        traverses=problem.rows.iloc[rows].assign(departure=departure),
+    )
+
+
+def _misfire_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
+    """Departure of outlying rows from the fit without them; 0 where that has no values for them."""
+    departure = np.zeros(len(problem))
+    for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
+        blocks, first = np.unique(fitted.block, return_index=True)
+        known = np.isin(part.rows, outliers) & np.isin(part.block, blocks)
+        values = fitted.values[first[np.searchsorted(blocks, part.block[known])]]
+        rows = part.rows[known]
+        if len(rows):
+            departure[rows] = problem.responses[rows] - fitted.law.predict(problem.rows.iloc[rows], values)
+    return departure[outliers]
 
 
 def _rms(values: Array) -> float:
@@ -311,5 +330,5 @@ def _rms(values: Array) -> float:
 
 
 def _joints_of_laws(laws: Iterable[Any]) -> tuple[int, ...]:
-    """Of which joints some laws are; of none where they have nothing to do with any."""
+    """The joints that some laws describe; none for laws of other machines."""
     return tuple(sorted(int(law.joint) for law in laws if hasattr(law, "joint")))

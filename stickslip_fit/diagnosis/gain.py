@@ -1,23 +1,21 @@
 """The gain of a diagnosis: rms error on held-out traverses, without and with each finding in the law.
 
-`measure_gain` makes the splits, repeats the selection in each of them and adds the gains to the
-diagnosis. The interval of the gain comes from `gain_interval`.
+`measure_gain` makes the splits (`cross_validation`) and repeats the selection in each of them. The
+interval of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares the fit.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
@@ -25,8 +23,8 @@ from stickslip_fit.diagnosis.cross_validation import (
     hold_out_sessions,
     make_folds,
 )
+from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.gain_interval import (
-    MAX_LEVERAGE,
     CompetingCauses,
     LinearizedCampaign,
     log_likelihood_ratio,
@@ -34,14 +32,63 @@ from stickslip_fit.diagnosis.gain_interval import (
     subtract_calibration,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, number_configurations
-from stickslip_fit.diagnosis.intervals import threshold_length
-from stickslip_fit.diagnosis.misfit import STRENGTHS, UNKNOWN, Misfit
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.result import Diagnosis, Finding, Gain
 from stickslip_fit.diagnosis.selection import SelectedCause, Selection, allocate_alpha, select_causes
 from stickslip_fit.machine import Machine
 
+N_REPLICATE_SPLITS = 4  # random splits into folds of a simulated replicate
+PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
+
 SplitProgress = Callable[[int, int], None]
+
+
+def measure_gain(
+    selection: Selection,
+    findings: tuple[Finding, ...],
+    machine: Machine | None,
+    *,
+    alpha: float,
+    seed: int,
+    workers: int = -1,
+    progress: ProgressCallback = ignore_progress,
+) -> tuple[Gain | None, Gain | None, tuple[Finding, ...]]:
+    """Measure what each finding, and all of them together, gain on held-out traverses.
+
+    Without a machine, whose calibration traverses a new session has, no gain there is measured. `workers` are
+    processes; -1 is all cores.
+
+    Returns
+    -------
+    gain, gain_new_session : Gain or None
+        None where nothing can be held out.
+    findings : tuple of Finding
+        The same, each with its own gain.
+    """
+    problem = selection.problem
+    if not len(problem):
+        return None, None, findings
+    estimate = partial(
+        estimate_gain, selector=partial(select_in_fold, alpha=alpha), alpha=alpha, seed=seed, workers=workers
+    )
+
+    def report(step: str, first: float, last: float) -> SplitProgress:
+        return lambda done, number: progress(step, first + (last - first) * done / number)
+
+    folds, *others = (
+        hold_out_configurations(selection, np.random.default_rng([seed, k]))
+        for k in range(1 + N_REPLICATE_SPLITS)
+    )
+    sessions = hold_out_sessions(problem, machine) if machine is not None else []
+    gain = new_session = None
+    if folds:
+        report_split = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
+        gain, own = estimate(selection, findings, folds, others=others, progress=report_split)
+    if sessions:
+        report_split = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
+        new_session, _ = estimate(selection, findings, sessions, progress=report_split)
+    return gain, new_session, own if folds else findings
 
 
 def estimate_gain(
@@ -56,27 +103,26 @@ def estimate_gain(
     workers: int = -1,
     progress: SplitProgress | None = None,
 ) -> tuple[Gain, tuple[Finding, ...]]:
-    """Repeat the search in each split and see how much better it predicts what was held out.
+    """Repeat the selection in each split, and compare its predictions of the held-out rows.
 
     Parameters
     ----------
-    searched : Search
-        Of the whole log; what it called misfires takes no part.
+    selection : Selection
+        Of the whole log; outlying counts take no part.
     findings : sequence of Finding
         Of the whole log. Those that extend no law gain nothing.
     splits : sequence of Split
-        Of the rows of `searched.bench`; at least one.
-    seek : callable
-        The search, from a bench and a generator.
+        Of the rows of `selection.problem`; at least one.
+    selector : callable
+        From a problem and a generator to a selection.
     others : sequence of sequence of Split, optional
-        As the splits of a fresh replicate may be; the same without them.
-    alpha : float
-        Of that search.
-    seed : int, optional
+        Possible splits of a replicate; without it the same splits.
+    alpha, seed : float, int
+        Of the diagnosis.
     workers : int, optional
-        Processes; all cores without it. The answer is the same.
+        Processes; all cores without it. The numbers do not depend on it.
     progress : callable, optional
-        Told how many splits are done, and of how many.
+        Called with the number of splits that are done, and of all.
 
     Returns
     -------
@@ -84,23 +130,21 @@ def estimate_gain(
     findings : tuple of Finding
         The same, each with its own gain.
     """
-    extending = [each for each in findings if each.version is not None]
+    extending = [finding for finding in findings if finding.version is not None]
     if extending:
-        off = _collect_errors(selection, extending, splits, selector, seed, workers, progress)
-        found = [_find_selected(selection, each) for each in extending]
-        rms, rng = np.sqrt(np.mean(off**2, axis=1)), np.random.default_rng([seed, 1])
-        limits = simulate_gain_interval(
-            _linearize_campaign(selection, found, alpha), splits, others or (splits,), rms, rng
-        )
+        errors = _collect_errors(selection, extending, splits, selector, seed, workers, progress)
+        rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
+        campaign = _linearize_campaign(selection, [finding.cause for finding in extending], alpha)
+        limits = simulate_gain_interval(campaign, splits, others or (splits,), rms, rng)
     else:
-        off, limits = _baseline_errors(selection, splits)[None], np.zeros((2, 1))
-    steps = np.cumsum([0, *(each.version is not None for each in findings)])
+        errors, limits = _baseline_errors(selection, splits)[None], np.zeros((2, 1))
+    steps = np.cumsum([0, *(finding.version is not None for finding in findings)])
     gains = [
-        _make_gain(selection, splits, off[[before, after]], (after > before) * limits[:, before])
+        _make_gain(selection, splits, errors[[before, after]], (after > before) * limits[:, before])
         for before, after in pairwise(steps)
     ]
-    own = tuple(replace(each, gain=one) for each, one in zip(findings, gains, strict=True))
-    return _make_gain(selection, splits, off[[0, -1]], limits[:, -1]), own
+    own = tuple(replace(finding, gain=gain) for finding, gain in zip(findings, gains, strict=True))
+    return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
 
 
 def _collect_errors(
@@ -118,57 +162,114 @@ def _collect_errors(
         delayed(compute_held_out_errors)(selection.problem, split, findings, selector, (seed, number))
         for number, split in enumerate(splits)
     )
-    done = []
-    for each in Parallel(n_jobs=workers, return_as="generator")(tasks):
-        done.append(each)
+    errors = []
+    for split_errors in Parallel(n_jobs=workers, return_as="generator")(tasks):
+        errors.append(split_errors)
         if progress is not None:
-            progress(len(done), len(splits))
-    return np.concatenate(done, axis=1)
+            progress(len(errors), len(splits))
+    return np.concatenate(errors, axis=1)
 
 
 def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
-    """By linear algebra: no fold is searched where there is nothing to extend."""
+    """By linear algebra: where nothing extends the law, the selection need not be repeated."""
     linearized = selection.problem.study()
     residual = linearized.residual[:, None]
-    off = [
-        subtract_calibration(linearized.basis, each.calibration, each.held, residual)[:, 0] for each in splits
+    errors = [
+        subtract_calibration(linearized.basis, split.calibration, split.held_out, residual)[:, 0]
+        for split in splits
     ]
-    return np.concatenate(off) * linearized.scale[np.concatenate([each.held for each in splits])]
+    return np.concatenate(errors) * linearized.scale[np.concatenate([split.held_out for split in splits])]
 
 
-def _linearize_campaign(
-    selection: Selection, found: Sequence[SelectedCause], alpha: float
-) -> LinearizedCampaign:
+def _make_gain(selection: Selection, splits: Sequence[Split], errors: Array, limits: Array) -> Gain:
+    """From the errors before and after, shape (2, number held out)."""
+    held = np.concatenate([split.held_out for split in splits])
+    before, after = np.sqrt(np.mean(errors**2, axis=1))
+    floor = np.sqrt(np.mean(selection.problem.scale[held] ** 2))
+    session = selection.problem.rows["session"].to_numpy(object)[held]
+    squares = pd.DataFrame({"session": session, "baseline": errors[0] ** 2, "extended": errors[1] ** 2})
+    grouped = squares.groupby("session", sort=False)
+    table = np.sqrt(grouped[["baseline", "extended"]].mean()).reset_index()
+    table = table.assign(traverses=grouped.size().to_numpy())
+    return Gain(float(before), float(after), float(floor), float(limits[0]), float(limits[1]), table)
+
+
+def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> list[Split]:
+    """Hold out configurations, keeping the selected causes determined."""
+    linearized, values = selection.problem.study(), selection.fit.values
+    changes = [
+        compute_changes(linearized, selected.version, values[None, place])
+        for selected, place in zip(selection.law_causes, selection.slices, strict=True)
+    ]
+    effects = (
+        linearized.project(np.concatenate(changes, axis=1) / linearized.scale[:, None]) if changes else None
+    )
+    return make_folds(linearized, number_session_configurations(selection.problem.rows), rng, effects)
+
+
+def number_session_configurations(rows: pd.DataFrame) -> IntArray:
+    """A number for each configuration of each session: what is held out together, shape (n,)."""
+    session, _ = pd.factorize(rows["session"].astype(object))
+    keys = np.column_stack([session, number_configurations(rows)])
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+
+
+def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: float) -> Selection:
+    """Select causes from part of a log, with the fewest bootstrap samples that allow an alarm.
+
+    These do not suffice for outlying counts; those of the whole log are removed already.
+    """
+    return select_causes(problem, alpha, int(np.ceil(2.0 / alpha)), rng)
+
+
+def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: float) -> LinearizedCampaign:
+    """The fit with its causes, linearized, for simulated replicates; `causes` give the order."""
     linearized, fit = selection.problem.study(), selection.fit
-    sizes = [len(each.start) for each in _extending_causes(selection)]
-    places = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-    own = [places[[each is one for one in _extending_causes(selection)].index(True)] for each in found]
-    made = [
-        compute_changes(linearized, each.version, fit.values[None, at])
-        for each, at in zip(found, own, strict=True)
+    by_name = {
+        selected.cause: (selected, place)
+        for selected, place in reversed([*zip(selection.law_causes, selection.slices, strict=True)])
+    }
+    selected, places = zip(*(by_name[cause] for cause in causes), strict=True)
+    changes = [
+        compute_changes(linearized, one.version, fit.values[None, place])
+        for one, place in zip(selected, places, strict=True)
     ]
-    effects, slopes = np.concatenate(made, axis=1) / linearized.scale[:, None], _cause_jacobian(selection)
-    leverage = np.minimum(selection.study.leverage, MAX_LEVERAGE)
+    slopes = _cause_jacobian(selection) / linearized.scale[:, None]
+    critical = selection.first.critical_value(allocate_alpha(alpha))
+    thresholds = [
+        detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)
+        for one in selected
+        if one.misfit is not None
+    ]
     return LinearizedCampaign(
         linearized.basis,
         linearized.scale,
-        selection.study.residual / np.sqrt(1.0 - leverage),
-        effects,
-        tuple(slopes[:, at] / linearized.scale[:, None] for at in own),
-        np.array([_detection_length(selection, each, alpha) for each in found]),
-        tuple(_collect_competitors(each, linearized.df) for each in found),
+        selection.study.residual / np.sqrt(1.0 - np.minimum(selection.study.leverage, MAX_LEVERAGE)),
+        np.concatenate(changes, axis=1) / linearized.scale[:, None],
+        tuple(slopes[:, place] for place in places),
+        np.array(thresholds),
+        tuple(_collect_competitors(one, linearized.df) for one in selected),
     )
 
 
-def _collect_competitors(found: SelectedCause, df: int) -> CompetingCauses:
-    misfit = found.misfit
+def _cause_jacobian(selection: Selection) -> Array:
+    """Change of every response with each parameter of the selected causes, shape (n, q)."""
+    problem, shared = selection.problem, len(selection.fit.values)
+    slopes = np.zeros((len(problem), shared))
+    for part in selection.fit.parts:
+        slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)[:, -shared:]
+    return slopes
+
+
+def _collect_competitors(selected: SelectedCause, df: int) -> CompetingCauses:
+    misfit = selected.misfit
     assert misfit is not None
     others = [
         cause
         for cause in misfit.log_evidence_by_cause
-        if cause != found.cause and isinstance(misfit.best_hypothesis(cause), Hypothesis)
+        if cause != selected.cause and isinstance(misfit.best_hypothesis(cause), Hypothesis)
     ]
-    _, own = _explained_shape(misfit, found.cause, df)
+    _, own = _explained_shape(misfit, selected.cause, df)
     explained = [_explained_shape(misfit, cause, df) for cause in others]
     shapes = [np.zeros((len(misfit.residual), 0)), *(shape[:, None] for shape, _ in explained)]
     return CompetingCauses(
@@ -179,146 +280,9 @@ def _collect_competitors(found: SelectedCause, df: int) -> CompetingCauses:
 
 
 def _explained_shape(misfit: Misfit, cause: str, df: int) -> tuple[Array, float]:
-    """What a cause makes of the residuals, (n,), and its log evidence beyond the best likelihood ratio."""
+    """The part of the residuals that a cause explains, (n,), and its log evidence less its log likelihood."""
     best = misfit.best_hypothesis(cause)
     assert isinstance(best, Hypothesis)
     along = best.along(misfit.residual)
     share = float(along @ along) / float(misfit.residual @ misfit.residual)
     return best.combine(along), misfit.log_evidence_by_cause[cause] - float(log_likelihood_ratio(share, df))
-
-
-def _extending_causes(selection: Selection) -> list[SelectedCause]:
-    return [each for each in selection.found if each.version is not None]
-
-
-def _find_selected(selection: Selection, finding: Finding) -> SelectedCause:
-    return next(each for each in _extending_causes(selection) if each.cause == finding.cause)
-
-
-def _cause_jacobian(selection: Selection) -> Array:
-    """Change of every response with each parameter of the causes found, shape (n, q)."""
-    problem, shared = selection.problem, len(selection.fit.values)
-    slopes = np.zeros((len(problem), shared))
-    for part in selection.fit.parts:
-        slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)[:, -shared:]
-    return slopes
-
-
-def _detection_length(selection: Selection, found: SelectedCause, alpha: float) -> float:
-    """Length of an effect that makes the search find it."""
-    misfit = found.misfit
-    assert misfit is not None
-    shapes = max(sum(each.cause == found.cause for each in misfit.hypotheses), 1)
-    critical, df = selection.first.critical_value(allocate_alpha(alpha)), selection.problem.study().df
-    return threshold_length(critical, shapes, df, STRENGTHS)
-
-
-def _make_gain(selection: Selection, splits: Sequence[Split], off: Array, limits: Array) -> Gain:
-    """From the errors before to those after, shape (2, number held out)."""
-    held = np.concatenate([split.held for split in splits])
-    before, after = np.sqrt(np.mean(off**2, axis=1))
-    floor = np.sqrt(np.mean(selection.problem.scale[held] ** 2))
-    session = selection.problem.rows["session"].to_numpy(object)[held]
-    squares = pd.DataFrame({"session": session, "baseline": off[0] ** 2, "extended": off[1] ** 2})
-    grouped = squares.groupby("session", sort=False)
-    table = np.sqrt(grouped[["baseline", "extended"]].mean()).reset_index()
-    table = table.assign(traverses=grouped.size().to_numpy())
-    return Gain(float(before), float(after), float(floor), float(limits[0]), float(limits[1]), table)
-
-
-N_REPLICATE_SPLITS = 4  # ways in which a fresh replicate may hold configurations out
-PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
-
-
-def measure_gain(
-    diagnosis: Diagnosis, machine: Machine, *, workers: int = -1, progress: ProgressCallback = ignore_progress
-) -> Diagnosis:
-    """Measure what each finding, and all of them together, gain on traverses held out.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    machine : Machine
-        Whose calibration traverses a new session would have.
-    workers : int, optional
-        Processes; all cores without it.
-    progress : callable, optional
-    """
-    began, selection = time.perf_counter(), diagnosis.search
-    if not len(selection.problem):
-        return diagnosis
-    within, *others = (
-        hold_out_configurations(selection, np.random.default_rng([diagnosis.seed, k]))
-        for k in range(1 + N_REPLICATE_SPLITS)
-    )
-    between = hold_out_sessions(selection.problem, machine)
-    told = partial(
-        _report_progress, progress, "predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS
-    )
-    whole, findings = _estimate_split_gain(diagnosis, within, others, workers, told)
-    told = partial(_report_progress, progress, "predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
-    new, _ = _estimate_split_gain(diagnosis, between, (), workers, told)
-    return replace(
-        diagnosis,
-        findings=findings,
-        gain=whole,
-        gain_new_session=new,
-        seconds=diagnosis.seconds + time.perf_counter() - began,
-    )
-
-
-def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> list[Split]:
-    """Hold out configurations of what was searched."""
-    linearized, fit = selection.problem.study(), selection.fit
-    sizes = np.cumsum([len(each.start) for each in selection.found if each.version is not None])[:-1]
-    values = np.split(fit.values, sizes) if len(fit.values) else []
-    made = [
-        compute_changes(linearized, version, own[None])
-        for version, own in zip(selection.versions, values, strict=True)
-    ]
-    effects = linearized.project(np.concatenate(made, axis=1) / linearized.scale[:, None]) if made else None
-    return make_folds(linearized, number_session_configurations(selection.problem.rows), rng, effects)
-
-
-def number_session_configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:
-    """A number for each session's each configuration: what is held out together, shape (n,)."""
-    session, _ = pd.factorize(rows["session"].astype(object))
-    return np.unique(np.column_stack([session, number_configurations(rows)]), axis=0, return_inverse=True)[
-        1
-    ].ravel()
-
-
-def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: float) -> Selection:
-    """Search part of a log, by as few logs in which nothing is wrong as let it raise an alarm.
-
-    Wild counts would take more; those of the whole log are out already.
-    """
-    return select_causes(problem, alpha, int(np.ceil(2.0 / alpha)), rng)
-
-
-def _estimate_split_gain(
-    diagnosis: Diagnosis,
-    splits: Sequence[Split],
-    others: Sequence[Sequence[Split]],
-    workers: int,
-    told: partial[None],
-) -> tuple[Gain | None, tuple[Finding, ...]]:
-    if not splits:
-        return None, diagnosis.findings
-    return estimate_gain(
-        diagnosis.search,
-        diagnosis.findings,
-        splits,
-        partial(select_in_fold, alpha=diagnosis.alpha),
-        others=others,
-        alpha=diagnosis.alpha,
-        seed=diagnosis.seed,
-        workers=workers,
-        progress=told,
-    )
-
-
-def _report_progress(
-    progress: ProgressCallback, step: str, begun: float, ended: float, done: int, number: int
-) -> None:
-    progress(step, begun + (ended - begun) * done / number)

@@ -16,56 +16,54 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
 
 N_DRAWS = 2400
-STRENGTH_RANGE = 4.0  # strengths by which a cause may differ from what it seems
-RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; how much noise changes what other shapes of a rival explain
-ACCEPTED_SHARE = 0.15  # share of the natures that come closest to what was seen
-MAX_ELEMENTS = 2_000_000  # numbers
-MAX_LEVERAGE = 0.8
-CAUSE_FOUND, NONE_FOUND = 0, -1  # what a search makes of a cause; else the number of the rival that it names
+STRENGTH_RANGE = 4.0  # of the prior on a strength, on either side of the estimate
+RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; spread of a rival's evidence, from the maximum over its other shapes
+ACCEPTED_SHARE = 0.15  # of the draws: those closest to the log
+MAX_ELEMENTS = 2_000_000  # numbers in memory
+CAUSE_FOUND, NONE_FOUND = 0, -1  # result of a simulated selection; else the number of the rival, from 1
 
 
 @dataclass(frozen=True, eq=False)
 class CompetingCauses:
-    """What else a search could take for a cause; r rivals.
+    """Rivals that a selection could confuse with a cause; r rivals.
 
     Attributes
     ----------
     shapes : array, shape (n, r)
-        What each makes of the log, in units of the noise.
-    ahead : array, shape (r,)
-        Nats by which a rival is likelier than the cause where both explain equally much.
-    names : array of bool, shape (r,)
-        Whether it is a cause that can be predicted with; structure without a name cannot.
+        The part of the residuals that each explains, whitened.
+    log_bayes_factor : array, shape (r,)
+        Log Bayes factor of each rival over the cause where both explain the same share.
+    is_known : array of bool, shape (r,)
+        Whether it can extend the law; unknown structure cannot.
     """
 
     shapes: Array
-    ahead: Array
-    names: npt.NDArray[np.bool_]
+    log_bayes_factor: Array
+    is_known: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
 class LinearizedCampaign:
-    """A log linearised about its fit, in units of its noise; n rows, k causes.
+    """A log linearized about its fit, whitened; n rows, k causes.
 
     Attributes
     ----------
     basis : sparse array, shape (n, p)
-        What recalibration of the baseline can do.
+        Directions of the calibration parameters.
     scale : array, shape (n,)
-        Size of the noise, relative.
+        Standard deviation of the noise, relative.
     noise : array, shape (n,)
-        What is left under the fit, freed of what the fit takes up.
+        Residuals under the fit over sqrt(1 - leverage).
     effects : array, shape (n, k)
-        What each cause does.
     slopes : tuple of array, each shape (n, q)
-        Change with each of a cause's parameters.
+        Derivatives with respect to each cause's parameters.
     thresholds : array, shape (k,)
-        Length of an effect that makes the search find it.
-    rivals : tuple of Rivals
+        Length of an effect at which the selection detects it.
+    rivals : tuple of CompetingCauses
         Of each cause.
     """
 
@@ -77,6 +75,15 @@ class LinearizedCampaign:
     thresholds: Array
     rivals: tuple[CompetingCauses, ...]
 
+    def project_along(self, training: IntArray, columns: Array, responses: Array) -> Array:
+        """Responses of some rows along columns, calibration projected out; (n, c), (n, m) -> (m, c)."""
+        direction = subtract_calibration(self.basis, training, training, columns)
+        return responses[training].T @ (direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12))
+
+    def effect_lengths(self, responses: Array) -> Array:
+        """Estimated length of each cause's effect in each log, (n, m) -> (m, k)."""
+        return self.project_along(np.arange(len(self.scale)), self.effects, responses)
+
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedReplicates:
@@ -85,62 +92,66 @@ class _SimulatedReplicates:
     Attributes
     ----------
     rms : array, shape (m, k + 1)
-        Rms error of the baseline, with the first cause, with the first two, and so on.
+        Held-out rms error of the baseline, with the first cause, with the first two, and so on.
     lengths : array, shape (m, k)
-        How long each cause's effect looks, in repeatabilities.
+        Estimated length of each cause's effect.
     """
 
     rms: Array
     lengths: Array
 
     def gains(self, first: int, last: int) -> Array:
-        """What the causes from one step to another gain, shape (m,)."""
+        """Gain of the causes from one step to another, shape (m,)."""
         return self.rms[:, first] - self.rms[:, last]
+
+    def select(self, which: BoolArray) -> _SimulatedReplicates:
+        """Some of the replicates."""
+        return _SimulatedReplicates(self.rms[which], self.lengths[which])
 
 
 def simulate_gain_interval(
     campaign: LinearizedCampaign,
     splits: Sequence[Split],
     others: Sequence[Sequence[Split]],
-    seen: Array,
+    observed: Array,
     rng: np.random.Generator,
     n_draws: int = N_DRAWS,
 ) -> Array:
-    """What a fresh replicate may gain beyond what was seen.
+    """Interval of the gain that a replicate of the campaign would show.
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign : LinearizedCampaign
     splits : sequence of Split
-        As they were in this campaign.
+        Of this campaign.
     others : sequence of sequence of Split
-        As they may be in a fresh replicate.
-    seen : array, shape (k + 1,)
-        Rms error under the baseline, with the first cause, with the first two, and so on.
+        Possible ones of a replicate.
+    observed : array, shape (k + 1,)
+        Held-out rms error of the baseline, with the first cause, with the first two, and so on.
     rng : Generator
-    natures : int, optional
+    n_draws : int, optional
 
     Returns
     -------
     array, shape (2, k + 1)
-        Quantiles 0.025 and 0.975 of the fresh gain, of each cause after those before it, then of all.
+        Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
-    misfit = _effect_lengths(campaign, campaign.effects)
-    parts = [
-        _simulate_replicate_pairs(campaign, splits, other, misfit.diagonal(), n_draws // len(others), rng)
+    lengths = campaign.effect_lengths(campaign.effects).diagonal()
+    pairs = [
+        _simulate_replicate_pairs(campaign, splits, other, lengths, n_draws // len(others), rng)
         for other in others
     ]
-    first, second = (_concatenate([part[which] for part in parts]) for which in range(2))
-    steps = [(k, k + 1) for k in range(len(seen) - 1)] + [(0, len(seen) - 1)]
-    found = []
+    first, second = (_concatenate(replicates) for replicates in zip(*pairs, strict=True))
+    steps = [(k, k + 1) for k in range(len(observed) - 1)] + [(0, len(observed) - 1)]
+    limits = []
     for step in steps:
-        one, other, value = first.gains(*step), second.gains(*step), seen[step[0]] - seen[step[1]]
-        own = slice(*step)
-        unlike = np.mean((first.lengths - misfit.diagonal())[:, own] ** 2, axis=1)
-        unlike += ((one - value) / max(float(np.std(other - one)), 1e-12)) ** 2
-        alike = np.argsort(unlike, kind="stable")[: int(ACCEPTED_SHARE * len(one)) + 1]
-        found.append(value + np.quantile(other[alike] - one[alike], [0.025, 0.975]))
-    return np.stack(found, axis=1)
+        gain, replicate_gain = first.gains(*step), second.gains(*step)
+        value = observed[step[0]] - observed[step[1]]
+        distance = np.mean((first.lengths - lengths)[:, slice(*step)] ** 2, axis=1)
+        distance += ((gain - value) / max(float(np.std(replicate_gain - gain)), 1e-12)) ** 2
+        accepted = np.argsort(distance, kind="stable")[: int(ACCEPTED_SHARE * len(gain)) + 1]
+        limits.append(value + np.quantile(replicate_gain[accepted] - gain[accepted], [0.025, 0.975]))
+    return np.stack(limits, axis=1)
 
 
 def _concatenate(parts: Sequence[_SimulatedReplicates]) -> _SimulatedReplicates:
@@ -153,47 +164,33 @@ def _simulate_replicate_pairs(
     campaign: LinearizedCampaign,
     splits: Sequence[Split],
     others: Sequence[Split],
-    misfit: Array,
+    lengths: Array,
     n_draws: int,
     rng: np.random.Generator,
 ) -> tuple[_SimulatedReplicates, _SimulatedReplicates]:
-    """Two replicates of each nature in which the search would have found anything, each with its splits."""
+    """Two replicates of each draw in which a cause is detected, each with its splits."""
     n, k = campaign.effects.shape
-    off = STRENGTH_RANGE / np.maximum(misfit, 1e-9)
-    both, each = [], max(MAX_ELEMENTS // n, 1)
-    for begin in range(0, n_draws, each):
-        number = min(each, n_draws - begin)
-        times = rng.uniform(np.maximum(1.0 - off, 0.0), 1.0 + off, (number, k))
-        truth = campaign.effects @ times.T
-        both.append(
+    width = STRENGTH_RANGE / np.maximum(lengths, 1e-9)
+    pairs, size = [], max(MAX_ELEMENTS // n, 1)
+    for begin in range(0, n_draws, size):
+        number = min(size, n_draws - begin)
+        factors = rng.uniform(np.maximum(1.0 - width, 0.0), 1.0 + width, (number, k))
+        signal = campaign.effects @ factors.T
+        pairs.append(
             [
-                _simulate_replicates(campaign, subset, truth + _draw_noise(campaign, number, rng), rng)
-                for subset in (splits, others)
+                _simulate_replicates(campaign, its_splits, signal + _draw_noise(campaign, number, rng), rng)
+                for its_splits in (splits, others)
             ]
         )
-    first, second = (_concatenate([pair[which] for pair in both]) for which in range(2))
-    shown = np.any(np.abs(first.lengths) > campaign.thresholds, axis=1)
-    kept = shown if shown.any() else ~shown
-    return tuple(_SimulatedReplicates(one.rms[kept], one.lengths[kept]) for one in (first, second))  # type: ignore[return-value]
+    first, second = (_concatenate(replicates) for replicates in zip(*pairs, strict=True))
+    detected = np.any(np.abs(first.lengths) > campaign.thresholds, axis=1)
+    kept = detected if detected.any() else ~detected
+    return first.select(kept), second.select(kept)
 
 
 def _draw_noise(campaign: LinearizedCampaign, number: int, rng: np.random.Generator) -> Array:
     n = len(campaign.noise)
     return rng.choice(campaign.noise, (n, number)) * rng.choice([-1.0, 1.0], (n, number))
-
-
-def _effect_lengths(campaign: LinearizedCampaign, responses: Array) -> Array:
-    """How long each cause's effect looks in each log, (n, m) -> (m, k)."""
-    everything = np.arange(len(campaign.scale))
-    return _project_along(campaign, everything, campaign.effects, responses)
-
-
-def _project_along(
-    campaign: LinearizedCampaign, training: IntArray, columns: Array, responses: Array
-) -> Array:
-    """Responses of some rows along columns, recalibration taken out of them; (n, c), (n, m) -> (m, c)."""
-    direction = subtract_calibration(campaign.basis, training, training, columns)
-    return responses[training].T @ (direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12))
 
 
 def _simulate_replicates(
@@ -202,105 +199,82 @@ def _simulate_replicates(
     m, k = responses.shape[1], len(campaign.slopes)
     squares, count = np.zeros((m, k + 1)), 0
     for split in splits:
-        doubts = [
-            RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(each.ahead))) for each in campaign.rivals
+        spread = [
+            RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
+            for one in campaign.rivals
         ]
-        made = np.stack(
-            [simulate_selection(campaign, j, split.train, responses, doubts[j]) for j in range(k)], axis=1
+        results = np.stack(
+            [simulate_selection(campaign, j, split.train, responses, spread[j]) for j in range(k)], axis=1
         )
-        for what in np.unique(made, axis=0):
-            subset = np.flatnonzero(np.all(made == what, axis=1))
+        for result in np.unique(results, axis=0):
+            logs = np.flatnonzero(np.all(results == result, axis=1))
             for step in range(k + 1):
-                columns = _extension_columns(campaign, what[:step])
-                off = predict_held_out_errors(campaign.basis, split, columns, responses[:, subset])
-                squares[subset, step] += np.sum((off * campaign.scale[split.held, None]) ** 2, axis=0)
-        count += len(split.held)
-    return _SimulatedReplicates(np.sqrt(squares / count), _effect_lengths(campaign, responses))
+                columns = _extension_columns(campaign, result[:step])
+                errors = predict_held_out_errors(campaign.basis, split, columns, responses[:, logs])
+                squares[logs, step] += np.sum((errors * campaign.scale[split.held_out, None]) ** 2, axis=0)
+        count += len(split.held_out)
+    return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
 
 
 def simulate_selection(
-    campaign: LinearizedCampaign, cause: int, training: IntArray, responses: Array, doubt: Array | float = 0.0
+    campaign: LinearizedCampaign,
+    cause: int,
+    training: IntArray,
+    responses: Array,
+    spread: Array | float = 0.0,
 ) -> IntArray:
-    """What a search of some rows makes of a cause in each log.
+    """The cause that a selection from the training rows takes in the place of a true one, in each of m logs.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    cause : int
-    training : array of int
-        Rows that are searched.
-    responses : array, shape (n, m)
-    doubt : array, shape (m, r), optional
-        Nats by which each rival is likelier than that.
-
-    Returns
-    -------
-    array of int, shape (m,)
-        `NAMED`, the number of the rival that is taken for it, counted from 1, or `NOTHING`.
+    `responses` has shape (n, m); `spread`, shape (m, r), is added to the log Bayes factor of each rival. The
+    result, shape (m,), is `CAUSE_FOUND`, the number of the rival, counted from 1, or `NONE_FOUND`.
     """
     rivals = campaign.rivals[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
-    length = np.abs(_project_along(campaign, training, columns, responses))
+    length = np.abs(campaign.project_along(training, columns, responses))
     left = subtract_calibration(campaign.basis, training, training, responses)
     df = len(training) - len(np.unique(campaign.basis[training].indices))
-    explained = length**2 / np.sum(left**2, axis=0)[:, None]
-    likely = log_likelihood_ratio(explained, df)
-    likely[:, 1:] += rivals.ahead + doubt
-    best = np.argmax(likely, axis=1)
-    alarm = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
-    return np.where(alarm & np.append(True, rivals.names)[best], best, NONE_FOUND)
+    evidence = log_likelihood_ratio(length**2 / np.sum(left**2, axis=0)[:, None], df)
+    evidence[:, 1:] += rivals.log_bayes_factor + spread
+    best = np.argmax(evidence, axis=1)
+    detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
+    return np.where(detected & np.append(True, rivals.is_known)[best], best, NONE_FOUND)
 
 
 def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
-    """Of what explains a share of the squared residuals, at its best, the noise's size being unknown."""
+    """Maximum log likelihood ratio of an effect that explains a share of the squares, noise size unknown."""
     return -0.5 * df * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
 
 
-def _extension_columns(campaign: LinearizedCampaign, made: IntArray) -> list[Array]:
-    """What the laws can do with what a search made of the first causes."""
+def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> list[Array]:
+    """Directions of the law's extension by the results for the first causes."""
     return [
-        campaign.slopes[cause] if what == CAUSE_FOUND else campaign.rivals[cause].shapes[:, what - 1 : what]
-        for cause, what in enumerate(made)
-        if what != NONE_FOUND
+        campaign.slopes[cause] if one == CAUSE_FOUND else campaign.rivals[cause].shapes[:, one - 1 : one]
+        for cause, one in enumerate(result)
+        if one != NONE_FOUND
     ]
 
 
 def predict_held_out_errors(
     basis: csr_array, split: Split, slopes: Sequence[Array], responses: Array
 ) -> Array:
-    """Errors on the rows held out, in units of the noise, with causes in the laws.
+    """Errors on the held-out rows, whitened, with causes in the laws, shape (number held out, m).
 
-    Parameters
-    ----------
-    basis : sparse array, shape (n, p)
-        What recalibration of the baseline can do.
-    split : Split
-    slopes : sequence of array, each shape (n, q)
-        What each cause can do.
-    responses : array, shape (n, m)
-
-    Returns
-    -------
-    array, shape (number held out, m)
+    `basis`, shape (n, p), spans the calibration; `slopes`, each (n, q), are the directions of each cause;
+    `responses` has shape (n, m).
     """
-    plain = subtract_calibration(basis, split.calibration, split.held, responses)
+    plain = subtract_calibration(basis, split.calibration, split.held_out, responses)
     if not slopes:
         return plain
     columns = np.concatenate(slopes, axis=1)
     trained = subtract_calibration(basis, split.train, split.train, columns)
     sizes = np.linalg.lstsq(trained, responses[split.train], rcond=1e-6)[0]
-    return plain - subtract_calibration(basis, split.calibration, split.held, columns) @ sizes
+    return plain - subtract_calibration(basis, split.calibration, split.held_out, columns) @ sizes
 
 
 def subtract_calibration(basis: csr_array, calibration: IntArray, held: IntArray, columns: Array) -> Array:
-    """What some rows show beyond a recalibration by others, (n, m) -> (number held, m).
+    """Held-out rows less their prediction by a calibration with other rows, (n, m) -> (number held, m).
 
-    Parameters
-    ----------
-    basis : sparse array, shape (n, p)
-    calibrating, held : array of int
-        Every parameter that acts on the rows held is known from the calibrating ones.
-    columns : array, shape (n, m)
+    The calibration rows must determine every parameter that acts on the held-out rows.
     """
     acting = np.unique(basis[held].indices)
     known, wanted = basis[calibration][:, acting], basis[held][:, acting]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,10 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
 from stickslip_fit.estimation._optimize import Groups
 
-# Directions of a block's parameters that its rows show less than this share of the others are not known.
-RANK_TOL = 1e-6
+RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
+MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
+OFFSET_TOL = 3e-3  # standard errors before the last step
+MAX_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +35,9 @@ class LawBlock:
     Attributes
     ----------
     law : object
-        With `model` and `predict`, as of a `StepLaw`.
+        With `model`, `predict` and `jacobian` as of a `StepLaw`.
     rows : array of int, shape (m,)
-        Places in the study.
+        Positions among all rows.
     block : array of int, shape (m,)
         Which set of own parameters each row uses.
     values : array, shape (m, p)
@@ -50,18 +52,18 @@ class LawBlock:
 
 @dataclass(frozen=True, eq=False)
 class LinearizedFit:
-    """What a diagnosis looks at; n rows.
+    """Residuals and nuisance Jacobian of a fit, whitened; n rows.
 
     Attributes
     ----------
     rows : DataFrame
-    parts : tuple of Part
+    parts : tuple of LawBlock
     scale : array, shape (n,)
         Standard deviation of each response.
     residual : array, shape (n,)
-        In units of `scale`, with all that recalibration would absorb taken out.
+        In units of `scale`, orthogonal to `basis`.
     basis : sparse array, shape (n, number of parameters)
-        Orthonormal columns: what recalibration can do, block by block, then what all blocks do together.
+        Orthonormal basis of the nuisance Jacobian: block by block, then what all blocks share.
     blocks : tuple of (array of int, shape (m,), array, shape (m, p))
         Rows of each block and its columns of `basis` there.
     """
@@ -78,28 +80,28 @@ class LinearizedFit:
 
     @cached_property
     def columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Columns of the rows, as arrays: what is asked for again and again."""
+        """Columns of the rows, as arrays; cached, since every cause reads them."""
         return {str(name): self.rows[name].to_numpy() for name in self.rows}
 
     @cached_property
     def tables(self) -> tuple[dict[str, npt.NDArray[Any]], ...]:
-        """As `columns`, of each part's rows."""
+        """As `columns`, for each part's rows."""
         return tuple(
             {name: values[part.rows] for name, values in self.columns.items()} for part in self.parts
         )
 
     @property
     def df(self) -> int:
-        """Rows less the parameters that recalibration fits."""
+        """Rows less calibration parameters."""
         return len(self) - self.basis.shape[1]
 
     @property
     def leverage(self) -> Array:
-        """Share of each row that recalibration takes up, shape (n,)."""
+        """Leverage of each row on the calibration parameters, shape (n,)."""
         return np.asarray((self.basis**2).sum(axis=1)).ravel()
 
     def project(self, columns: Array) -> Array:
-        """Take out of each column what recalibration would absorb, shape (n,) or (n, m)."""
+        """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
 
     @cached_property
@@ -121,13 +123,13 @@ def linearize_fit(
     shared: int = 0,
     absorbed: Array | None = None,
 ) -> LinearizedFit:
-    """Linearise laws about their fitted values.
+    """Linearize laws about their fitted values.
 
     Parameters
     ----------
     rows : DataFrame
         n rows.
-    parts : sequence of Part
+    parts : sequence of LawBlock
         Between them every row once.
     responses : array, shape (n,)
     scale : array, shape (n,)
@@ -135,43 +137,43 @@ def linearize_fit(
     shared : int, optional
         How many of the parameters, the last ones, all parts share.
     absorbed : array, shape (n, m), optional
-        Further departures, in units of the noise, that count as taken up.
+        Further effects, whitened, to project out.
     """
     n = len(rows)
-    residual, together, blocks = np.zeros(n), np.zeros((n, shared)), []
+    residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
     for part in parts:
         predicted, slopes = part.law.model(rows.iloc[part.rows])(part.values)
         residual[part.rows] = (responses[part.rows] - predicted) / scale[part.rows]
-        weighed = slopes / scale[part.rows, None]
-        together[part.rows] = weighed[:, slopes.shape[1] - shared :]
+        whitened, own = slopes / scale[part.rows, None], slopes.shape[1] - shared
+        common[part.rows] = whitened[:, own:]
         blocks += [
-            (part.rows[subset], _orthonormalize(weighed[subset, : slopes.shape[1] - shared]))
-            for subset in split_positions(part.block)
+            (part.rows[places], _orthonormalize(whitened[places, :own]))
+            for places in split_positions(part.block)
         ]
     basis = _stack_blocks(n, blocks)
-    further = together if absorbed is None else np.concatenate([together, absorbed], axis=1)
-    if further.shape[1]:
-        border = _orthonormalize(further - basis @ (basis.T @ further))
+    common = common if absorbed is None else np.concatenate([common, absorbed], axis=1)
+    if common.shape[1]:
+        border = _orthonormalize(common - basis @ (basis.T @ common))
         basis = csr_array(hstack([basis, csr_array(border)]))
     linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks))
     return replace(linearized, residual=linearized.project(residual))
 
 
 def split_positions(kinds: npt.NDArray[np.integer[Any]]) -> list[IntArray]:
-    """Where each kind stands, kinds in ascending order."""
+    """Positions of each kind, kinds in ascending order."""
     order = np.argsort(kinds, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1) if len(order) else []
 
 
 def _stack_blocks(n: int, blocks: Sequence[tuple[IntArray, Array]]) -> csr_array:
-    width, places, columns, numbers = 0, [], [], []
-    for subset, q in blocks:
-        places.append(np.repeat(subset, q.shape[1]))
-        columns.append(np.tile(np.arange(width, width + q.shape[1]), len(subset)))
-        numbers.append(q.ravel())
+    width, rows, columns, entries = 0, [], [], []
+    for places, q in blocks:
+        rows.append(np.repeat(places, q.shape[1]))
+        columns.append(np.tile(np.arange(width, width + q.shape[1]), len(places)))
+        entries.append(q.ravel())
         width += q.shape[1]
-    where = (np.concatenate(places), np.concatenate(columns))
-    return csr_array((np.concatenate(numbers), where), shape=(n, width))
+    positions = (np.concatenate(rows), np.concatenate(columns))
+    return csr_array((np.concatenate(entries), positions), shape=(n, width))
 
 
 def _orthonormalize(columns: Array) -> Array:
@@ -180,20 +182,16 @@ def _orthonormalize(columns: Array) -> Array:
     return left[:, singular > RANK_TOL * max(float(singular.max(initial=0.0)), np.finfo(float).tiny)]
 
 
-OFFSET_TOL = 3e-3  # standard errors before the last step
-MAX_STEPS = 100
-
-
 @dataclass(frozen=True, eq=False)
 class ExtendedFit:
     """Laws and causes fitted together.
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of LawBlock
         With the extended laws and their values.
     values : array, shape (q,)
-        Of the causes' parameters, one after the other.
+        Of the causes' parameters, one cause after the other.
     covariance : array, shape (q, q)
     residual : array, shape (n,)
         Response less prediction.
@@ -215,75 +213,51 @@ def fit_extended(
     causes: Sequence[Any],
     start: Array,
 ) -> ExtendedFit:
-    """Fit published laws and causes by least squares.
+    """Fit published laws and causes together by least squares.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        n rows.
-    parts : sequence of Part
-        Laws without the causes, at values to begin with.
-    responses, scale : array, shape (n,)
-    causes : sequence of object
-        Bound to the rows.
-    start : array, shape (q,)
-        Of their parameters.
+    `parts` are the laws without the causes, at start values; `causes` are bound to the rows, and `start`,
+    shape (q,), are start values of their parameters.
     """
-    extended = [_extend_law(part.law, causes) for part in parts]
+    extended = [reduce(lambda law, cause: cause.extend(law), causes, part.law) for part in parts]
     widest, shared = max(part.values.shape[1] for part in parts), len(start)
+    columns_of = [np.r_[: part.values.shape[1], widest : widest + shared] for part in parts]
     blocks = _group_blocks(rows, parts)
     models = [law.model(rows.iloc[part.rows]) for law, part in zip(extended, parts, strict=True)]
 
     def model(values: Array) -> tuple[Array, Array]:
         predicted, slopes = np.empty(len(rows)), np.zeros((len(rows), widest + shared))
-        for part, one in zip(parts, models, strict=True):
-            own = part.values.shape[1]
-            columns = np.r_[np.arange(own), widest + np.arange(shared)]
-            predicted[part.rows], found = one(values[np.ix_(part.rows, columns)])
-            slopes[np.ix_(part.rows, columns)] = found
+        for part, part_model, columns in zip(parts, models, columns_of, strict=True):
+            block = np.ix_(part.rows, columns)
+            predicted[part.rows], slopes[block] = part_model(values[block])
         return predicted, slopes
 
     first, scales = np.zeros((len(blocks), widest + shared)), np.ones((len(blocks), widest + shared))
     for part in parts:
-        of_block = blocks.of_row[part.rows]
-        own = part.values.shape[1]
-        first[of_block, :own] = part.values
-        scales[of_block, :own] = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
+        block, own = blocks.of_row[part.rows], part.values.shape[1]
+        first[block, :own] = part.values
+        scales[block, :own] = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
     first[:, widest:] = start
     scales[:, widest:] = [size for cause in causes for size in cause.scale]
     bounds = [(-np.inf, np.inf)] * widest
-    bounds += [(each.lower, each.upper) for cause in causes for each in cause.parameters]
+    bounds += [(parameter.lower, parameter.upper) for cause in causes for parameter in cause.parameters]
     lower, upper = np.array(bounds).T
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
-    found = solve_block_arrow(
-        model, responses, 1.0 / scale**2, blocks, sharing, first, scales,
-        lower=lower, upper=upper, tolerance=0.0, offset_tol=OFFSET_TOL, most=MAX_STEPS,
-    )  # fmt: skip
-    taken = tuple(
-        LawBlock(
-            law, part.rows, part.block, _select_columns(found.values[blocks.of_row[part.rows]], part, widest)
-        )
-        for law, part in zip(extended, parts, strict=True)
+    options: Any = {"lower": lower, "upper": upper, "offset_tol": OFFSET_TOL, "most": MAX_STEPS}
+    minimum = solve_block_arrow(
+        model, responses, 1.0 / scale**2, blocks, sharing, first, scales, tolerance=0.0, **options
     )
-    covariance = shared_covariance(found, sharing, scales)
-    return ExtendedFit(
-        taken, found.values[0, widest:], covariance, found.residual, bool(found.converged.all())
+    fitted = tuple(
+        LawBlock(law, part.rows, part.block, minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
+        for law, part, columns in zip(extended, parts, columns_of, strict=True)
     )
-
-
-def _extend_law(law: Any, causes: Sequence[Any]) -> Any:
-    for cause in causes:
-        law = cause.extend(law)
-    return law
+    covariance = shared_covariance(minimum, sharing, scales)
+    converged = bool(minimum.converged.all())
+    return ExtendedFit(fitted, minimum.values[0, widest:], covariance, minimum.residual, converged)
 
 
 def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:
     keys = np.empty((len(rows), 2), dtype=np.intp)
     for number, part in enumerate(parts):
         keys[part.rows] = np.column_stack([np.full(len(part.rows), number), part.block])
-    kinds, of_row = np.unique(keys, axis=0, return_inverse=True)
-    return Groups(pd.DataFrame(kinds), of_row.ravel())
-
-
-def _select_columns(values: Array, part: LawBlock, widest: int) -> Array:
-    return np.concatenate([values[:, : part.values.shape[1]], values[:, widest:]], axis=1)
+    labels, of_row = np.unique(keys, axis=0, return_inverse=True)
+    return Groups(pd.DataFrame(labels), of_row.ravel())

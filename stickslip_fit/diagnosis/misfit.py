@@ -1,11 +1,21 @@
-"""The misfit test: Bayes factors of all hypotheses, and one p-value calibrated for the whole search.
+"""The misfit test: Bayes factors of all hypotheses, and the p-value of the whole search.
 
 With unknown noise variance and effect strength tau, the Bayes factor of a hypothesis against noise
 alone is prod (1 + tau^2 s_i)^(-1/2) (1 - sum u_i^2 tau^2 s_i / (1 + tau^2 s_i) / u'u)^(-df/2), with u_i
 the residual along direction i and s_i its prior share (A. Zellner, g-prior, 1986), averaged over four
-values of tau. The null distribution is a wild bootstrap: signs flipped at random, then recalibration
-(J. L. Horowitz, Annu. Rev. Econ. 11:193, 2019). The best hypothesis is removed first; residuals are
-scaled as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985).
+values of tau. The statistic is the mean Bayes factor over all causes and unstructured alternatives.
+
+Its null distribution is a wild bootstrap: signs of the residuals flipped at random, then the
+calibration parameters projected out again (J. L. Horowitz, Annu. Rev. Econ. 11:193, 2019). A real effect
+would inflate it, so the best hypothesis is subtracted first; residuals are divided by sqrt(1 - leverage)
+as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985).
+
+The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
+correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
+is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
+bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). Where the noise was
+found heteroscedastic from the same residuals, that share is doubled. `selection.select_causes` does both
+tests in this order.
 """
 
 from __future__ import annotations
@@ -16,36 +26,41 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 from scipy.sparse import csc_array, csr_array, hstack
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 
-STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])
-
-
-MAX_LOG_EVIDENCE = 600.0  # nats; where likelihoods are summed, none is larger than e to this
+UNKNOWN = "unknown"
+STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
+MAX_LOG_EVIDENCE = 600.0  # nats; keeps sums of Bayes factors finite
+MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
+MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
+MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
+MIN_TAIL_DF = 5.0  # of the Student t noise that is simulated instead
+BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and residuals in them
 
 
 @dataclass(frozen=True, eq=False)
 class HypothesisBatch:
-    """Hypotheses laid side by side, so that all are judged at once.
+    """Hypotheses side by side, so that all are evaluated in one matrix product.
 
     Attributes
     ----------
     directions : array, shape (n, m)
-        Of all hypotheses that have some; sparse ones after the others.
+        Of the hypotheses with dense directions.
     sparse : sparse array, shape (m', n)
-        Directions in rows.
+        Directions of the others, in rows.
     share : array, shape (m + m',)
     first : array of int
-        Where each hypothesis's directions begin.
-    ar1s : tuple of Memory
+        Where the directions of each hypothesis begin.
+    ar1s : tuple of AR1
     place : array of int, shape (H,)
-        Of each hypothesis, in the order given, among those with directions and then the memories.
-    freedom : int
+        Of each hypothesis, in the order given, in (dense, sparse, AR(1)).
+    df : int
     """
 
     directions: Array
@@ -57,15 +72,19 @@ class HypothesisBatch:
     df: int
 
     def log_evidence(self, residuals: Array) -> Array:
-        """Log ratio of each hypothesis's marginal likelihood to that of noise alone; (n, k) -> (H, k)."""
-        shapes = logsumexp(np.stack(list(self._at_each_strength(residuals))), axis=0) - np.log(len(STRENGTHS))
-        return np.concatenate([shapes, *self._ar1_log_evidence(residuals)])[self.place]
+        """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
+        subspaces = logsumexp(np.stack(list(self._at_each_strength(residuals))), axis=0)
+        return np.concatenate([subspaces - np.log(len(STRENGTHS)), *self._ar1_log_evidence(residuals)])[
+            self.place
+        ]
 
     def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
-        """Log of the weighed sum of all hypotheses' evidence, weights (H,); (n, k) -> (k,)."""
-        shapes = sum(np.exp(np.minimum(each, MAX_LOG_EVIDENCE)) for each in self._at_each_strength(residuals))
-        carried = [np.exp(np.minimum(each, MAX_LOG_EVIDENCE)) for each in self._ar1_log_evidence(residuals)]
-        evidence = np.concatenate([shapes / len(STRENGTHS), *carried])
+        """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,)."""
+        subspaces = sum(
+            np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._at_each_strength(residuals)
+        )
+        ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
+        evidence = np.concatenate([subspaces / len(STRENGTHS), *ar1s])
         weight = np.empty(len(log_weight))
         weight[self.place] = np.exp(log_weight)
         return np.log(weight @ evidence)
@@ -79,7 +98,7 @@ class HypothesisBatch:
             if len(self.first) < len(self.share):
                 explained = np.add.reduceat(explained, self.first, axis=0)
             spread = np.add.reduceat(np.log1p(signal), self.first)
-            log = np.log1p(-np.minimum(explained, 1.0 - 1e-12))
+            log = np.log1p(-np.minimum(explained, MAX_EXPLAINED))
             log *= -0.5 * self.df
             log -= 0.5 * spread[:, None]
             yield log
@@ -89,46 +108,38 @@ class HypothesisBatch:
 
 
 def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:
-    """Lay hypotheses side by side."""
+    """Put hypotheses side by side: dense directions, sparse ones, then AR(1)."""
+    storage = np.array(
+        [2 if isinstance(one, AR1) else int(not isinstance(one.columns, np.ndarray)) for one in hypotheses]
+    )
     groups: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
-    group = np.array([_storage_kind(each) for each in hypotheses])
-    for each, number in zip(hypotheses, group, strict=True):
-        groups[number].append(each)
-    dense, sparse, memories = groups
-    place = np.empty(len(group), dtype=np.intp)
-    place[np.argsort(group, kind="stable")] = np.arange(len(group))
-    n = (*dense, *sparse)[0].columns.shape[0]
-    sizes = [len(each.share) for each in (*dense, *sparse)]
+    for hypothesis, number in zip(hypotheses, storage, strict=True):
+        groups[number].append(hypothesis)
+    dense, sparse, ar1s = groups
+    place = np.empty(len(storage), dtype=np.intp)
+    place[np.argsort(storage, kind="stable")] = np.arange(len(storage))
+    subspaces = (*dense, *sparse)
+    n = subspaces[0].columns.shape[0]
     return HypothesisBatch(
-        np.concatenate([np.zeros((n, 0)), *(each.columns for each in dense)], axis=1),
-        csr_array(hstack([csc_array((n, 0)), *(each.columns for each in sparse)], format="csc").T),
-        np.concatenate([each.share for each in (*dense, *sparse)]),
-        np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp),
-        tuple(memories),
+        np.concatenate([np.zeros((n, 0)), *(one.columns for one in dense)], axis=1),
+        csr_array(hstack([csc_array((n, 0)), *(one.columns for one in sparse)], format="csc").T),
+        np.concatenate([one.share for one in subspaces]),
+        np.concatenate([[0], np.cumsum([len(one.share) for one in subspaces])[:-1]]).astype(np.intp),
+        tuple(ar1s),
         place,
         df,
     )
 
 
-def _storage_kind(hypothesis: Hypothesis | AR1) -> int:
-    """0 for dense directions, 1 for sparse ones, 2 for memories."""
-    if isinstance(hypothesis, AR1):
-        return 2
-    return int(not isinstance(hypothesis.columns, np.ndarray))
-
-
-MIN_LOG_BAYES_FACTOR = 5.0  # nats by which a structure must be likelier than none to be taken out
-
-
 @dataclass(frozen=True, eq=False)
 class StructureRemoved:
-    """What is left of n residuals.
+    """Residuals without their best-fitting structure.
 
     Attributes
     ----------
     residual : array, shape (n,)
     leverage : array, shape (n,)
-        Share of each row's noise that went with the structure.
+        Share of each row's noise that was subtracted with the structure.
     """
 
     residual: Array
@@ -138,49 +149,36 @@ class StructureRemoved:
 def remove_structure(
     residual: Array, hypotheses: Sequence[Hypothesis | AR1], log_evidence: Array
 ) -> StructureRemoved:
-    """Take the likeliest structure out, as far as it is more than noise gives it.
-
-    Parameters
-    ----------
-    residual : array, shape (n,)
-    hypotheses : sequence of Hypothesis or Memory, H
-    log_evidence : array, shape (H,)
-    """
+    """Subtract the likeliest structure from residuals, (n,), shrunk as its prior says."""
     best = int(np.argmax(log_evidence))
-    shape, nothing = hypotheses[best], np.zeros(len(residual))
+    shape, zeros = hypotheses[best], np.zeros(len(residual))
     if log_evidence[best] < MIN_LOG_BAYES_FACTOR:
-        return StructureRemoved(residual, nothing)
+        return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
-        return StructureRemoved(residual - shape.shape(residual), nothing)
+        return StructureRemoved(residual - shape.shape(residual), zeros)
     along = shape.along(residual)
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
     kept = strength**2 * shape.share / (1.0 + strength**2 * shape.share)
     return StructureRemoved(residual - shape.combine(kept * along), shape.leverage(kept))
 
 
-UNKNOWN = "unknown"
-MAX_LEVERAGE = 0.8
-MAX_ROW_LEVERAGE = 0.15  # share of an effect in one traverse, above which it shows in few alone
-MIN_TAIL_DF = 5.0  # degrees of freedom
-BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # flipped logs, and residuals in them
-
-
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """How likely the residuals are by chance, and what each hypothesis makes of them.
+    """The misfit test of some residuals.
 
     Attributes
     ----------
     residual : array, shape (n,)
-    hypotheses : tuple of Hypothesis or Memory
+    hypotheses : tuple of Hypothesis or AR1
     log_evidence : array, shape (H,)
+        Log Bayes factor of each hypothesis.
     log_evidence_by_cause : dict of str to float
-        Log evidence of each cause, averaged over its shapes.
+        That of each cause, averaged over its shapes.
     p_value : float
-    null_log_evidence : array, shape (flips,)
-        Log evidence, over everything, in logs in which nothing is wrong.
-    times : float
-        By how much `p_value` is larger than their share that looks worse than the log.
+    null_log_evidence : array, shape (n_bootstrap,)
+        The statistic in the bootstrap samples.
+    p_value_factor : float
+        Factor on the p-value, for heteroscedasticity chosen by the same residuals.
     """
 
     residual: Array
@@ -189,24 +187,26 @@ class Misfit:
     log_evidence_by_cause: dict[str, float]
     p_value: float
     null_log_evidence: Array
-    times: float = 1.0
+    p_value_factor: float = 1.0
 
     def critical_value(self, level: float) -> float:
-        """Log evidence, over everything, that chance exceeds with probability `level`."""
-        return (
-            float(np.quantile(self.null_log_evidence, 1.0 - level / self.times))
-            if len(self.null_log_evidence)
-            else np.nan
-        )
+        """Value of the statistic that noise alone exceeds with probability `level`."""
+        if not len(self.null_log_evidence):
+            return np.nan
+        return float(np.quantile(self.null_log_evidence, 1.0 - level / self.p_value_factor))
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause."""
-        subset = [k for k, each in enumerate(self.hypotheses) if classify_cause(each) == cause]
-        return self.hypotheses[max(subset, key=lambda k: self.log_evidence[k])]
+        places = [k for k, one in enumerate(self.hypotheses) if classify_cause(one) == cause]
+        return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
+
+    def n_shapes(self, cause: str) -> int:
+        """Number of shapes over which the evidence of a cause is averaged, at least 1."""
+        return max(sum(one.cause == cause for one in self.hypotheses), 1)
 
 
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:
-    """The cause, or ``unknown`` for any structure."""
+    """The cause, or ``unknown`` for any unstructured alternative."""
     return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
 
 
@@ -215,74 +215,77 @@ def compute_misfit(
     hypotheses: Sequence[Hypothesis | AR1],
     n_bootstrap: int,
     rng: np.random.Generator,
-    enough: int | None = None,
-    times: float = 1.0,
+    max_exceedances: int | None = None,
+    p_value_factor: float = 1.0,
 ) -> Misfit:
-    """Judge the residuals of a study.
+    """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
 
-    Parameters
-    ----------
-    linearized : Study
-    hypotheses : sequence of Hypothesis
-    n_bootstrap : int
-        Logs in which nothing is wrong; 0 gives no p-value (NaN).
-    rng : Generator
-    enough : int, optional
-        Of those, that look worse than the log itself, after which no more are made (J. Besag and P.
-        Clifford, Biometrika 78:301, 1991).
-    times : float, optional
-        Makes the p-value that much larger, where the rows' weights were chosen by the same residuals.
+    After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P. Clifford,
+    Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`.
     """
-    together = batch_hypotheses(hypotheses, linearized.df)
-    kinds = [classify_cause(each) for each in hypotheses]
-    weight = _log_weights(hypotheses, kinds)
-    own = together.log_evidence(linearized.residual[:, None])[:, 0]
-    each = {
-        name: float(logsumexp((own + weight)[[kind == name for kind in kinds]]))
-        for name in dict.fromkeys(kinds)
+    batch = batch_hypotheses(hypotheses, linearized.df)
+    causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
+    weight = _log_weights(hypotheses, causes)
+    own = batch.log_evidence(linearized.residual[:, None])[:, 0]
+    by_cause = {
+        name: float(logsumexp((own + weight)[[cause == name for cause in causes]]))
+        for name in dict.fromkeys(causes)
     }
-    total, by_chance = float(logsumexp(list(each.values()))), np.zeros(0)
-    noise = _make_null_sampler(linearized, remove_structure(linearized.residual, hypotheses, own), rng)
-    for first in range(
-        0,
-        n_bootstrap,
-        at_a_time := min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), len(together.share)), 1)),
-    ):
-        drawn = noise(min(at_a_time, n_bootstrap - first))
-        null = together.log_mean_evidence(linearized.project(drawn), weight)
-        by_chance = np.concatenate([by_chance, null])
-        if enough is not None and np.sum(by_chance >= total) >= enough:
+    statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
+    draw_noise = _make_null_sampler(linearized, remove_structure(linearized.residual, hypotheses, own), rng)
+    size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), len(batch.share)), 1))
+    for first in range(0, n_bootstrap, size):
+        noise = draw_noise(min(size, n_bootstrap - first))
+        null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
+        if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
             break
-    share = (1 + int(np.sum(by_chance >= total))) / (1 + len(by_chance)) if n_bootstrap else np.nan
-    return Misfit(
-        linearized.residual, tuple(hypotheses), own, each, min(times * share, 1.0), by_chance, times
-    )
+    share = (1 + int(np.sum(null >= statistic))) / (1 + len(null)) if n_bootstrap else np.nan
+    p_value = min(p_value_factor * share, 1.0)
+    return Misfit(linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor)
 
 
 def _make_null_sampler(
     linearized: LinearizedFit, left: StructureRemoved, rng: np.random.Generator
 ) -> Callable[[int], Array]:
-    """A maker of logs in which nothing is wrong, before recalibration: their number k -> (n, k)."""
+    """A generator of noise alone, calibration not yet projected out: number of samples k -> (n, k)."""
     n = len(linearized)
     if left.leverage.max() > MAX_ROW_LEVERAGE:
         return lambda number: rng.standard_t(MIN_TAIL_DF, (n, number))
-    # As they were before recalibration, and what else was taken out, made them smaller.
+    # Projection and subtraction shrink residuals; undo both.
     kept = (1.0 - left.leverage) * np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
     sizes = (left.residual / kept)[:, None]
     return lambda number: rng.choice([-1.0, 1.0], (n, number)) * sizes
 
 
-def _log_weights(hypotheses: Sequence[Hypothesis | AR1], kinds: Sequence[str]) -> Array:
-    """Log weight of each hypothesis in its cause: alike for all shapes, structures kind by kind."""
+def _log_weights(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
+    """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind."""
     families = [
-        each.cause.split(" ")[0].removesuffix(",") if kind == UNKNOWN else kind
-        for each, kind in zip(hypotheses, kinds, strict=True)
+        hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause
+        for hypothesis, cause in zip(hypotheses, causes, strict=True)
     ]
     sizes = {family: families.count(family) for family in families}
-    structures = len({family for family in families if family.startswith(f"{UNKNOWN}:")})
+    n_kinds = len({family for family in families if family.startswith(f"{UNKNOWN}:")})
     return -np.array(
         [
-            np.log(sizes[family]) + (np.log(structures) if kind == UNKNOWN else 0.0)
-            for family, kind in zip(families, kinds, strict=True)
+            np.log(sizes[family]) + (np.log(n_kinds) if cause == UNKNOWN else 0.0)
+            for family, cause in zip(families, causes, strict=True)
         ]
     )
+
+
+def detection_length(critical: float, n_shapes: int, df: int) -> float:
+    """Norm of an effect in one direction at which its cause alone reaches a critical value of the statistic.
+
+    `n_shapes` is the number of shapes over which the evidence of the cause is averaged.
+    """
+
+    def evidence(z: float) -> float:
+        signal = STRENGTHS**2
+        log = -0.5 * np.log1p(signal) - 0.5 * df * np.log1p(
+            -np.minimum(z**2 * signal / (1 + signal) / (df + z**2), MAX_EXPLAINED)
+        )
+        return float(np.log(np.mean(np.exp(log - log.max()))) + log.max() - np.log(n_shapes))
+
+    if not np.isfinite(critical) or evidence(0.0) > critical:
+        return 0.0
+    return float(brentq(lambda z: evidence(z) - critical, 0.0, 60.0, xtol=1e-3))

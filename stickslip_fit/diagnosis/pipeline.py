@@ -1,10 +1,17 @@
-"""diagnose: the whole diagnosis of a log, step by step. Start reading here.
+"""diagnose: the whole diagnosis of a log, in the order of the mathematics. Start reading here.
 
-The log becomes a `DiagnosisProblem` (`problem`): rows with their laws, responses and noise, linearized
-by `linearized`. `hypotheses` lists what could be wrong, `misfit` tests whether anything is, `selection`
-names causes one by one, `effect_size` estimates them and `gain` measures the held-out error with them
-in the law (`cross_validation`). `experiments` proposes the traverse that separates causes the log
-cannot separate.
+1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise.
+2. `linearized`: whitened residuals and effects, the calibration parameters projected out.
+3. `hypotheses`: what could be wrong, each as a subspace of effects.
+4. `noise`: repeatability, noisy configurations, outlying counts.
+5. `misfit`: is anything wrong? Bayes factors and the p-value.
+6. `selection`: forward selection of causes, and the causes that the data cannot separate.
+7. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
+8. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law.
+9. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
+
+`result` holds the `Diagnosis`; `separability` asks the same of a plan before any data; `residuals`
+prepares the figures.
 """
 
 from __future__ import annotations
@@ -18,10 +25,11 @@ import numpy as np
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.effect_size import size_findings
-from stickslip_fit.diagnosis.gain import measure_gain
+from stickslip_fit.diagnosis.experiments import next_experiment
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
-from stickslip_fit.diagnosis.result import Diagnosis, Finding, Verdict
+from stickslip_fit.diagnosis.result import Diagnosis, Verdict
 from stickslip_fit.diagnosis.selection import (
     Selection,
     cause_probabilities,
@@ -33,10 +41,9 @@ from stickslip_fit.diagnosis.selection import (
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.logs import Log
 
-# Logs in which nothing is wrong, for each false alarm that may be raised.
-BOOTSTRAP_PER_ALARM = 20
+BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
-MAX_INCLUSION_WITHOUT_ALARM = 0.5  # where nothing raised an alarm, something is at most as likely as nothing
+MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
 
 
 def diagnose(
@@ -45,47 +52,24 @@ def diagnose(
     causes: Iterable[Cause] | None = None,
     alpha: float = 0.01,
     seed: int = 0,
+    gain: bool = True,
     progress: ProgressCallback = ignore_progress,
 ) -> Diagnosis:
-    """Find out what the published laws get wrong in a log, why, and what knowing it gains.
-
-    Parameters, result and errors are those of `decide`.
-    """
-    diagnosis = find_causes(log, causes=causes, alpha=alpha, seed=seed, progress=progress)
-    if any(finding.equivalent for finding in diagnosis.findings):
-        from stickslip_fit.diagnosis.candidate_traverses import forecast_candidates
-        from stickslip_fit.diagnosis.experiments import next_experiment
-
-        forecasts = forecast_candidates(diagnosis.search.problem, log.machine)
-        wanted = next_experiment(diagnosis.search, diagnosis.findings, forecasts)
-        diagnosis = replace(diagnosis, next_experiment=wanted)
-    return measure_gain(diagnosis, log.machine, progress=progress)
-
-
-def find_causes(
-    log: Log,
-    *,
-    causes: Iterable[Cause] | None = None,
-    alpha: float = 0.01,
-    seed: int = 0,
-    progress: ProgressCallback = ignore_progress,
-) -> Diagnosis:
-    """Find out what the published laws get wrong in a log, and why; no gain, no next experiment.
+    """Test the published laws on a log, name the causes of a misfit, and measure what the causes gain.
 
     Parameters
     ----------
     log : Log
     causes : iterable of Cause, optional
-        To choose from; the library and the lab's own columns without it.
+        Candidates; without it the library and the lab's own columns.
     alpha : float, optional
-        False-alarm rate.
+        False-alarm rate over all tests.
     seed : int, optional
+    gain : bool, optional
+        False only names the causes: no gain and no next experiment, in a fraction of the time;
+        `Diagnosis.measure_gain` and `next_experiment` do the rest.
     progress : callable, optional
-        Is told what begins, and the share of the work that is done.
-
-    Returns
-    -------
-    Diagnosis
+        Called with the step that begins and the share of the work that is done.
 
     Raises
     ------
@@ -95,108 +79,96 @@ def find_causes(
     began = time.perf_counter()
     progress("fitting the published law", 0.0)
     diagnosis = diagnose_problem(*problem_from_log(log, causes), alpha=alpha, seed=seed, progress=progress)
-    return replace(
-        diagnosis,
-        seconds=time.perf_counter() - began,
-        log_file=log.sources[0][0] if log.sources else "",
-        log_sha256=log.sha256,
-    )
+    diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
+    if not gain:
+        return diagnosis
+    return replace(diagnosis, next_experiment=next_experiment(diagnosis)).measure_gain(progress=progress)
 
 
 def diagnose_problem(
-    given: DiagnosisProblem,
+    problem: DiagnosisProblem,
     missing: Mapping[str, str],
     *,
     alpha: float,
     seed: int = 0,
     progress: ProgressCallback = ignore_progress,
 ) -> Diagnosis:
-    """Find out what is wrong with the laws on a bench, whatever they describe.
+    """Name what is wrong with any laws, whatever machine they describe.
 
     Parameters
     ----------
-    given : Bench
+    problem : DiagnosisProblem
     missing : mapping of str to str
-        Causes of which there is nothing to see, and why.
-    alpha : float
-        False-alarm rate.
-    seed : int, optional
-    progress : callable, optional
-
-    Returns
-    -------
-    Diagnosis
-        Of no file.
+        Causes for which the data lack a variable, with the reason.
+    alpha, seed, progress
+        As of `diagnose`.
     """
     began = time.perf_counter()
-    linearized = given.study()
-    why = explain_too_small(linearized)
-    unable = {**missing, **(_mark_untestable(given, why) if why else find_untestable(given, linearized))}
-    problem = replace(given, causes=tuple(each for each in given.causes if each.name not in unable))
+    linearized = problem.study()
+    too_small = explain_too_small(linearized)
+    if too_small:
+        unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
+    else:
+        unable = find_untestable(problem, linearized)
+    untestable = {**missing, **unable}
+    testable = replace(
+        problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
+    )
     progress("searching for causes", 0.05)
     rng = np.random.default_rng(seed)
-    selection = empty_selection(problem) if why else select_causes(problem, alpha, bootstrap_size(alpha), rng)
-    sized = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
+    selection = (
+        empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
+    )
+    findings = size_findings(selection, testable, alpha) if selection.p_value < alpha else ()
+    searched = selection.problem
+    row_sd = searched.repeatability[searched.drive] * searched.uneven
     return Diagnosis(
-        verdict=_choose_verdict(sized),
-        findings=sized,
+        verdict=_choose_verdict(findings),
+        findings=findings,
         p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * given.scale) ** 2))),
-        repeatability=np.nan if why else _pool_repeatability(selection.problem),
-        inclusion=_inclusion_probabilities(selection, problem, unable),
-        untestable=unable,
-        gain=None,
-        gain_new_session=None,
-        next_experiment=(),
+        misfit=float(np.sqrt(np.mean((linearized.residual * problem.scale) ** 2))),
+        repeatability=np.nan if too_small else float(np.sqrt(np.mean(row_sd**2))),
+        inclusion=_inclusion_probabilities(selection, testable, untestable),
+        untestable=untestable,
         alpha=alpha,
         seed=seed,
         seconds=time.perf_counter() - began,
-        log_file="",
-        log_sha256="",
         search=selection,
         aliased_causes=find_aliased_causes(selection.first),
     )
 
 
 def bootstrap_size(alpha: float) -> int:
-    """Logs in which nothing is wrong that an alarm rate needs; more than for one look, since two share it."""
+    """Bootstrap samples for a false-alarm rate, of which the misfit test has a share of 3/4."""
     return int(np.ceil(1.5 * BOOTSTRAP_PER_ALARM / alpha))
 
 
-def _mark_untestable(given: DiagnosisProblem, why: str) -> dict[str, str]:
-    return dict.fromkeys([*(cause.name for cause in given.causes), UNKNOWN], why)
-
-
-def _pool_repeatability(problem: DiagnosisProblem) -> float:
-    return float(np.sqrt(np.mean((problem.repeatability[problem.drive] * problem.uneven) ** 2)))
-
-
-def _choose_verdict(sized: tuple[Finding, ...]) -> Verdict:
-    if not sized:
+def _choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
+    if not findings:
         return "nothing wrong"
-    if sized[0].cause == UNKNOWN:
+    if findings[0].cause == UNKNOWN:
         return "unknown cause"
-    return "cannot tell apart" if sized[0].equivalent else "cause named"
+    return "cannot tell apart" if findings[0].equivalent else "cause named"
 
 
 def _inclusion_probabilities(
-    selection: Selection, problem: DiagnosisProblem, unable: dict[str, str]
+    selection: Selection, problem: DiagnosisProblem, untestable: Mapping[str, str]
 ) -> dict[str, float | None]:
-    """Probability of each cause: of those found at the look that found them, of all others at the last."""
+    """Probability of each cause: of a selected one when it was selected, of all others in the last test."""
     last = cause_probabilities(selection.last.log_evidence_by_cause)
     if not selection.found:
-        # What chance explains too is no evidence, however well some shape follows it.
+        # Without an alarm the evidence is within chance, so that all causes share at most one half.
         last = {
             cause: value * min(1.0, MAX_INCLUSION_WITHOUT_ALARM / sum(last.values()))
             for cause, value in last.items()
         }
-    found: dict[str, float | None] = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], 0.0)
-    found |= last
-    for each in selection.found:
-        if each.misfit is not None:
-            for cause, probability in each.cause_set.probability.items():
-                if cause == each.cause or cause in each.cause_set.rivals:
-                    found[cause] = max(probability, found.get(cause) or 0.0)
-        else:
-            found[each.cause] = OUTLIER_INCLUSION
-    return found | dict.fromkeys(unable)
+    inclusion: dict[str, float | None] = dict.fromkeys([*(c.name for c in problem.causes), UNKNOWN], 0.0)
+    inclusion |= last
+    for selected in selection.found:
+        if selected.misfit is None:
+            inclusion[selected.cause] = OUTLIER_INCLUSION
+            continue
+        for cause, probability in selected.cause_set.probability.items():
+            if cause == selected.cause or cause in selected.cause_set.rivals:
+                inclusion[cause] = max(probability, inclusion.get(cause) or 0.0)
+    return inclusion | dict.fromkeys(untestable)

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, library
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
@@ -35,32 +34,35 @@ from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.logs import Log
 
-RESTART_SHARES = (0.3, 0.1)  # shares of the sizes from which a fit is begun again
+RESTART_SHARES = (0.3, 0.1)  # of the start values, for fits that do not converge
+DEFAULT_REPEATABILITY = 3e-3  # where no group of the log has replicates
 
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisProblem:
-    """What is diagnosed; n rows. Nothing in it is particular to actuators.
+    """Rows, laws, noise and candidate causes; n rows.
 
     Attributes
     ----------
     rows : DataFrame
-    parts : tuple of Part
-        The baseline laws, fitted; between them every row once.
+        With a ``session``.
+    parts : tuple of LawBlock
+        The baseline laws at their fitted values; between them every row once.
     responses, rounding : array, shape (n,)
         What was measured, and the variance that rounding adds.
     drive : array of int, shape (n,)
-        Which repeatability each row has.
+        Index of each row's repeatability.
     repeatability : array
-        Standard deviation of each drive's responses.
+        Standard deviation of the responses of each drive.
     causes : tuple
-        Bound to the rows, and not obviously without effect in them.
+        Candidates, bound to the rows. Each has `name`, `phrase`, `joints`, `session`, `parameters`, `absent`,
+        `scale`, `most`, `joined`, `trials`, `largest`, `extend` and `changes` as a `Cause` has them.
     alternatives : callable
-        From a Study to the hypotheses that stand for ``unknown``.
+        From a LinearizedFit to the unstructured alternatives, which stand for ``unknown``.
     kind : array of int, shape (n,)
-        Rows of some kinds may repeat worse than others.
+        Configuration of each row; the noise may depend on it.
     uneven : array, shape (n,)
-        How much worse each row does.
+        Standard deviation of each row's configuration over that of its drive.
     """
 
     rows: pd.DataFrame
@@ -83,72 +85,70 @@ class DiagnosisProblem:
         return np.sqrt((self.repeatability[self.drive] * self.uneven) ** 2 + self.rounding)
 
     def study(self) -> LinearizedFit:
-        """The rows under the baseline."""
+        """The baseline fit, linearized."""
         return linearize_fit(self.rows, self.parts, self.responses, self.scale)
 
+    def linearize_extended(self, fit: ExtendedFit, absorbed: Array | None = None) -> LinearizedFit:
+        """A fit of the extended laws, linearized; `absorbed` as of `linearize_fit`."""
+        return linearize_fit(
+            self.rows, fit.parts, self.responses, self.scale, shared=len(fit.values), absorbed=absorbed
+        )
+
     def estimate_noise(self, linearized: LinearizedFit, left: StructureRemoved) -> NoiseEstimate:
-        """The repeatability that shows in what is left of a study's residuals."""
+        """The noise, from residuals without structure."""
         return estimate_noise(linearized, left, self.rounding, self.drive, self.kind)
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
-        """With another repeatability."""
-        return replace(self, repeatability=noise.sd, uneven=noise.uneven.ratio)
+        """The same problem with other noise."""
+        return replace(self, repeatability=noise.sd, uneven=noise.heteroscedasticity.ratio)
 
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
-        """The baseline with some causes in it, fitted anew.
+        """The baseline extended by causes, refitted.
 
-        What does not converge from where it begins is begun nearer to no effect, where the fit is linear.
+        A fit that does not converge is restarted nearer to zero effect, where the law is nearly linear.
         """
-        first = np.zeros(0) if start is None else start
-        found = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, first)
+        start = np.zeros(0) if start is None else start
+        best = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, start)
+        if best.converged or not len(start):
+            return best
+        absent = np.concatenate([np.array(version.absent, dtype=float) for version in versions])
         for share in RESTART_SHARES:
-            if found.converged or not len(first):
+            nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
+            fit = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, nearer)
+            if fit.converged or self._chi_square(fit) < self._chi_square(best):
+                best = fit
+            if best.converged:
                 break
-            nearer = _absent_values(versions) + share * (first - _absent_values(versions))
-            again = fit_extended(
-                self.rows, self.parts, self.responses, self.scale, versions,
-                np.where(_are_sizes(versions), nearer, first),
-            )  # fmt: skip
-            if again.converged or self._chi_square(again) < self._chi_square(found):
-                found = again
-        return found
+        return best
 
     def _chi_square(self, fit: ExtendedFit) -> float:
         return float(np.sum((fit.residual / self.scale) ** 2))
 
-    def without(self, out: IntArray) -> DiagnosisProblem:
-        """The bench without some rows, the baseline fitted anew."""
-        kept = np.setdiff1d(np.arange(len(self)), out)
+    def without(self, removed: IntArray) -> DiagnosisProblem:
+        """The problem without some rows, the baseline refitted."""
+        kept = np.setdiff1d(np.arange(len(self)), removed)
         place = np.full(len(self), -1)
         place[kept] = np.arange(len(kept))
         parts = []
         for part in self.parts:
-            subset = place[part.rows] >= 0
-            parts.append(
-                replace(
-                    part, rows=place[part.rows][subset], block=part.block[subset], values=part.values[subset]
-                )
-            )
+            inside = place[part.rows] >= 0
+            rows = place[part.rows][inside]
+            parts.append(replace(part, rows=rows, block=part.block[inside], values=part.values[inside]))
         smaller = replace(
             self,
             rows=self.rows.iloc[kept].reset_index(drop=True),
             parts=tuple(parts),
-            responses=self.responses[kept],
-            rounding=self.rounding[kept],
-            drive=self.drive[kept],
-            kind=self.kind[kept],
-            uneven=self.uneven[kept],
+            **{
+                name: getattr(self, name)[kept]
+                for name in ("responses", "rounding", "drive", "kind", "uneven")
+            },
         )
         return replace(smaller, parts=smaller.fit_extended().parts)
 
 
-def _absent_values(versions: Sequence[Any]) -> Array:
-    return np.concatenate([np.array(each.absent, dtype=float) for each in versions])
-
-
-def _are_sizes(versions: Sequence[Any]) -> npt.NDArray[np.bool_]:
-    """Which parameters are sizes: the first of each cause, or all where they act in any combination."""
-    return np.concatenate([[each.joined or k == 0 for k in range(len(each.absent))] for each in versions])
+def _are_sizes(versions: Sequence[Any]) -> BoolArray:
+    """Which parameters are effect sizes: the first of each cause, or all of one with joint trials."""
+    return np.concatenate([[one.joined or k == 0 for k in range(len(one.absent))] for one in versions])
 
 
 def problem_from_log(
@@ -156,39 +156,38 @@ def problem_from_log(
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
     """A log under the published laws, fitted to each session and direction.
 
-    Parameters
-    ----------
-    log : Log
-    causes : iterable of Cause, optional
-        The library and the lab's own columns without it.
-
     Returns
     -------
-    bench : Bench
+    problem : DiagnosisProblem
     missing : dict of str to str
-        Causes that the log has nothing to show of, and why.
+        Causes (of the library and the lab's own columns by default) that lack a variable, with the reason.
     """
     rows = usable_rows(log)
-    fitted = fit_least_squares(log)
-    known = (*library(), *covariates(rows)) if causes is None else tuple(causes)
-    missing = {cause.name: why for cause in known if (why := cause.missing(rows)) is not None}
+    candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
+    missing = {cause.name: why for cause in candidates if (why := cause.missing(rows)) is not None}
     parts, repeatability = [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)
     backwards = (rows["direction"] == "-").to_numpy()
-    for number, (joint, fit) in enumerate(fitted.joints.items()):
-        subset = np.flatnonzero((rows["joint"] == joint).to_numpy())
-        block = fit.group_index(rows.iloc[subset])
-        responses[subset], rounding[subset] = fit.law.response(rows.iloc[subset])
-        drive[subset] = 2 * number + backwards[subset]
-        parts.append(LawBlock(fit.law, subset, block, fit.values[block]))
-        values = [fit.repeatability[direction].value for direction in "+-"]
-        repeatability += [value if np.isfinite(value) else np.nan for value in values]
-    noise = np.array(repeatability)
-    noise = np.where(np.isfinite(noise), noise, np.nanmean(noise) if np.isfinite(noise).any() else 3e-3)
-    present = tuple(cause.bind(rows, log.machine) for cause in known if cause.name not in missing)
+    for number, (joint, fit) in enumerate(fit_least_squares(log).joints.items()):
+        places = np.flatnonzero((rows["joint"] == joint).to_numpy())
+        block = fit.group_index(rows.iloc[places])
+        responses[places], rounding[places] = fit.law.response(rows.iloc[places])
+        drive[places] = 2 * number + backwards[places]
+        parts.append(LawBlock(fit.law, places, block, fit.values[block]))
+        repeatability += [fit.repeatability[direction].value for direction in "+-"]
+    sd = np.array(repeatability)
+    known = np.isfinite(sd)
     problem = DiagnosisProblem(
-        rows, tuple(parts), responses, rounding, drive, noise, present, build_unstructured_alternatives, number_configurations(rows),
-        np.ones(len(rows)),
-    )  # fmt: skip
+        rows=rows,
+        parts=tuple(parts),
+        responses=responses,
+        rounding=rounding,
+        drive=drive,
+        repeatability=np.where(known, sd, sd[known].mean() if known.any() else DEFAULT_REPEATABILITY),
+        causes=tuple(cause.bind(rows, log.machine) for cause in candidates if cause.name not in missing),
+        alternatives=build_unstructured_alternatives,
+        kind=number_configurations(rows),
+        uneven=np.ones(len(rows)),
+    )
     return problem, missing

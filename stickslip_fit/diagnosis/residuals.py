@@ -11,34 +11,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.hypotheses import AR1
-from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import MAX_LEVERAGE
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.selection import SelectedCause, Selection
 
 N_BOOTSTRAP = 200
 ENVELOPE_COVERAGE = 0.95
-MAX_BINS, ROWS_PER_BIN = 12, 12  # classes; rows that each should have
-MIN_RELATIVE_SHARE = 0.85  # of the share that the best column explains; the first that has it is taken
+MAX_BINS, ROWS_PER_BIN = 12, 12
+MIN_RELATIVE_SHARE = 0.85  # of the share that the best column explains; the first above it is taken
 ERROR_TOL = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class BinnedResiduals:
-    """Residuals by classes of one quantity; K classes.
+    """Residuals in K bins of one variable.
 
     Attributes
     ----------
     place : array, shape (K,)
-        Mean of the quantity in each.
+        Mean of the variable in each bin.
     mean, error : array, shape (K,)
-        Of the residuals, relative; the error is one standard error by the envelope's noise.
+        Of the residuals, relative; the bootstrap standard error of the mean.
     envelope : array, shape (K,)
-        All K means of noise alone lie within plus and minus this in 95 of 100 logs.
+        Half-width of the simultaneous 95 % band of noise alone.
     """
 
     place: Array
@@ -49,16 +47,16 @@ class BinnedResiduals:
 
 @dataclass(frozen=True, eq=False)
 class ResidualComparison:
-    """What is left of a log's counts; all relative.
+    """Relative residuals before and after the diagnosis, with bootstrap samples.
 
     Attributes
     ----------
     rows : DataFrame
-        n rows; those that misfired are not among them.
+        n rows, without outlying counts.
     before, after : array, shape (n,)
-        Under the published law, and with all that was found in it.
-    chance_before, chance_after : array, shape (n, flips)
-        What noise alone would have left.
+        Under the published law, and under the extended law.
+    null_before, null_after : array, shape (n, N_BOOTSTRAP)
+        Of noise alone.
     """
 
     rows: pd.DataFrame
@@ -69,17 +67,11 @@ class ResidualComparison:
 
 
 def compare_residuals(selection: Selection, seed: int) -> ResidualComparison:
-    """The residuals of a search, before and after, and what noise alone would have left.
-
-    Parameters
-    ----------
-    searched : Search
-    seed : int
-    """
+    """The residuals of a selection before and after, and those of noise alone."""
     first, last = selection.problem.study(), selection.study
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(last), N_BOOTSTRAP))
-    noise = last.residual - sum(compute_shape(each, last) for each in selection.found if each.version is None)
-    raw = (noise / np.sqrt(1.0 - np.minimum(last.leverage, MAX_LEVERAGE)))[:, None]
+    unknown = sum(compute_shape(one, last) for one in selection.found if one.version is None)
+    raw = ((last.residual - unknown) / np.sqrt(1.0 - np.minimum(last.leverage, MAX_LEVERAGE)))[:, None]
     return ResidualComparison(
         selection.problem.rows,
         first.residual * first.scale,
@@ -89,83 +81,63 @@ def compare_residuals(selection: Selection, seed: int) -> ResidualComparison:
     )
 
 
-def compute_shape(found: SelectedCause, linearized: LinearizedFit) -> Array:
-    """What was found makes of a study's residuals, shape (n,); zeros for what has no shape."""
-    if found.misfit is None:
+def compute_shape(selected: SelectedCause, linearized: LinearizedFit) -> Array:
+    """The part of the residuals that a selected cause explains, shape (n,); zeros for outlying counts."""
+    if selected.misfit is None:
         return np.zeros(len(linearized))
-    best = found.misfit.best_hypothesis(found.cause)
+    best = selected.misfit.best_hypothesis(selected.cause)
     if isinstance(best, AR1):
         return best.shape(linearized.residual)
     return best.combine(best.along(linearized.residual))
 
 
 def bin_values(values: Array) -> IntArray:
-    """The class of each value: values that come again and again are classes of their own, shape (n,).
-
-    Values that are not known (NaN) are in class -1.
-    """
+    """The bin of each value, shape (n,); up to `MAX_BINS` distinct values have their own, NaN has -1."""
     known = np.isfinite(values)
-    found = np.full(len(values), -1)
+    bins = np.full(len(values), -1)
     if not known.any():
-        return found
-    single, place = np.unique(values[known].round(9), return_inverse=True)
-    if len(single) > MAX_BINS:
-        place = np.searchsorted(_bin_edges(single, place), single)[place]
-    found[known] = place
-    return found
+        return bins
+    distinct, place = np.unique(values[known].round(9), return_inverse=True)
+    if len(distinct) > MAX_BINS:
+        place = np.searchsorted(_bin_edges(distinct, place), distinct)[place]
+    bins[known] = place
+    return bins
 
 
-def _bin_edges(single: Array, place: IntArray) -> Array:
-    """Where to cut many values into classes of about as many rows: in the widest gap about there."""
+def _bin_edges(distinct: Array, place: IntArray) -> Array:
+    """Edges of bins with about as many rows each, in the widest gap near each quantile."""
     below = np.cumsum(np.bincount(place))[:-1]
     number = int(np.clip(len(place) // ROWS_PER_BIN, 2, MAX_BINS))
-    size, gaps = len(place) / number, np.diff(single)
+    size, gaps = len(place) / number, np.diff(distinct)
     cuts = set()
     for edge in range(1, number):
         near = np.flatnonzero(np.abs(below - edge * size) <= size / 2)
         if len(near):
             cuts.add(int(near[np.argmax(gaps[near])]))
-    return np.array([single[cut] + gaps[cut] / 2 for cut in sorted(cuts)])
+    return np.array([distinct[cut] + gaps[cut] / 2 for cut in sorted(cuts)])
 
 
 def bin_residuals(
-    residual: Array, chance: Array, values: Array, place: IntArray, subset: npt.NDArray[np.bool_]
+    residual: Array, null: Array, values: Array, bins: IntArray, subset: BoolArray
 ) -> BinnedResiduals:
-    """Means of some rows' residuals by class.
+    """Means by bin of the residuals of a subset of rows.
 
-    Parameters
-    ----------
-    residual : array, shape (n,)
-    chance : array, shape (n, flips)
-        Residuals of noise alone.
-    values : array, shape (n,)
-    place : array of int, shape (n,)
-        As of `classes_of`.
-    mine : array of bool, shape (n,)
-        Which rows.
+    `null`, shape (n, number of samples), are residuals of noise alone; `bins` are those of `bin_values`.
     """
-    kept = subset & (place >= 0)
-    kinds, where = np.unique(place[kept], return_inverse=True)
-    number = np.bincount(where, minlength=len(kinds))
-    share = (np.arange(len(kinds))[:, None] == where) / number[:, None]
-    by_chance = share @ chance[kept]
-    error = np.sqrt(np.mean(by_chance**2, axis=1))
-    farthest = np.max(np.abs(by_chance) / np.maximum(error, ERROR_TOL)[:, None], axis=0, initial=0.0)
-    envelope = error * np.quantile(farthest, ENVELOPE_COVERAGE)
-    return BinnedResiduals(share @ values[kept], share @ residual[kept], error, envelope)
+    kept = subset & (bins >= 0)
+    labels, place = np.unique(bins[kept], return_inverse=True)
+    averaging = (np.arange(len(labels))[:, None] == place) / np.bincount(place)[:, None]
+    null_means = averaging @ null[kept]
+    error = np.sqrt(np.mean(null_means**2, axis=1))
+    maxima = np.max(np.abs(null_means) / np.maximum(error, ERROR_TOL)[:, None], axis=0, initial=0.0)
+    envelope = error * np.quantile(maxima, ENVELOPE_COVERAGE)
+    return BinnedResiduals(averaging @ values[kept], averaging @ residual[kept], error, envelope)
 
 
 def find_carrier(shape: Array, columns: Mapping[str, Array], groups: IntArray) -> str:
-    """The column along which a shape runs: the first one that explains nearly as much of it as any.
+    """The column that explains a shape: the first with nearly the largest share of its square.
 
-    Parameters
-    ----------
-    shape : array, shape (n,)
-        Any effect, recalibration taken out.
-    columns : mapping of str to array, shape (n,)
-        In order of preference.
-    groups : array of int, shape (n,)
-        Rows in which it may run differently.
+    `columns` are in order of preference; rows of different `groups` may depend on them differently.
     """
     shares = {name: explained_share(shape, values, groups) for name, values in columns.items()}
     best = max(shares.values())
@@ -173,7 +145,7 @@ def find_carrier(shape: Array, columns: Mapping[str, Array], groups: IntArray) -
 
 
 def explained_share(shape: Array, values: Array, groups: IntArray) -> float:
-    """Share of a shape's square that classes of a column explain, for as many classes as it takes."""
+    """Share of a shape's square that bins of a column explain, adjusted for their number."""
     cells = pd.Series(shape).groupby([groups, bin_values(values)])
     means, number = cells.transform("mean").to_numpy(), cells.ngroups
     total = float(shape @ shape)

@@ -1,4 +1,4 @@
-"""Diagnosis, its findings and gains: the result of `diagnose`, and its JSON form.
+"""Diagnosis: the result of `diagnose`, what can be asked of it, and its JSON form.
 
 Field names and meanings of the JSON are a contract, version stickslip-fit/diagnosis/1. Unknown numbers
 are NaN here and null there.
@@ -7,148 +7,60 @@ are NaN here and null there.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray
-from stickslip_fit.units import Interval, from_si
+from stickslip_fit.logs import Log
+from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
 
-@dataclass(frozen=True)
-class Gain:
-    """Error on traverses that took no part, before and after extending the law; relative, rms.
-
-    Attributes
-    ----------
-    baseline, extended : float
-    noise_floor : float
-        What even the true law would leave, rounding included.
-    low, high : float
-        95 % interval of baseline less extended for a fresh replicate of the campaign.
-    by_session : DataFrame
-        session, baseline, extended, traverses.
-    """
-
-    baseline: float
-    extended: float
-    noise_floor: float
-    low: float
-    high: float
-    by_session: pd.DataFrame
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    cause : str
-    version : object or None
-        The cause as it acts in this log.
-    equivalent : tuple of str
-        Causes that this log cannot tell from it.
-    p_value : float
-    joints : tuple of int
-    effect : Interval
-        Rms over all rows of the relative change in the count, recalibration taken out.
-    parameters : tuple of SizedParameter
-    gain : Gain or None
-        From the findings before it to those with it.
-    closest, share : str, float
-        For ``unknown``: the cause that comes closest, and the share of the structure that it explains.
-    carrier : str
-        For ``unknown``: what the structure follows.
-    traverses : DataFrame or None
-        For misfires: those traverses, with `departure` (relative) from the law.
-    """
-
-    cause: str
-    version: Any
-    equivalent: tuple[str, ...]
-    p_value: float
-    joints: tuple[int, ...]
-    effect: Interval
-    parameters: tuple[SizedParameter, ...]
-    gain: Gain | None = None
-    closest: str = ""
-    share: float = 0.0
-    carrier: str = ""
-    traverses: pd.DataFrame | None = None
-
-
-@dataclass(frozen=True)
-class NextTraverse:
-    """A traverse worth making next; SI, NaN where it does not matter.
-
-    Attributes
-    ----------
-    session : str
-        ``new``, or one that is still going on.
-    joint : int
-    direction : str
-    q1, q2, q3, theta, psi, start, stop : float
-    repeats : int
-    tells_apart : tuple of str
-    note : str
-        When to make it, where that matters.
-    """
-
-    session: str
-    joint: int
-    direction: str
-    q1: float
-    q2: float
-    q3: float
-    theta: float
-    psi: float
-    start: float
-    stop: float
-    repeats: int
-    tells_apart: tuple[str, ...]
-    note: str = ""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Summarized):
-    """The answer, and what it rests on.
+    """What is wrong with the published laws in a log, and the selection that it follows from.
 
     Attributes
     ----------
     verdict : str
     findings : tuple of Finding
-        Strongest first.
+        Largest effect first.
     p_value : float
-        Of anything at all, corrected for everything that was searched.
+        Of the whole search; `misfit` says how it is computed.
     misfit : float
-        Rms residual of the baseline.
+        Rms residual of the baseline, relative.
     repeatability : float
-        Root mean square over the rows of each row's own.
+        Repeatability standard deviation, relative; rms over the rows.
     inclusion : dict of str to float or None
-        Probability that each cause is at work; None where the log cannot show it.
+        Posterior probability of each cause; None where it is untestable.
     untestable : dict of str to str
-        Why the log cannot show a cause.
-    gain, gain_new_session : Gain or None
-    next_experiment : tuple of NextTraverse
+        Causes that the log could not show, with the reason.
     alpha : float
     seed : int
     seconds : float
-    log_file, log_sha256 : str
-    search : Search
-        What all this follows from, for pictures.
+    search : Selection
     aliased_causes : tuple of (str, str)
-        Causes of which the second can do in this log all that the first does, whatever the size.
+        Pairs of which the second cause can produce in this log every effect of the first.
+    gain, gain_new_session : Gain or None
+        On held-out traverses, and on new sessions known by their calibration; None if not measured.
+    next_experiment : tuple of NextTraverse
+    log : Log or None
+        None where the data were no log.
     """
 
     verdict: Verdict
@@ -158,38 +70,89 @@ class Diagnosis(Summarized):
     repeatability: float
     inclusion: Mapping[str, float | None]
     untestable: Mapping[str, str]
-    gain: Gain | None
-    gain_new_session: Gain | None
-    next_experiment: tuple[NextTraverse, ...]
     alpha: float
     seed: int
     seconds: float
-    log_file: str
-    log_sha256: str
     search: Selection
     aliased_causes: tuple[tuple[str, str], ...] = ()
+    gain: Gain | None = None
+    gain_new_session: Gain | None = None
+    next_experiment: tuple[NextTraverse, ...] = ()
+    log: Log | None = None
+
+    @property
+    def log_file(self) -> str:
+        """The first file of the log; empty where there is none."""
+        return self.log.sources[0][0] if self.log is not None and self.log.sources else ""
+
+    @property
+    def log_sha256(self) -> str:
+        """Hash of the log; empty where there is none."""
+        return self.log.sha256 if self.log is not None else ""
+
+    def require_log(self) -> Log:
+        """The log, for what needs its machine and its laws.
+
+        Raises
+        ------
+        InputError
+            If the data were no log.
+        """
+        if self.log is None:
+            raise InputError("this diagnosis is not of a log: use `diagnose` on a log instead")
+        return self.log
+
+    def measure_gain(self, *, workers: int = -1, progress: ProgressCallback = ignore_progress) -> Diagnosis:
+        """The same diagnosis with `gain`, `gain_new_session` and the gain of each finding.
+
+        `workers` are processes, all cores without it; the numbers do not depend on it.
+        """
+        began = time.perf_counter()
+        machine = self.log.machine if self.log is not None else None
+        options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
+        gain, new_session, findings = measure_gain(self.search, self.findings, machine, **options)
+        seconds = self.seconds + time.perf_counter() - began
+        return replace(self, findings=findings, gain=gain, gain_new_session=new_session, seconds=seconds)
+
+    def extended_law(self, *, command: str = "") -> Result:
+        """The published laws extended by the named causes, fitted to the log.
+
+        Of causes that the log cannot separate, the likeliest is in the law. Outlying counts are excluded;
+        unknown structure has no place in a law. `command` is for the result's provenance.
+
+        Raises
+        ------
+        InputError
+            If the data were no log.
+        """
+        log = self.require_log()
+        rows, usable = log.rows.copy(), log.rows.index[log.rows["status"] == "ok"]
+        for finding in self.findings:
+            if finding.traverses is not None:
+                rows.loc[usable[finding.traverses.index], "status"] = "excluded"
+        causes = [finding.version for finding in self.findings if finding.version is not None]
+        return fit_least_squares(replace(log, rows=rows), causes=causes, command=command)
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Every parameter of what was named, one row each.
+        """Every parameter of the named causes, one row each.
 
-        cause, name, joint, direction, session (None for one of the whole campaign), unit (the one people read
-        it in), estimate, low, high: SI, 95 %.
+        cause, name, joint, direction, session (None for one of the whole campaign), unit (for display),
+        estimate, low, high: SI, 95 %.
         """
         columns = ["cause", "name", "joint", "direction", "session", "unit", "estimate", "low", "high"]
         rows = [
-            (each.cause, one.name, one.joint, one.direction, one.session, one.unit, *astuple(one.size))
-            for each in self.findings
-            for one in each.parameters
+            (finding.cause, p.name, p.joint, p.direction, p.session, p.unit, *astuple(p.size))
+            for finding in self.findings
+            for p in finding.parameters
         ]
         return pd.DataFrame(rows, columns=columns)
 
     @property
     def residuals(self) -> pd.DataFrame:
-        """The log's rows with before and after, counts less the law's, relative.
+        """The log's rows with the relative residuals `before` (published law) and `after` (extended law).
 
-        Before under the published law, after with all that was named in it; what recalibration absorbs is
-        taken out, and counts that misfired are not among them.
+        The directions of the calibration parameters are projected out; outlying counts are left out.
         """
         first, last = self.search.problem.study(), self.search.study
         return self.search.problem.rows.assign(
@@ -198,9 +161,9 @@ class Diagnosis(Summarized):
 
     @property
     def ranking(self) -> pd.DataFrame:
-        """Every cause that was asked about, likeliest first.
+        """Every candidate cause, likeliest first.
 
-        cause, probability (NaN where the log cannot show it), untestable: why it cannot.
+        cause, probability (NaN where it is untestable), untestable: the reason.
         """
         table = pd.DataFrame({"cause": list(self.inclusion), "probability": list(self.inclusion.values())})
         table["probability"] = table["probability"].astype(float)
@@ -208,7 +171,7 @@ class Diagnosis(Summarized):
         return table.sort_values("probability", ascending=False, kind="stable", ignore_index=True)
 
     def plot_residuals(self, finding: int = 0) -> AxesArray:
-        """What a finding explains: counts less the law before and after, over what carries it.
+        """Residuals before and after a finding, over the variable that it follows.
 
         Raises
         ------
@@ -221,7 +184,7 @@ class Diagnosis(Summarized):
         return collect_axes(plot_residuals(self, finding))
 
     def plot_ranking(self) -> AxesArray:
-        """How likely each cause is, at each look at the residuals."""
+        """Probability of each cause, in each test of the residuals."""
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_ranking
 
@@ -233,7 +196,7 @@ class Diagnosis(Summarized):
         Raises
         ------
         InputError
-            If nothing was named, so that nothing was gained.
+            If no gain was measured, or no cause is named.
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_gain
@@ -253,8 +216,8 @@ def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
 
 def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """A diagnosis in plain JSON types; an unknown number is None."""
-    problem = diagnosis.search.problem
-    rows = problem.rows
+    rows = diagnosis.search.problem.rows
+    gain = _gain_to_json(diagnosis.gain)
     return {
         "schema": SCHEMA,
         "log": {
@@ -267,13 +230,13 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "noise": {"repeatability_pct": _percent_or_null(diagnosis.repeatability), "source": "residuals"},
         "misfit": {"p_value": diagnosis.p_value, "rms_pct": _percent_or_null(diagnosis.misfit)},
         "verdict": diagnosis.verdict,
-        "findings": [_finding_to_json(each) for each in diagnosis.findings],
+        "findings": [_finding_to_json(finding) for finding in diagnosis.findings],
         "inclusion": dict(diagnosis.inclusion),
         "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
         "alike": [list(pair) for pair in diagnosis.aliased_causes],
-        "gain": _gain_to_json(diagnosis.gain) and {"metric": METRIC, **(_gain_to_json(diagnosis.gain) or {})},
+        "gain": gain and {"metric": METRIC, **gain},
         "gain_new_session": _gain_to_json(diagnosis.gain_new_session),
-        "next_experiment": [traverse_to_json(each) for each in diagnosis.next_experiment],
+        "next_experiment": [traverse_to_json(traverse) for traverse in diagnosis.next_experiment],
         "alpha": diagnosis.alpha,
         "seed": diagnosis.seed,
         "seconds": round(diagnosis.seconds, 2),
@@ -284,28 +247,25 @@ def _finding_to_json(finding: Finding) -> dict[str, Any]:
     gain = _gain_to_json(finding.gain)
     if gain is not None:
         gain.pop("noise_floor_pct")
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "cause": finding.cause,
         "equivalent": list(finding.equivalent),
         "p_value": finding.p_value,
         "joints": list(finding.joints),
         "effect_rms_pct": _interval_to_json(finding.effect.times(100.0)),
-        "parameters": [_parameter_to_json(each) for each in finding.parameters],
+        "parameters": [_parameter_to_json(parameter) for parameter in finding.parameters],
         "gain": gain,
     }
     if finding.closest:
-        found["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
-    return found
+        content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
+    return content
 
 
 def _parameter_to_json(parameter: SizedParameter) -> dict[str, Any]:
-    size = parameter.size
-    shown = Interval(
-        *(float(from_si(value, parameter.unit)) for value in (size.estimate, size.low, size.high))
-    )
-    further = {"joint": parameter.joint, "direction": parameter.direction, "session": parameter.session}
-    known = {key: value for key, value in further.items() if value is not None}
-    return {"name": parameter.name, "unit": parameter.unit, **_interval_to_json(shown), **known}
+    size = Interval(*(float(from_si(value, parameter.unit)) for value in astuple(parameter.size)))
+    scope = {"joint": parameter.joint, "direction": parameter.direction, "session": parameter.session}
+    known = {key: value for key, value in scope.items() if value is not None}
+    return {"name": parameter.name, "unit": parameter.unit, **_interval_to_json(size), **known}
 
 
 def _gain_to_json(gain: Gain | None) -> dict[str, Any] | None:
@@ -321,17 +281,17 @@ def _gain_to_json(gain: Gain | None) -> dict[str, Any] | None:
 
 
 def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
-    """A traverse to make, in the units that people set."""
-    ends = "mm" if traverse.joint == 3 else "deg"
+    """A traverse to make, in the units in which positions are set."""
+    ends = "mm" if traverse.joint == PRISMATIC else "deg"
+    units = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
     return {
         "session": traverse.session,
         "joint": traverse.joint,
         "direction": traverse.direction,
-        "q1_deg": _number_or_null(from_si(traverse.q1, "deg")),
-        "q2_deg": _number_or_null(from_si(traverse.q2, "deg")),
-        "q3_mm": _number_or_null(from_si(traverse.q3, "mm")),
-        "theta_deg": _number_or_null(from_si(traverse.theta, "deg")),
-        "psi_deg": _number_or_null(from_si(traverse.psi, "deg")),
+        **{
+            f"{name}_{unit}": _number_or_null(from_si(getattr(traverse, name), unit))
+            for name, unit in units.items()
+        },
         "from": _number_or_null(from_si(traverse.start, ends)),
         "to": _number_or_null(from_si(traverse.stop, ends)),
         "repeats": traverse.repeats,
@@ -341,11 +301,7 @@ def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
 
 
 def _interval_to_json(interval: Interval) -> dict[str, float | None]:
-    return {
-        "estimate": _number_or_null(interval.estimate),
-        "low": _number_or_null(interval.low),
-        "high": _number_or_null(interval.high),
-    }
+    return {name: _number_or_null(getattr(interval, name)) for name in ("estimate", "low", "high")}
 
 
 def _percent_or_null(value: float) -> float | None:
@@ -353,5 +309,4 @@ def _percent_or_null(value: float) -> float | None:
 
 
 def _number_or_null(value: float) -> float | None:
-    """JSON has no NaN: an unknown number is null."""
     return float(value) if np.isfinite(value) else None

@@ -1,9 +1,9 @@
 """select_causes: forward selection of causes, and the set of causes that the data cannot separate.
 
 Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
-until the p-value is above its share of the false-alarm rate. Afterwards each cause is chosen again with
+until the p-value is above its share of the false-alarm rate. Afterwards each cause is selected again with
 all others in the law. The p-value of the search is the smaller of those of outliers and misfit, each
-divided by its share of the rate. A cause set holds every cause with a log Bayes factor above -3
+divided by its share of the rate (`misfit`). A cause set holds every cause with a log Bayes factor above -3
 relative to the best. Causes whose largest plausible effect would not be detectable are untestable; logs
 with few traverses are not tested.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,31 +28,42 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_session_effects,
     split_sessions,
 )
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, linearize_fit
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
-# A cause this much less likely than the best (in nats) is out of the running in 95 of 100 logs.
-CAUSE_SET_LOG_BAYES_FACTOR = 3.0
+MISFIRE = "end-stop-misfire"
+CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
 PRIOR_NULL = 0.5
-# Structure without a name has to be this much likelier than the best cause (nats): any cause's form may be
-# a little other than nature's, and what is left of it looks like structure.
-UNKNOWN_LOG_BAYES_FACTOR = 0.0
+# Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
+# effects often are.
+OUTLIER_ALPHA_SHARE = 0.25
+# Noisy configurations are chosen by the same residuals; the misfit test then rejects about twice as often
+# (`benchmarks/README.md`).
+SELECTION_FACTOR = 2
+MAX_CAUSES = 4
+MAX_EXCEEDANCES = 50  # bootstrap samples above the statistic, after which a second cause is ruled out
+MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
+# Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
+# unknown structure; the number of causes that are tried.
+PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
+MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
+MIN_DF = 10
 
 
 @dataclass(frozen=True)
 class CauseSet:
-    """The verdict of one look at the residuals.
+    """The causes that one test of the residuals leaves.
 
     Attributes
     ----------
     cause : str
         Likeliest, or ``unknown``.
     rivals : tuple of str
-        Other causes nearly as likely.
+        Other causes within `CAUSE_SET_LOG_BAYES_FACTOR` of it.
     probability : dict of str to float
-        Of each cause and ``unknown``, if one or nothing is at work.
+        Of each cause and ``unknown``, if at most one is at work.
     """
 
     cause: str
@@ -59,71 +71,49 @@ class CauseSet:
     probability: dict[str, float]
 
 
-def form_cause_set(found: Misfit, cause: str | None = None) -> CauseSet:
-    """Name what a misfit shows.
-
-    Parameters
-    ----------
-    found : Misfit
-    cause : str, optional
-        Where something else than this look decides.
-    """
-    evidence = found.log_evidence_by_cause
-    causes = {cause: value for cause, value in evidence.items() if cause != UNKNOWN}
-    best = max(causes, key=lambda cause: causes[cause]) if causes else UNKNOWN
-    if causes and evidence.get(UNKNOWN, -np.inf) > causes[best] + UNKNOWN_LOG_BAYES_FACTOR:
+def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
+    """The best cause, or the `chosen` one, and its rivals."""
+    evidence = misfit.log_evidence_by_cause
+    known = {cause: value for cause, value in evidence.items() if cause != UNKNOWN}
+    best = max(known, key=lambda cause: known[cause]) if known else UNKNOWN
+    if known and evidence.get(UNKNOWN, -np.inf) > known[best]:
         best = UNKNOWN
-    best = cause or best
+    best = chosen or best
     rivals: tuple[str, ...] = ()
     if best != UNKNOWN:
-        floor = causes[best] - CAUSE_SET_LOG_BAYES_FACTOR
-        close = [cause for cause, value in causes.items() if cause != best and value > floor]
-        rivals = tuple(sorted(close, key=lambda cause: -causes[cause]))
+        floor = known[best] - CAUSE_SET_LOG_BAYES_FACTOR
+        close = [cause for cause, value in known.items() if cause != best and value > floor]
+        rivals = tuple(sorted(close, key=lambda cause: -known[cause]))
     probability = cause_probabilities(evidence)
-    if cause is not None:
-        probability = {each: value * (each in (best, *rivals)) for each, value in probability.items()}
-        known = sum(probability.values())
-        probability = {each: value / known if known > 0 else 0.0 for each, value in probability.items()}
+    if chosen is not None:
+        probability = {cause: p * (cause in (best, *rivals)) for cause, p in probability.items()}
+        total = sum(probability.values())
+        probability = {cause: p / total if total > 0 else 0.0 for cause, p in probability.items()}
     return CauseSet(best, rivals, probability)
 
 
-def cause_probabilities(evidence: dict[str, float], nothing: float = PRIOR_NULL) -> dict[str, float]:
-    """Probability of each cause if at most one is at work; nothing is as likely beforehand as something."""
-    each = (1.0 - nothing) / max(len(evidence), 1)
-    logs = np.array([*evidence.values(), 0.0]) + np.log([each] * len(evidence) + [nothing])
+def cause_probabilities(evidence: dict[str, float], null: float = PRIOR_NULL) -> dict[str, float]:
+    """Posterior of each cause if at most one is at work; `null` is the prior probability of none."""
+    prior = (1.0 - null) / max(len(evidence), 1)
+    logs = np.array([*evidence.values(), 0.0]) + np.log([prior] * len(evidence) + [null])
     weights = np.exp(logs - logs.max())
     return dict(zip(evidence, map(float, (weights / weights.sum())[:-1]), strict=True))
 
 
-MISFIRE = "end-stop-misfire"
-# Two looks, one for wild counts and one for all else, share the false-alarm rate. Wild counts are rarely near
-# the limit, faint effects often.
-# Which configurations are noisy is told by how alike the residuals within each are: so weighed, chance looks
-# like structure about twice as often as in logs of flipped signs (`benchmarks/README.md`).
-SELECTION_FACTOR = 2
-OUTLIER_ALPHA_SHARE = 0.25
-MAX_CAUSES = 4
-MAX_EXCEEDANCES = 50  # flipped logs that look worse than what is left: no second alarm, whatever others say
-MIN_FORM_SHARE, MAX_FORMS = 0.003, 8
-# Nats: by how much a cause that may be one of two must be likelier than nothing, and two causes than
-# structure without a name; and how many first ones are tried.
-PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
-
-
 @dataclass(frozen=True, eq=False)
 class SelectedCause:
-    """A cause, or unknown structure, and the look at the residuals that showed it.
+    """A selected cause, or unknown structure, and the test that selected it.
 
     Attributes
     ----------
     cause : str
     version : object or None
-        As it acts in this log; None for unknown structure and misfires.
+        As it acts in this log; None for unknown structure and outlying counts.
     start : array, shape (q,)
-        Its parameters at the likeliest shape.
-    naming : Naming
+        Start values of its parameters.
+    cause_set : CauseSet
     misfit : Misfit or None
-        None for misfires, which have no shape.
+        None for outlying counts, which have no shape.
     p_value : float
     """
 
@@ -137,24 +127,24 @@ class SelectedCause:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What a search found.
+    """The result of the selection.
 
     Attributes
     ----------
-    bench : Bench
-        Without misfired rows, the repeatability estimated anew.
-    misfired : array of int
-        Rows of the bench that was given.
-    found : tuple of Found
-        In the order found.
+    problem : DiagnosisProblem
+        Without outlying counts, the noise estimated under `fit`.
+    outliers : array of int
+        Outlying rows of the problem that was given.
+    found : tuple of SelectedCause
+        In the order of selection.
     first, last : Misfit
-        The looks at the residuals of the baseline, and of all that was found.
+        Tests of the baseline, and of the law with all selected causes.
     p_value : float
-        Of anything at all.
-    fit : Refit
-        The baseline with all causes found in it.
-    study : Study
-        What is left under `fit`.
+        Of the whole search.
+    fit : ExtendedFit
+        The baseline with `law_causes` in it.
+    study : LinearizedFit
+        The residuals under `fit`.
     """
 
     problem: DiagnosisProblem
@@ -167,64 +157,64 @@ class Selection:
     study: LinearizedFit
 
     @property
-    def versions(self) -> list[Any]:
+    def law_causes(self) -> list[SelectedCause]:
         """The causes in `fit`, in its order."""
-        return [each.version for each in self.found if each.version is not None]
+        return _law_causes(self.found)
+
+    @property
+    def slices(self) -> list[slice]:
+        """Where the parameters of each of `law_causes` stand in `fit.values`."""
+        ends = np.cumsum([0, *(len(selected.start) for selected in self.law_causes)]).tolist()
+        return [slice(first, last) for first, last in pairwise(ends)]
+
+
+def _law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
+    return [one for one in selected if one.version is not None]
 
 
 def select_causes(
     problem: DiagnosisProblem, alpha: float, n_bootstrap: int, rng: np.random.Generator
 ) -> Selection:
-    """Search a log for what its baseline leaves unexplained.
+    """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
-    Parameters
-    ----------
-    bench : Bench
-    alpha : float
-        False-alarm rate over everything that is searched.
-    n_bootstrap : int
-        Logs in which nothing is wrong, by which that is judged.
-    rng : Generator
+    `n_bootstrap` is the number of samples of noise alone for each test.
     """
     problem, linearized, residual = _reestimate_noise(problem)
-    wild = find_outliers(linearized, residual, problem.drive, n_bootstrap, rng)
-    level, outliers = allocate_alpha(alpha), np.zeros(0, dtype=np.intp)
-    found: list[SelectedCause] = []
-    if wild.p_value < OUTLIER_ALPHA_SHARE * alpha and len(wild.rows):
-        outliers = wild.rows
+    test = find_outliers(linearized, residual, problem.drive, n_bootstrap, rng)
+    outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE)
+    outliers = np.zeros(0, dtype=np.intp)
+    misfires: list[SelectedCause] = []
+    if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
+        outliers = test.rows
         problem, linearized, _ = _reestimate_noise(problem.without(outliers))
         cause_set = CauseSet(MISFIRE, (), {})
-        found.append(
-            SelectedCause(
-                MISFIRE, None, np.zeros(0), cause_set, None, min(1.0, wild.p_value / OUTLIER_ALPHA_SHARE)
-            )
-        )
+        misfires = [SelectedCause(MISFIRE, None, np.zeros(0), cause_set, None, outlier_p_value)]
     first = last = assess_residuals(linearized, problem, n_bootstrap, rng)
-    p_value = min(1.0, wild.p_value / OUTLIER_ALPHA_SHARE, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
-    fit = problem.fit_extended()
-    named: list[SelectedCause] = []
-    while last.p_value < level and len(named) < MAX_CAUSES:
-        following = _select_best(last)
+    p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
+    fit, level = problem.fit_extended(), allocate_alpha(alpha)
+    selected: list[SelectedCause] = []
+    while last.p_value < level and len(selected) < MAX_CAUSES:
+        following = _make_selected(last, form_cause_set(last))
         if following.cause == UNKNOWN:
-            following = _first_of_pair(problem, named, last) or following
-        named.append(following)
+            following = _first_of_pair(problem, selected, last) or following
+        selected.append(following)
         if following.cause == UNKNOWN:
             break
-        problem, fit, linearized = extend_problem(problem, named)
+        problem, fit, linearized = extend_problem(problem, selected)
         last = assess_residuals(
-            linearized, problem, n_bootstrap, rng, [each.cause for each in named], MAX_EXCEEDANCES
+            linearized, problem, n_bootstrap, rng, [one.cause for one in selected], MAX_EXCEEDANCES
         )
-    causes = [each for each in named if each.version is not None]
+    causes = _law_causes(selected)
     if len(causes) > 1:
-        again = _revise_causes(problem, causes)
-        if [each.cause for each in again] != [each.cause for each in causes]:
-            problem, fit, linearized = extend_problem(problem, again)
-        named = [*again, *(each for each in named if each.version is None)]
-    return Selection(problem, outliers, (*found, *named), first, last, p_value, fit, linearized)
+        revised = _revise_causes(problem, causes)
+        if [one.cause for one in revised] != [one.cause for one in causes]:
+            problem, fit, linearized = extend_problem(problem, revised)
+        selected = [*revised, *(one for one in selected if one.version is None)]
+    return Selection(problem, outliers, (*misfires, *selected), first, last, p_value, fit, linearized)
 
 
 def allocate_alpha(alpha: float) -> float:
-    """What is left of a false-alarm rate for all but wild counts."""
+    """The share of a false-alarm rate that is left for the misfit test."""
     return min((1.0 - OUTLIER_ALPHA_SHARE) * alpha, 1.0)
 
 
@@ -234,82 +224,88 @@ def assess_residuals(
     n_bootstrap: int,
     rng: np.random.Generator,
     without: Sequence[str] = (),
-    enough: int | None = None,
+    max_exceedances: int | None = None,
 ) -> Misfit:
-    """Judge residuals by every cause but some, and by structure that none of them has."""
+    """The misfit test over every cause except some, and over the unstructured alternatives."""
     causes = [cause for cause in problem.causes if cause.name not in without]
-    times = SELECTION_FACTOR if np.any(problem.uneven != 1) else 1
-    shapes = [*build_candidates(linearized, causes), *problem.alternatives(linearized)]
-    return compute_misfit(linearized, shapes, times * n_bootstrap, rng, enough, times)
+    factor = SELECTION_FACTOR if np.any(problem.uneven != 1) else 1
+    hypotheses = [*build_candidates(linearized, causes), *problem.alternatives(linearized)]
+    return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
 
 
 def extend_problem(
-    problem: DiagnosisProblem, named: Sequence[SelectedCause]
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause]
 ) -> tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]:
-    """The bench with causes in its laws: the fit, what is left, and the repeatability by that."""
-    versions = [each.version for each in named if each.version is not None]
-    start = np.concatenate([np.zeros(0), *(each.start for each in named if each.version is not None)])
-    fit = problem.fit_extended(versions, start)
-    linearized = _linearize_extended(problem, fit, named)
-    problem = problem.with_noise(
-        problem.estimate_noise(linearized, StructureRemoved(linearized.residual, np.zeros(len(problem))))
-    )
-    return problem, fit, _linearize_extended(problem, fit, named)
+    """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
+    causes = _law_causes(selected)
+    start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
+    fit = problem.fit_extended([one.version for one in causes], start)
+
+    def linearize(problem: DiagnosisProblem) -> LinearizedFit:
+        plain = problem.linearize_extended(fit)
+        forms = [alternative_forms(plain, one) for one in causes]
+        return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
+
+    linearized = linearize(problem)
+    left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
+    problem = problem.with_noise(problem.estimate_noise(linearized, left))
+    return problem, fit, linearize(problem)
 
 
 def _first_of_pair(
-    problem: DiagnosisProblem, named: Sequence[SelectedCause], misfit: Misfit
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
 ) -> SelectedCause | None:
-    """The first of two causes that together are likelier than structure without a name, if there are two.
+    """The first of two causes that together are likelier than unknown structure, if there are two.
 
-    Two causes at once look like neither, and so like nothing known.
+    The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
     """
     evidence = misfit.log_evidence_by_cause
     causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
-    best, likeliest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
+    best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
     for cause in sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]:
         first = _make_selected(misfit, form_cause_set(misfit, cause))
-        trial, _, linearized = extend_problem(problem, [*named, first])
-        without = [cause, *(each.cause for each in named)]
-        left = assess_residuals(linearized, trial, 0, np.random.default_rng(0), without).log_evidence_by_cause
-        second = max((each for each in left if each != UNKNOWN), key=lambda each: left[each], default=UNKNOWN)
-        together = evidence[cause] + left[second]
-        if left[second] > left.get(UNKNOWN, -np.inf) and together > likeliest:
-            best, likeliest = first, together
+        trial, _, linearized = extend_problem(problem, [*selected, first])
+        without = [cause, *(one.cause for one in selected)]
+        left = _compute_evidence(linearized, trial, without).log_evidence_by_cause
+        second = max((name for name in left if name != UNKNOWN), key=lambda name: left[name], default=UNKNOWN)
+        pair = evidence[cause] + left[second]
+        if left[second] > left.get(UNKNOWN, -np.inf) and pair > highest:
+            best, highest = first, pair
     return best
 
 
 def _revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """Each cause once more, with all the others in the law: it may be another, or have other rivals."""
-    again = list(causes)
-    for place in range(len(again)):
-        others = [each for k, each in enumerate(again) if k != place]
+    """Each cause selected again with all the others in the law."""
+    revised = list(causes)
+    for place in range(len(revised)):
+        others = [one for k, one in enumerate(revised) if k != place]
         trial, _, linearized = extend_problem(problem, others)
-        misfit = assess_residuals(
-            linearized, trial, 0, np.random.default_rng(0), [each.cause for each in others]
-        )
+        misfit = _compute_evidence(linearized, trial, [one.cause for one in others])
         cause_set = form_cause_set(misfit)
         if cause_set.cause != UNKNOWN:
-            again[place] = replace(_make_selected(misfit, cause_set), p_value=causes[place].p_value)
-    return again
+            revised[place] = replace(_make_selected(misfit, cause_set), p_value=causes[place].p_value)
+    return revised
 
 
 def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
-    """The bench with its repeatability estimated anew; its study, and residuals without structure.
+    """The problem with re-estimated noise, its fit, and its residuals without structure.
 
-    These are in units of the largest noise that their configuration may have.
+    The residuals are in units of the largest noise that their configuration may have.
     """
     linearized = problem.study()
-    misfit = assess_residuals(linearized, problem, 0, np.random.default_rng(0))
+    misfit = _compute_evidence(linearized, problem)
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
-    settled = problem.with_noise(noise)
-    cautious = noise.uneven.max_ratio / settled.uneven
-    return settled, settled.study(), left.residual * linearized.scale / settled.scale / cautious
+    problem = problem.with_noise(noise)
+    max_ratio = noise.heteroscedasticity.max_ratio / problem.uneven
+    return problem, problem.study(), left.residual * linearized.scale / problem.scale / max_ratio
 
 
-def _select_best(misfit: Misfit) -> SelectedCause:
-    return _make_selected(misfit, form_cause_set(misfit))
+def _compute_evidence(
+    linearized: LinearizedFit, problem: DiagnosisProblem, without: Sequence[str] = ()
+) -> Misfit:
+    """As `assess_residuals`, without a p-value."""
+    return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without)
 
 
 def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
@@ -319,96 +315,68 @@ def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
     if isinstance(shape, Hypothesis) and shape.version is not None:
         start = np.array(shape.version.absent)
         if shape.values is not None:
-            # As large as it looks, and of that sign: from the other side a fit may not find back.
-            seen = float(shape.along(misfit.residual)[0]) / shape.length
-            grown = start[0] + (shape.values[0] - start[0]) * seen
-            start = np.concatenate([[grown], shape.values[1:]])
+            # Of the estimated size and sign: a fit rarely crosses zero, where it has a local minimum.
+            size = float(shape.along(misfit.residual)[0]) / shape.length
+            first = start[0] + (shape.values[0] - start[0]) * size
+            start = np.concatenate([[first], shape.values[1:]])
     return SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, p_value)
 
 
-def _linearize_extended(
-    problem: DiagnosisProblem, fit: ExtendedFit, named: Sequence[SelectedCause]
-) -> LinearizedFit:
-    plain = linearize_fit(problem.rows, fit.parts, problem.responses, problem.scale, shared=len(fit.values))
-    own = [alternative_forms(plain, each) for each in named if each.version is not None]
-    if not own:
-        return plain
-    absorbed = np.concatenate(own, axis=1)
-    return linearize_fit(
-        problem.rows, fit.parts, problem.responses, problem.scale, shared=len(fit.values), absorbed=absorbed
-    )
+def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
+    """Effects of a selected cause in other forms than the one fitted, whitened, shape (n, m).
 
-
-def alternative_forms(linearized: LinearizedFit, found: SelectedCause) -> Array:
-    """What a named cause can do in other forms than the one fitted, in units of the noise, shape (n, m).
-
-    These are its other shapes, and the square and the cube of its own effect: a bend in whatever it follows.
+    These are its other shapes, and the square and the cube of its own effect, for a nonlinear dependence.
     """
-    misfit = found.misfit
+    misfit = selected.misfit
     assert misfit is not None
     shapes = [
-        each.directions
-        for each in misfit.hypotheses
-        if isinstance(each, Hypothesis) and is_same_version(each, found)
+        one.directions
+        for one in misfit.hypotheses
+        if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
     ]
-    effect = compute_changes(linearized, found.version, found.start[None])
-    bent = np.concatenate([effect**2, effect**3], axis=1) / linearized.scale[:, None]
-    length = np.linalg.norm(bent, axis=0)
-    columns = np.concatenate([*shapes, bent / np.where(length > 0, length, 1.0)], axis=1)
+    effect = compute_changes(linearized, selected.version, selected.start[None])
+    powers = np.concatenate([effect**2, effect**3], axis=1) / linearized.scale[:, None]
+    length = np.linalg.norm(powers, axis=0)
+    columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
 
 
-def is_same_version(hypothesis: Hypothesis, found: SelectedCause) -> bool:
-    """Whether a hypothesis is a shape of what was found, in the same version."""
-    return hypothesis.cause == found.cause and bool(hypothesis.version == found.version)
-
-
-MIN_TESTABLE_STRENGTH = 3.0  # strength at the largest plausible size
-
-
 def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:
-    """Causes that even at their largest plausible size would not show, and why."""
-    found, every = {}, split_sessions(linearized)
+    """Causes that would not be detectable even at their largest plausible size, with the reason."""
+    untestable, sessions = {}, split_sessions(linearized)
     for cause in problem.causes:
-        strength = largest_strength(cause, linearized, every)
+        strength = largest_strength(cause, linearized, sessions)
         if strength < EFFECT_TOL:
-            found[cause.name] = "this log's traverses show nothing of it, once each session is recalibrated"
+            untestable[cause.name] = (
+                "this log's traverses show nothing of it, once each session is recalibrated"
+            )
         elif strength < MIN_TESTABLE_STRENGTH:
-            found[cause.name] = (
+            untestable[cause.name] = (
                 f"even at its largest plausible size its strength in this log would be {strength:.1f}, less "
                 f"than {MIN_TESTABLE_STRENGTH:.0f}"
             )
-    return found
+    return untestable
 
 
-def largest_strength(cause: Any, linearized: LinearizedFit, every: Mapping[str, SessionFit]) -> float:
-    """Norm of a cause's largest plausible effect, in repeatabilities, recalibration taken out."""
+def largest_strength(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> float:
+    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
     if cause.name == MISFIRE:
         return np.inf
-    shapes = [(cause, np.array(cause.largest()))] if cause.largest() else cause.trials(linearized.rows)
+    largest = cause.largest()
     strengths = [0.0]
-    for version, values in shapes:
-        grown = values if cause.largest() else values * np.r_[cause.most, np.ones(values.shape[1] - 1)]
+    for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
+        sizes = values if largest else values * np.r_[cause.most, np.ones(values.shape[1] - 1)]
         if version.session:
-            shown = compute_session_effects(linearized, every[version.session], version, grown)
+            effects = compute_session_effects(linearized, sessions[version.session], version, sizes)
         else:
-            shown = compute_effects(linearized, version, grown)
-        strengths.append(float(np.linalg.norm(shown, axis=0).max()))
+            effects = compute_effects(linearized, version, sizes)
+        strengths.append(float(np.linalg.norm(effects, axis=0).max()))
     return max(strengths)
 
 
-MIN_DF = 10  # degrees of freedom
-
-
 def explain_too_small(linearized: LinearizedFit) -> str | None:
-    """Why a log cannot be tested at all, and what would suffice; None where it can.
-
-    Parameters
-    ----------
-    linearized : Study
-        The log under its baseline.
-    """
+    """Why a log is too small for a test, and what would suffice; None where it is not."""
     if linearized.df >= MIN_DF:
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
@@ -420,7 +388,7 @@ def explain_too_small(linearized: LinearizedFit) -> str | None:
 
 
 def empty_selection(problem: DiagnosisProblem) -> Selection:
-    """A search that found nothing because there is nothing to search."""
+    """The selection of a log that is too small for a test."""
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Selection(
         problem, np.zeros(0, dtype=np.intp), (), misfit, misfit, 1.0, problem.fit_extended(), problem.study()

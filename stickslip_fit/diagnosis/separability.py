@@ -17,14 +17,12 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.sparse import csc_array, hstack
 from scipy.special import ndtr, ndtri
-from scipy.stats import norm
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, build_candidates, compute_effects
-from stickslip_fit.diagnosis.intervals import threshold_length
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import STRENGTHS, UNKNOWN, Misfit, classify_cause
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.selection import (
     allocate_alpha,
@@ -38,51 +36,52 @@ from stickslip_fit.machine import Machine
 from stickslip_fit.simulation import LawValues, simulate
 from stickslip_fit.units import from_si
 
-MAX_CONFUSION = 0.02  # a rate below which two causes are told apart
+SCHEMA = "stickslip-fit/separability/1"
+MAX_CONFUSION = 0.02  # rate below which a log separates two causes
+MAX_CONFUSION_DESIGN = 0.05  # rate below which a design is said to
+MAX_STRENGTH = 1e3  # a pair that needs more is not separable
+Z_POWER_90 = float(ndtri(0.9))
+ALIAS_TOL = 1e-3  # share of a shape's square outside a span; no log has the strength to show it
+MAX_ALIAS_SHAPES = 4  # causes with more shapes resemble others by chance
 
 
 def largest_cosine(one: Hypothesis | AR1, other: Hypothesis | AR1) -> float:
-    """Largest cosine between a shape that two hypotheses can have; between 0 and 1."""
+    """Cosine of the smallest angle between the spans of two hypotheses; between 0 and 1."""
     if isinstance(one, AR1) or isinstance(other, AR1):
         return 0.0
     return float(np.linalg.svd(one.directions.T @ other.directions, compute_uv=False).max(initial=0.0))
 
 
 def confusion_rate(strength: float, cosine: float) -> float:
-    """How often an effect of this strength would look more like the other cause.
+    """Probability that an effect of this strength is closer to the other cause.
 
     Examples
     --------
     >>> round(confusion_rate(6.0, 0.5), 4), round(confusion_rate(6.0, 0.99), 2)
     (0.0013, 0.34)
     """
-    return float(norm.sf(strength * np.sqrt(max(1.0 - cosine, 0.0) / 2.0)))
+    return float(ndtr(-strength * np.sqrt(max(1.0 - cosine, 0.0) / 2.0)))
 
 
 def is_distinguishable(named: Hypothesis | AR1, misfit: Misfit, rival: str, strength: float) -> bool:
-    """Whether a design separates a named shape from every shape of a rival, at this strength."""
-    shapes = [each for each in misfit.hypotheses if classify_cause(each) == rival]
-    return confusion_rate(strength, max(largest_cosine(named, each) for each in shapes)) < MAX_CONFUSION
-
-
-Z_POWER_90 = float(ndtri(0.9))
-MAX_CONFUSION_DESIGN = 0.05
-MAX_STRENGTH = 1e3  # a pair that takes more is one and the same
+    """Whether the data separate a named shape from every shape of a rival, at this strength."""
+    shapes = [shape for shape in misfit.hypotheses if classify_cause(shape) == rival]
+    return confusion_rate(strength, max(largest_cosine(named, shape) for shape in shapes)) < MAX_CONFUSION
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """One cause in a design.
+    """The effect of one cause in a design.
 
     Attributes
     ----------
     cause : str
     unit : str
-        In which people read its size.
+        For display of its size.
     per_size : float
         Strength of an effect of size 1 (SI), the median over its shapes.
     found : float
-        Strength at which nine in ten logs raise the alarm.
+        Strength that is detected with a power of 0.9.
     largest : float
         Largest plausible size, SI.
     """
@@ -95,7 +94,7 @@ class Detectability:
 
     @property
     def smallest(self) -> float:
-        """Size at which nine in ten logs raise the alarm, SI."""
+        """Size that is detected with a power of 0.9, SI."""
         return self.size(self.found)
 
     def size(self, strength: float) -> float:
@@ -105,14 +104,13 @@ class Detectability:
 
 @dataclass(frozen=True, eq=False)
 class SeparabilityMatrix:
-    """What a design can tell.
+    """The causes that a design can detect and separate.
 
     Attributes
     ----------
-    detectable : tuple of Showing
-        The causes that it can show.
-    by_scatter : tuple of str
-        Causes without a direction in which counts depart together: single counts show them in any design.
+    detectable : tuple of Detectability
+    scatter_only : tuple of str
+        Causes of outlying counts: single counts show them in any design.
     untestable : mapping of str to str
         The others, with the reason.
     cosines : dict of (str, str) to array
@@ -129,24 +127,23 @@ class SeparabilityMatrix:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """That can be shown."""
-        return tuple(each.cause for each in self.detectable)
+        """The detectable causes."""
+        return tuple(one.cause for one in self.detectable)
 
     def of(self, cause: str) -> Detectability:
-        """How a cause shows."""
-        return next(each for each in self.detectable if each.cause == cause)
+        """One of the detectable causes."""
+        return next(one for one in self.detectable if one.cause == cause)
 
     def confusion(self, truth: str, rival: str, strength: float) -> float:
-        """How often an effect of `truth`, its shapes being equally likely, looks more like `rival`."""
-        apart = strength * np.sqrt((1.0 - self.cosines[truth, rival]) / 2.0)
-        return float(np.mean(ndtr(-apart)))
+        """Probability that an effect of `truth`, its shapes equally likely, is closer to `rival`."""
+        return float(np.mean(ndtr(-strength * np.sqrt((1.0 - self.cosines[truth, rival]) / 2.0))))
 
     def rate(self, one: str, other: str, strength: float) -> float:
-        """Confusion of a pair, whichever of the two is at work."""
+        """Confusion of a pair, the larger of the two."""
         return max(self.confusion(one, other, strength), self.confusion(other, one, strength))
 
     def needed(self, one: str, other: str) -> float:
-        """Strength from which a pair is confused in fewer than one log in twenty; infinite if from none."""
+        """Strength above which a pair is confused in fewer than one log in twenty; infinite if none is."""
 
         def excess(strength: float) -> float:
             return self.rate(one, other, strength) - MAX_CONFUSION_DESIGN
@@ -155,11 +152,11 @@ class SeparabilityMatrix:
 
     def pairs(self) -> list[tuple[str, str, float]]:
         """Every pair with the strength it needs, hardest first."""
-        found = [(one, other, self.needed(one, other)) for one, other in combinations(self.causes, 2)]
-        return sorted(found, key=lambda each: -each[2])
+        pairs = [(one, other, self.needed(one, other)) for one, other in combinations(self.causes, 2)]
+        return sorted(pairs, key=lambda pair: -pair[2])
 
     def apart(self, one: str, other: str) -> bool:
-        """Whether both causes have a plausible size from which on they are told from each other."""
+        """Whether both causes are separated from each other at a plausible size."""
         needed = self.needed(one, other)
         return all(self.of(cause).size(needed) <= self.of(cause).largest for cause in (one, other))
 
@@ -171,174 +168,132 @@ def assess_design(
     n_bootstrap: int,
     rng: np.random.Generator,
 ) -> SeparabilityMatrix:
-    """Judge a design by what nothing but its rows and repeatability say.
+    """Assess a design by its rows and repeatability.
 
-    Parameters
-    ----------
-    bench : Bench
-        Its causes are those that are to be judged. Responses only say where laws are linearised.
-    untestable : mapping of str to str
-    alpha : float
-        False-alarm rate of the diagnosis to come; its two looks share it.
-    n_bootstrap : int
-        Logs in which nothing is wrong, by which the alarm is set.
-    rng : Generator
+    The responses of `problem` only give the point of linearization; its causes are assessed. `alpha` is the
+    false-alarm rate of the future diagnosis, `n_bootstrap` the number of samples for the critical value.
     """
     linearized = problem.study()
     critical = assess_residuals(linearized, problem, n_bootstrap, rng).critical_value(allocate_alpha(alpha))
     shapes = {cause: build_candidates(linearized, [cause]) for cause in problem.causes}
-    scatter_only = tuple(cause.name for cause, subset in shapes.items() if not subset)
-    shapes = {cause: subset for cause, subset in shapes.items() if subset}
-    showing = tuple(_assess_cause(cause, subset, linearized, critical) for cause, subset in shapes.items())
-    alike = {
-        (one.name, other.name): _largest_cosines(subset, theirs)
-        for one, subset in shapes.items()
-        for other, theirs in shapes.items()
-        if one is not other
+    scatter_only = tuple(cause.name for cause, own in shapes.items() if not own)
+    shapes = {cause: own for cause, own in shapes.items() if own}
+    detectable = tuple(_assess_cause(cause, own, linearized, critical) for cause, own in shapes.items())
+    cosines = {
+        (one.name, other.name): _largest_cosines(shapes[one], shapes[other])
+        for one, other in permutations(shapes, 2)
     }
-    return SeparabilityMatrix(showing, scatter_only, untestable, alike, alpha)
+    return SeparabilityMatrix(detectable, scatter_only, untestable, cosines, alpha)
 
 
 def _assess_cause(
     cause: Any, shapes: list[Hypothesis], linearized: LinearizedFit, critical: float
 ) -> Detectability:
-    per_size = []
-    for version, trials in cause.trials(linearized.rows):
+    per_size, versions = [], cause.trials(linearized.rows)
+    for version, trials in versions:
         lengths = np.linalg.norm(compute_effects(linearized, version, trials), axis=0)
         sizes = np.abs(trials).max(axis=1) if version.joined else np.abs(trials[:, 0] - version.absent[0])
-        each = lengths / sizes
-        per_size += [float(np.linalg.norm(each))] if version.joined else list(each)
-    threshold = threshold_length(critical, len(shapes), linearized.df, STRENGTHS)
+        ratios = lengths / sizes
+        per_size += [float(np.linalg.norm(ratios))] if version.joined else list(ratios)
+    largest = [abs(values[0] - cause.absent[0]) for values in cause.largest()]
     return Detectability(
-        cause.name, cause.trials(linearized.rows)[0][0].parameters[0].unit, float(np.median(per_size)),
-        threshold + Z_POWER_90, _largest_size(cause, linearized),
-    )  # fmt: skip
-
-
-def _largest_size(cause: Any, linearized: LinearizedFit) -> float:
-    if cause.largest():
-        return float(max(abs(values[0] - cause.absent[0]) for values in cause.largest()))
-    return float(max(cause.most * np.abs(values[:, 0]).max() for _, values in cause.trials(linearized.rows)))
+        cause=cause.name,
+        unit=versions[0][0].parameters[0].unit,
+        per_size=float(np.median(per_size)),
+        found=detection_length(critical, len(shapes), linearized.df) + Z_POWER_90,
+        largest=float(max(largest or [cause.most * np.abs(values[:, 0]).max() for _, values in versions])),
+    )
 
 
 def _largest_cosines(shapes: list[Hypothesis], rivals: list[Hypothesis]) -> Array:
     """For each shape, its largest cosine with one of the rival's."""
-    if all(len(each.share) == 1 for each in [*shapes, *rivals]):
-        cosines = abs(_stack_directions(shapes).T @ _stack_directions(rivals))
-        return np.minimum(np.asarray(cosines.max(axis=1).todense()).ravel(), 1.0)
+    if all(len(shape.share) == 1 for shape in [*shapes, *rivals]):
+        own, other = (
+            hstack([csc_array(one.columns) for one in side], format="csc") for side in (shapes, rivals)
+        )
+        return np.minimum(np.asarray(abs(own.T @ other).max(axis=1).todense()).ravel(), 1.0)
     return np.array([min(max(largest_cosine(one, other) for other in rivals), 1.0) for one in shapes])
 
 
-def _stack_directions(shapes: list[Hypothesis]) -> csc_array:
-    return csc_array(hstack([csc_array(each.columns) for each in shapes]))
-
-
-SCHEMA = "stickslip-fit/separability/1"
-
-
-def separability_to_json(found: SeparabilityMatrix, strength: float) -> dict[str, Any]:
-    """A matrix in plain JSON types; what no strength reaches is None.
-
-    Parameters
-    ----------
-    found : Matrix
-    strength : float
-        At which the rates of confusion are given.
-    """
+def separability_to_json(matrix: SeparabilityMatrix, strength: float) -> dict[str, Any]:
+    """A matrix in plain JSON types, with the rates of confusion at a strength; infinity is None."""
     return {
         "schema": SCHEMA,
-        "alpha": found.alpha,
+        "alpha": matrix.alpha,
         "strength": strength,
-        "causes": [_detectability_to_json(each) for each in found.detectable],
+        "causes": [
+            {
+                "cause": one.cause,
+                "unit": one.unit,
+                "strength_of_size_1": 1.0 / float(from_si(1.0 / one.per_size, one.unit)),
+                "strength_found": one.found,
+                "smallest_found": float(from_si(one.smallest, one.unit)),
+                "largest_plausible": float(from_si(one.largest, one.unit)),
+            }
+            for one in matrix.detectable
+        ],
         "pairs": [
             {
                 "causes": [one, other],
-                "confusion": found.rate(one, other, strength),
+                "confusion": matrix.rate(one, other, strength),
                 "strength_needed": needed if np.isfinite(needed) else None,
-                "told_apart": found.apart(one, other),
+                "told_apart": matrix.apart(one, other),
             }
-            for one, other, needed in found.pairs()
+            for one, other, needed in matrix.pairs()
         ],
-        "shown_by_scatter": list(found.scatter_only),
-        "untestable": [{"cause": cause, "reason": why} for cause, why in found.untestable.items()],
-    }
-
-
-def _detectability_to_json(showing: Detectability) -> dict[str, Any]:
-    return {
-        "cause": showing.cause,
-        "unit": showing.unit,
-        "strength_of_size_1": 1.0 / float(from_si(1.0 / showing.per_size, showing.unit)),
-        "strength_found": showing.found,
-        "smallest_found": float(from_si(showing.smallest, showing.unit)),
-        "largest_plausible": float(from_si(showing.largest, showing.unit)),
+        "shown_by_scatter": list(matrix.scatter_only),
+        "untestable": [{"cause": cause, "reason": why} for cause, why in matrix.untestable.items()],
     }
 
 
 def problem_from_plan(
     plan: Plan, truth: LawValues, machine: Machine, causes: Iterable[Cause] | None = None
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
-    """The traverses of a plan as a simulation of it makes them, with their history.
-
-    Parameters
-    ----------
-    plan : Plan
-        With its noise.
-    truth : LawValues
-    machine : Machine
-    causes : iterable of Cause, optional
-        The library without it.
+    """A plan as a problem: its traverses, with their history, as a simulation makes them.
 
     Returns
     -------
-    bench : Bench
-        With the causes that the plan could show.
+    problem : DiagnosisProblem
+        With the causes that are testable.
     untestable : dict of str to str
-        The others, and why.
+        The others, with the reason.
 
     Raises
     ------
     InputError
-        If the plan cannot be simulated, or has too few traverses to show anything.
+        If the plan cannot be simulated, or has too few traverses for a test.
     """
     log = simulate(plan, truth, machine)
     assert plan.noise is not None
-    given, missing = problem_from_log(log, causes)
-    drives = [(part.law.joint, direction) for part in given.parts for direction in "+-"]
+    problem, missing = problem_from_log(log, causes)
+    drives = [(part.law.joint, direction) for part in problem.parts for direction in "+-"]
     repeatability = [plan.noise.repeatability.get(drive, np.nan) for drive in drives]
-    problem = replace(given, repeatability=np.array(repeatability))
+    problem = replace(problem, repeatability=np.array(repeatability))
     linearized = problem.study()
     if why := explain_too_small(linearized):
         raise InputError(f"the plan has {why}")
-    unable = missing | find_untestable(problem, linearized)
-    return replace(problem, causes=tuple(each for each in problem.causes if each.name not in unable)), unable
-
-
-ALIAS_TOL = 1e-3  # what a shape may lack, as a share of its square; no log has the strength to show that
-MAX_ALIAS_SHAPES = 4  # shapes; with many to choose from a cause may look like another by chance
+    untestable = missing | find_untestable(problem, linearized)
+    testable = tuple(cause for cause in problem.causes if cause.name not in untestable)
+    return replace(problem, causes=testable), untestable
 
 
 def find_aliased_causes(misfit: Misfit) -> tuple[tuple[str, str], ...]:
-    """Pairs of causes of which the second can do in this log all that the first does.
+    """Pairs of causes of which the second can produce in this log every effect of the first.
 
-    Each pair stands once, also where either can do all that the other does.
-
-    Parameters
-    ----------
-    looked : Misfit
+    Each pair stands once, also where this holds in both directions.
     """
     shapes: dict[str, list[Hypothesis]] = {}
-    for each in misfit.hypotheses:
-        if isinstance(each, Hypothesis) and classify_cause(each) != UNKNOWN:
-            shapes.setdefault(each.cause, []).append(each)
-    few = [cause for cause, subset in shapes.items() if len(subset) <= MAX_ALIAS_SHAPES]
-    found: dict[frozenset[str], tuple[str, str]] = {}
+    for shape in misfit.hypotheses:
+        if isinstance(shape, Hypothesis) and classify_cause(shape) != UNKNOWN:
+            shapes.setdefault(shape.cause, []).append(shape)
+    few = [cause for cause, own in shapes.items() if len(own) <= MAX_ALIAS_SHAPES]
+    pairs: dict[frozenset[str], tuple[str, str]] = {}
     for one, other in permutations(few, 2):
         if all(any(_is_in_span(shape, wider) for wider in shapes[other]) for shape in shapes[one]):
-            found.setdefault(frozenset((one, other)), (one, other))
-    return tuple(found.values())
+            pairs.setdefault(frozenset((one, other)), (one, other))
+    return tuple(pairs.values())
 
 
 def _is_in_span(shape: Hypothesis, wider: Hypothesis) -> bool:
-    lacking = shape.directions - wider.directions @ (wider.directions.T @ shape.directions)
-    return bool(np.all(np.sum(lacking**2, axis=0) < ALIAS_TOL))
+    outside = shape.directions - wider.directions @ (wider.directions.T @ shape.directions)
+    return bool(np.all(np.sum(outside**2, axis=0) < ALIAS_TOL))

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from tests.balls.problem import bench_of
 
 from stickslip_fit.causes import CauseParameter
 from tests.balls.cause import Array, FallCause
 from tests.balls.causes import AIR, MIDDLE
 from tests.balls.fall import Rows
+from tests.balls.problem import make_problem
 
 KNOWN = ("bowling-ball", "baseball")
 SPHERE = 0.5  # C_D of smooth ones up to about 25 m/s; 0.4 would make the slant a fifth smaller
@@ -52,7 +52,7 @@ class Slant(FallCause):
 def bend(frames: pd.DataFrame) -> float:
     """By how much the scale changes over each metre of height, 1/m."""
     known = frames[frames["ball"].isin(KNOWN)]
-    problem, _ = bench_of(known.assign(session=known["ball"] + known["session"]), [])
+    problem, _ = make_problem(known.assign(session=known["ball"] + known["session"]), [])
     return float(problem.fit_extended([KnownDrag(), Slant()], np.zeros(1)).values[0])
 
 

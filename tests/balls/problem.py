@@ -1,4 +1,4 @@
-"""Drops on the bench: free fall, the causes for it, and structure that no cause has."""
+"""Drops as a DiagnosisProblem: free fall, its causes, and unstructured alternatives."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REPEATABILITY = 0.05  # m, to begin with
 WAVES, CARRIED = 6, (0.2, 0.35, 0.5, 0.65, 0.8)
 
 
-def bench_of(
+def make_problem(
     rows: pd.DataFrame, causes: Iterable[FallCause] | None = None
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
     """Drops under free fall, and the causes that they cannot show for want of a column, and why."""
@@ -41,14 +41,14 @@ def bench_of(
         drive=np.zeros(len(rows), dtype=np.intp),
         repeatability=np.array([REPEATABILITY]),
         causes=tuple(cause for cause in known if cause.name not in missing),
-        alternatives=structures,
+        alternatives=build_alternatives,
         kind=drop,
         uneven=np.ones(len(rows)),
     )
     return problem, missing
 
 
-def structures(study: LinearizedFit) -> list[Hypothesis | AR1]:
+def build_alternatives(study: LinearizedFit) -> list[Hypothesis | AR1]:
     """What follows time smoothly, in each drop by itself or alike in all, or carries over between frames."""
     rows = study.rows
     drop, seconds = pd.factorize(rows["session"])[0], rows["seconds"].to_numpy(float)

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from tests.balls.problem import bench_of, later_half_of_the_last_drop
 
 from stickslip_fit.diagnosis import Diagnosis, Gain
 from stickslip_fit.diagnosis.gain import estimate_gain, select_in_fold
@@ -17,6 +16,7 @@ from tests.balls.camera import bend, straightened
 from tests.balls.causes import AIR
 from tests.balls.fall import G
 from tests.balls.measured import measured
+from tests.balls.problem import later_half_of_the_last_drop, make_problem
 
 ALPHA = 0.01
 
@@ -37,7 +37,7 @@ class Judged:
 
 def judged(rows: pd.DataFrame) -> Judged:
     """Diagnose the drops of one ball."""
-    found = diagnose_problem(*bench_of(rows), alpha=ALPHA)
+    found = diagnose_problem(*make_problem(rows), alpha=ALPHA)
     splits = later_half_of_the_last_drop(found.search.problem.rows)
     again = partial(select_in_fold, alpha=ALPHA)
     return Judged(

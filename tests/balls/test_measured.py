@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
-from tests.balls.problem import bench_of
 
 from tests.balls.camera import bend, straightened
 from tests.balls.causes import AnotherG
 from tests.balls.fall import G
 from tests.balls.measured import DATA, measured
+from tests.balls.problem import make_problem
 from tests.balls.table import drag_coefficient, judged
 
 pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the measured ball drops are not at hand")
@@ -66,7 +66,7 @@ def by_scipy(rows):
 def test_the_camera_errs(filmed):
     """Nothing falls faster than in free fall, but the bowling ball's first drop seems to."""
     rows = filmed["bowling-ball"]
-    problem, _ = bench_of(rows[rows["session"] == "drop 1"], [])
+    problem, _ = make_problem(rows[rows["session"] == "drop 1"], [])
     found = problem.fit_extended([AnotherG()], np.zeros(1))
     assert found.values[0] > 3 * np.sqrt(found.covariance[0, 0])
 

@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.stats import binom
-from tests.balls.problem import bench_of, later_half_of_the_last_drop
 
 from stickslip_fit.diagnosis.cross_validation import compute_held_out_errors
 from stickslip_fit.diagnosis.effect_size import size_findings
@@ -15,6 +14,7 @@ from stickslip_fit.diagnosis.gain import estimate_gain, select_in_fold
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from tests.balls.causes import LinearDrag, QuadraticDrag
 from tests.balls.fall import Fall, G
+from tests.balls.problem import later_half_of_the_last_drop, make_problem
 from tests.balls.simulated import FRAME, NUMBER, RELEASED, drops, fall
 
 ALPHA = 0.01
@@ -39,7 +39,7 @@ def filmed(acceleration, seed):
 
 
 def selection(rows, alpha=ALPHA):
-    return select_in_fold(bench_of(rows)[0], np.random.default_rng(0), alpha)
+    return select_in_fold(make_problem(rows)[0], np.random.default_rng(0), alpha)
 
 
 @pytest.mark.parametrize(
@@ -79,14 +79,14 @@ def test_drag_is_named_with_its_size(name, acceleration, size):
     for seed in range(6):
         rows = filmed(acceleration, seed)
         search = selection(rows)
-        (found,) = size_findings(search, bench_of(rows)[0], ALPHA)
+        (found,) = size_findings(search, make_problem(rows)[0], ALPHA)
         assert (found.cause, found.equivalent) == (name, ())
         covered += found.parameters[0].size.low < size < found.parameters[0].size.high
     assert covered >= binom.ppf(0.001, 6, 0.95)
 
 
 def test_another_g_the_cameras_scale_and_buoyancy_cannot_be_told_apart():
-    found = diagnose_problem(*bench_of(filmed(lambda _: -1.05 * G, 1)), alpha=ALPHA)
+    found = diagnose_problem(*make_problem(filmed(lambda _: -1.05 * G, 1)), alpha=ALPHA)
     (finding,) = found.findings
     assert found.verdict == "cannot tell apart"
     assert {finding.cause, *finding.equivalent} == DEGENERATE
@@ -99,7 +99,7 @@ def test_another_g_the_cameras_scale_and_buoyancy_cannot_be_told_apart():
 
 def test_what_release_absorbs_and_what_was_not_written_down_is_untestable():
     rows = filmed(quadratic, 2).assign(weight=np.nan)
-    found = diagnose_problem(*bench_of(rows), alpha=ALPHA)
+    found = diagnose_problem(*make_problem(rows), alpha=ALPHA)
     assert set(found.untestable) == {"clock-offset", "buoyancy"}
     assert "recalibrated" in found.untestable["clock-offset"]
     assert "written down" in found.untestable["buoyancy"]
@@ -115,7 +115,7 @@ def test_a_camera_that_sways_is_no_cause_of_the_library():
 def test_a_drop_held_out_is_predicted_to_within_the_noise():
     rows = filmed(quadratic, 4)
     search = selection(rows)
-    named = size_findings(search, bench_of(rows)[0], ALPHA)
+    named = size_findings(search, make_problem(rows)[0], ALPHA)
     splits = later_half_of_the_last_drop(rows)
     worth, _ = estimate_gain(
         search, named, splits, partial(select_in_fold, alpha=ALPHA), alpha=ALPHA, workers=1
@@ -127,11 +127,11 @@ def test_a_drop_held_out_is_predicted_to_within_the_noise():
 def test_what_is_held_out_takes_no_part():
     """A metre more in it is a metre further off."""
     rows = filmed(quadratic, 5)
-    problem = bench_of(rows)[0]
+    problem = make_problem(rows)[0]
     (split,) = later_half_of_the_last_drop(rows)
     named = size_findings(selection(rows), problem, ALPHA)
-    higher = rows["height"] + np.isin(np.arange(len(rows)), split.held)
-    other = bench_of(rows.assign(height=higher))[0]
+    higher = rows["height"] + np.isin(np.arange(len(rows)), split.held_out)
+    other = make_problem(rows.assign(height=higher))[0]
     before, after = (
         compute_held_out_errors(each, split, named, partial(select_in_fold, alpha=ALPHA), (0,))
         for each in (problem, other)

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
-from stickslip_fit.diagnosis.pipeline import find_causes
 from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs import read_log
 
@@ -58,25 +58,25 @@ def drifting(table, read):
 
 @pytest.fixture(scope="package")
 def named(drifting):
-    return find_causes(drifting, alpha=ALPHA)
+    return diagnose(drifting, alpha=ALPHA, gain=False)
 
 
 @pytest.fixture(scope="package")
 def nothing(table, read):
-    return find_causes(read(table, "fine.csv"), alpha=ALPHA)
+    return diagnose(read(table, "fine.csv"), alpha=ALPHA, gain=False)
 
 
 @pytest.fixture(scope="package")
 def unnamed(table, read):
     """Counts that come and go with a period that no column of the log has."""
     wave = 0.012 * np.sin(2 * np.pi * hours_in(table) / 0.9)
-    return find_causes(read(changed(table, wave), "waving.csv"), alpha=ALPHA)
+    return diagnose(read(changed(table, wave), "waving.csv"), alpha=ALPHA, gain=False)
 
 
 @pytest.fixture(scope="package")
 def tiny(table, read):
     """Three traverses."""
-    return find_causes(read(table.head(3), "tiny.csv"))
+    return diagnose(read(table.head(3), "tiny.csv"), gain=False)
 
 
 @pytest.fixture(scope="package")
@@ -108,7 +108,7 @@ def parts(rows):
 
 
 @pytest.fixture(scope="package")
-def study_with(rows, parts):
+def linearize(rows, parts):
     """A maker of studies from departures of the responses."""
 
     def make(departure):

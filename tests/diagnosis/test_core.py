@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 from scipy.stats import kstest, multivariate_normal, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
+from stickslip_fit.diagnosis.effect_size import strength_interval
 from stickslip_fit.diagnosis.hypotheses import AR1, make_hypothesis
-from stickslip_fit.diagnosis.intervals import strength_interval
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.noise import find_outliers
@@ -18,33 +18,33 @@ from stickslip_fit.laws import Prismatic
 NOISE = 0.003
 
 
-def test_recalibration_is_what_least_squares_would_absorb(rows, parts, study_with):
+def test_recalibration_is_what_least_squares_would_absorb(rows, parts, linearize):
     """Each block's slopes regressed out by numpy."""
     departure = 0.01 * np.random.default_rng(1).standard_normal(len(rows))
-    study = study_with(departure)
+    linearized = linearize(departure)
     slopes = Prismatic().jacobian(rows, parts[0].values)
     left = departure.copy()
     for block in range(4):
         subset = parts[0].block == block
         found = np.linalg.lstsq(slopes[subset], departure[subset], rcond=None)[0]
         left[subset] -= slopes[subset] @ found
-    assert study.residual == pytest.approx(left / NOISE, abs=1e-8)
-    assert study.df == len(rows) - 12
+    assert linearized.residual == pytest.approx(left / NOISE, abs=1e-8)
+    assert linearized.df == len(rows) - 12
 
 
-def test_evidence_is_the_ratio_of_marginal_likelihoods(rows, study_with):
+def test_evidence_is_the_ratio_of_marginal_likelihoods(rows, linearize):
     """With the noise's size integrated out by brute force over a prior that favours none (1 / sigma)."""
     rng = np.random.default_rng(2)
-    study = study_with(NOISE * rng.standard_normal(len(rows)))
-    effect = study.project(rng.standard_normal((len(rows), 3)))
+    linearized = linearize(NOISE * rng.standard_normal(len(rows)))
+    effect = linearized.project(rng.standard_normal((len(rows), 3)))
     shape = make_hypothesis("some", None, None, effect)
-    found = float(batch_hypotheses([shape], study.df).log_evidence(study.residual[:, None])[0, 0])
-    basis = np.linalg.svd(study.project(np.eye(len(rows))))[0][:, : study.df]
-    along, directions = basis.T @ study.residual, basis.T @ shape.directions
+    found = float(batch_hypotheses([shape], linearized.df).log_evidence(linearized.residual[:, None])[0, 0])
+    basis = np.linalg.svd(linearized.project(np.eye(len(rows))))[0][:, : linearized.df]
+    along, directions = basis.T @ linearized.residual, basis.T @ shape.directions
     log_sigma = np.linspace(-0.5, 0.5, 401)
     each = []
     for strength in (0.0, *STRENGTHS):
-        covariance = np.eye(study.df) + strength**2 * (directions * shape.share) @ directions.T
+        covariance = np.eye(linearized.df) + strength**2 * (directions * shape.share) @ directions.T
         log = [multivariate_normal.logpdf(along, None, np.exp(2 * s) * covariance) for s in log_sigma[::40]]
         curve = np.polynomial.Polynomial.fit(log_sigma[::40], log, 6)(log_sigma)
         each.append(np.log(np.trapezoid(np.exp(curve - curve.max()), log_sigma)) + curve.max())
@@ -68,16 +68,16 @@ def test_memory_is_judged_by_its_likelihood():
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_the_p_value_is_even_where_nothing_is_wrong(rows, study_with, uneven):
+def test_the_p_value_is_even_where_nothing_is_wrong(rows, linearize, uneven):
     """300 logs under heavy tails, twice the noise in two configurations of five."""
     rng = np.random.default_rng(4)
     wide = np.where(uneven & (rows["q2"] < -1.0), 2.0, 1.0)
     shapes = np.stack([rows["session_seconds"] / 36_000, np.cos(3 * rows["q2"])], axis=-1)
     p_values = []
     for _ in range(300):
-        study = study_with(NOISE * wide * rng.standard_t(5, len(rows)))
-        tried = [make_hypothesis(f"{k}", None, None, study.project(shapes[:, [k]])) for k in range(2)]
-        p_values.append(compute_misfit(study, tried, 199, rng).p_value)
+        linearized = linearize(NOISE * wide * rng.standard_t(5, len(rows)))
+        tried = [make_hypothesis(f"{k}", None, None, linearized.project(shapes[:, [k]])) for k in range(2)]
+        p_values.append(compute_misfit(linearized, tried, 199, rng).p_value)
     assert kstest(p_values, "uniform").pvalue > 0.01
 
 
@@ -104,11 +104,11 @@ def test_causes_are_refitted_with_the_law(rows, parts):
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(error, rel=1e-2)
 
 
-def test_what_is_left_under_a_refitted_cause_does_not_show_it_again(rows, parts, study_with):
+def test_what_is_left_under_a_refitted_cause_does_not_show_it_again(rows, parts, linearize):
     drift = -np.log(1 + 0.02 * rows["session_seconds"].to_numpy() / 36_000)
     responses = Prismatic().predict(rows, parts[0].values) + drift
     scale = np.full(len(rows), NOISE)
-    before = study_with(drift)
+    before = linearize(drift)
     found = fit_extended(rows, parts, responses, scale, [Drift()], np.array([1e-7]))
     after = linearize_fit(rows, found.parts, responses, scale, shared=1)
     assert np.linalg.norm(before.residual) > 20
@@ -128,19 +128,19 @@ def test_intervals_of_a_strength_cover_given_the_alarm():
         assert share == pytest.approx(0.95, abs=0.005 + 3 * np.sqrt(0.05 * 0.95 / len(seen)))
 
 
-def test_misfires_are_found_and_heavy_tails_are_none(rows, study_with):
+def test_misfires_are_found_and_heavy_tails_are_none(rows, linearize):
     rng = np.random.default_rng(7)
     drive = (rows["direction"] == "-").to_numpy().astype(np.intp)
     wild = norm.rvs(size=len(rows), random_state=rng) * NOISE
     wild[[17, 60, 121, 180]] += NOISE * np.array([14.0, -18.0, 16.0, -13.0])
-    study = study_with(wild)
-    found = find_outliers(study, study.residual, drive, 500, rng)
+    linearized = linearize(wild)
+    found = find_outliers(linearized, linearized.residual, drive, 500, rng)
     assert found.p_value < 0.005
     assert set(found.rows) == {17, 60, 121, 180}
     alarms = 0
     for _ in range(40):
-        study = study_with(NOISE * rng.standard_t(5, len(rows)))
-        alarms += find_outliers(study, study.residual, drive, 200, rng).p_value < 0.01
+        linearized = linearize(NOISE * rng.standard_t(5, len(rows)))
+        alarms += find_outliers(linearized, linearized.residual, drive, 200, rng).p_value < 0.01
     assert alarms <= 3
 
 

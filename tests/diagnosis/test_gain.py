@@ -48,20 +48,20 @@ from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden.generate import hide
 
-ALPHA, FLIPS = 0.01, 1000
+ALPHA, N_BOOTSTRAP = 0.01, 1000
 FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "recoil-axis", "end-stop-latency")
-SEEK = partial(select_in_fold, alpha=ALPHA)
+SELECT = partial(select_in_fold, alpha=ALPHA)
 
 
 @pytest.fixture(scope="session")
 def problem(tmp_path_factory):
-    """A hidden log on the bench, with a few causes and one structure to choose from, to be quick."""
+    """A hidden log as a problem with a few causes and one unstructured alternative, to be quick."""
 
     def made(hidden):
         path = tmp_path_factory.mktemp("gain") / "log.csv"
         hidden.write(path)
-        laid, _ = problem_from_log(read_log(path), [cause for cause in library() if cause.name in FEW])
-        return replace(laid, alternatives=waves)
+        own_problem, _ = problem_from_log(read_log(path), [cause for cause in library() if cause.name in FEW])
+        return replace(own_problem, alternatives=waves)
 
     return made
 
@@ -76,8 +76,8 @@ def splits_of(selection):
     return hold_out_configurations(selection, np.random.default_rng(0))
 
 
-def measured(problem, workers=1, selector=SEEK, alpha=ALPHA):
-    selection = select_causes(problem, alpha, FLIPS, np.random.default_rng(0))
+def measured(problem, workers=1, selector=SELECT, alpha=ALPHA):
+    selection = select_causes(problem, alpha, N_BOOTSTRAP, np.random.default_rng(0))
     found = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     whole, _ = estimate_gain(selection, found, splits_of(selection), selector, alpha=alpha, workers=workers)
     return whole, selection
@@ -89,19 +89,21 @@ def gained(whole):
 
 @pytest.mark.parametrize("design", ["session", "thesis", "many"])
 def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_stays_known(problem, design):
-    laid = problem(hide(design, seed=3))
+    own_problem = problem(hide(design, seed=3))
     kinds, splits = (
-        number_session_configurations(laid.rows),
-        make_folds(laid.study(), number_session_configurations(laid.rows), _rng()),
+        number_session_configurations(own_problem.rows),
+        make_folds(own_problem.study(), number_session_configurations(own_problem.rows), _rng()),
     )
-    held = np.concatenate([split.held for split in splits])
-    assert len(np.unique(held)) == len(held) > 0.85 * len(laid)
+    held = np.concatenate([split.held_out for split in splits])
+    assert len(np.unique(held)) == len(held) > 0.85 * len(own_problem)
     assert len(splits) == 10
     for split in splits:
-        assert not set(kinds[split.held]) & set(kinds[split.train])
-        np.testing.assert_array_equal(np.sort(np.r_[split.held, split.train]), np.arange(len(laid)))
-    for part in laid.parts:
-        slopes = part.law.jacobian(laid.rows.iloc[part.rows], part.values)
+        assert not set(kinds[split.held_out]) & set(kinds[split.train])
+        np.testing.assert_array_equal(
+            np.sort(np.r_[split.held_out, split.train]), np.arange(len(own_problem))
+        )
+    for part in own_problem.parts:
+        slopes = part.law.jacobian(own_problem.rows.iloc[part.rows], part.values)
         slopes = slopes / np.linalg.norm(slopes, axis=0)
         for block in np.unique(part.block):
             subset = part.block == block
@@ -112,9 +114,11 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
 
 
 def test_causes_stay_known_in_what_is_left(problem):
-    laid = problem(hide("session", seed=3))
-    study, rng = laid.study(), _rng()
-    effects = study.project(rng.standard_normal((len(laid), 2)) * (np.arange(len(laid)) < 12)[:, None])
+    own_problem = problem(hide("session", seed=3))
+    study, rng = own_problem.study(), _rng()
+    effects = study.project(
+        rng.standard_normal((len(own_problem), 2)) * (np.arange(len(own_problem)) < 12)[:, None]
+    )
     effects *= 7 / np.linalg.norm(effects, axis=0)
     whole = study.basis.toarray()
 
@@ -126,19 +130,19 @@ def test_causes_stay_known_in_what_is_left(problem):
             strengths.append(np.linalg.norm(left, axis=0))
         return np.min(strengths)
 
-    kinds = number_session_configurations(laid.rows)
+    kinds = number_session_configurations(own_problem.rows)
     assert least_left(make_folds(study, kinds, _rng(), effects)) >= 5.0
 
 
 def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
     hidden = hide("session", ("drift",), 14, seed=3)
-    selection = select_causes(problem(hidden), ALPHA, FLIPS, np.random.default_rng(0))
+    selection = select_causes(problem(hidden), ALPHA, N_BOOTSTRAP, np.random.default_rng(0))
     found = size_findings(selection, selection.problem, ALPHA)
     split = splits_of(selection)[0]
-    wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held)
+    wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held_out)
     disturbed = replace(selection.problem, responses=selection.problem.responses + wrong)
     before, after = (
-        compute_held_out_errors(each, split, found, SEEK, (0, 0)) for each in (selection.problem, disturbed)
+        compute_held_out_errors(each, split, found, SELECT, (0, 0)) for each in (selection.problem, disturbed)
     )
     assert np.sqrt(np.mean(before[1] ** 2)) < np.sqrt(np.mean(before[0] ** 2))
     np.testing.assert_allclose(after, before + 0.3, atol=1e-9)
@@ -146,23 +150,23 @@ def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
 
 def test_a_new_session_is_predicted_by_its_calibration_and_causes_from_the_other_sessions(problem):
     hidden = hide("thesis", seed=3)
-    laid = problem(hidden)
-    splits = hold_out_sessions(laid, load_machine())
-    session = laid.rows["session"].to_numpy(object)
+    own_problem = problem(hidden)
+    splits = hold_out_sessions(own_problem, load_machine())
+    session = own_problem.rows["session"].to_numpy(object)
     assert len(splits) == 3
     for split in splits:
-        assert len(set(session[split.held]) | set(session[split.calibration])) == 1
-        assert not set(session[split.train]) & set(session[split.held])
-        assert not set(split.calibration) & set(split.held)
-        parameters = 2 * sum(len(part.law.parameters) for part in laid.parts)
+        assert len(set(session[split.held_out]) | set(session[split.calibration])) == 1
+        assert not set(session[split.train]) & set(session[split.held_out])
+        assert not set(split.calibration) & set(split.held_out)
+        parameters = 2 * sum(len(part.law.parameters) for part in own_problem.parts)
         assert len(split.calibration) == parameters
-        assert len(split.held) + parameters == np.sum(session == session[split.held[0]])
+        assert len(split.held_out) + parameters == np.sum(session == session[split.held_out[0]])
 
 
 def test_a_log_of_two_sessions_has_no_new_one(problem):
-    laid = problem(hide("thesis", seed=3))
-    assert hold_out_sessions(laid.without(np.flatnonzero(laid.rows["session"] == laid.rows["session"][0])),
-                        load_machine()) == []  # fmt: skip
+    own_problem = problem(hide("thesis", seed=3))
+    first = np.flatnonzero(own_problem.rows["session"] == own_problem.rows["session"][0])
+    assert hold_out_sessions(own_problem.without(first), load_machine()) == []
 
 
 def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
@@ -180,7 +184,7 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
 
 
 def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(problem):
-    def never(laid, rng):
+    def never(own_problem, rng):
         raise AssertionError
 
     whole, selection = measured(problem(hide("session", seed=8)), selector=never)
@@ -191,25 +195,25 @@ def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(proble
 
 
 def test_the_number_of_processes_makes_no_difference(problem):
-    laid = replace(
+    own_problem = replace(
         problem(hide("session", ("drift",), 12, seed=3)), alternatives=build_unstructured_alternatives
     )
-    one, two = (measured(laid, workers=workers)[0] for workers in (1, 2))
+    one, two = (measured(own_problem, workers=workers)[0] for workers in (1, 2))
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
 
 
 def test_each_finding_gains_its_step_and_steps_add_up(problem):
-    laid = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
-    selection = select_causes(laid, ALPHA, FLIPS, _rng())
-    found = size_findings(selection, laid, ALPHA)
-    whole, own = estimate_gain(selection, found, splits_of(selection), SEEK, alpha=ALPHA, workers=1)
+    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    found = size_findings(selection, own_problem, ALPHA)
+    whole, own = estimate_gain(selection, found, splits_of(selection), SELECT, alpha=ALPHA, workers=1)
     assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
     assert own[0].gain.baseline == whole.baseline
     assert own[-1].gain.extended == whole.extended
     for one, following in pairwise(own):
         assert following.gain.baseline == one.gain.extended
         assert one.gain.low < gained(one.gain) < one.gain.high
-    assert whole.by_session["traverses"].sum() > 0.85 * len(laid)
+    assert whole.by_session["traverses"].sum() > 0.85 * len(own_problem)
 
 
 def oracle(hidden, selection):
@@ -232,7 +236,7 @@ def oracle(hidden, selection):
         for split in splits_of(selection):
             rest = split.train
             fitted = np.linalg.lstsq(columns[rest] * weight[rest, None], left[rest] * weight[rest])[0]
-            off.append(left[split.held] - columns[split.held] @ fitted)
+            off.append(left[split.held_out] - columns[split.held_out] @ fitted)
         squares.append(np.mean(np.concatenate(off) ** 2))
     return np.sqrt(squares)
 
@@ -263,10 +267,10 @@ def covered(problem, seeds, strength):
     return np.array(inside)
 
 
-def forced(laid, rng):
+def forced(own_problem, rng):
     """The best cause in the law, whether or not anything is wrong."""
-    study = laid.study()
-    misfit = assess_residuals(study, laid, 100, rng)
+    study = own_problem.study()
+    misfit = assess_residuals(study, own_problem, 100, rng)
     cause_set = form_cause_set(misfit)
     if cause_set.cause == UNKNOWN:
         best = max(
@@ -277,16 +281,16 @@ def forced(laid, rng):
     shape = misfit.best_hypothesis(cause_set.cause)
     start = np.array(shape.version.absent) if shape.values is None else shape.values
     found = SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, 1.0)
-    problem, fit, left = extend_problem(laid, [found])
+    problem, fit, left = extend_problem(own_problem, [found])
     return Selection(problem, np.zeros(0, np.intp), (found,), misfit, misfit, 1.0, fit, left)
 
 
 def above_zero(problem, seeds):
     above = []
     for seed in seeds:
-        laid = problem(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
-        selection = forced(laid, _rng())
-        found = size_findings(selection, laid, 2.0)
+        own_problem = problem(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
+        selection = forced(own_problem, _rng())
+        found = size_findings(selection, own_problem, 2.0)
         whole, _ = estimate_gain(selection, found, splits_of(selection), forced, alpha=2.0, workers=1)
         above.append(whole.low > 0)
     return np.array(above)
@@ -298,8 +302,10 @@ def test_held_out_gain_is_nearly_that_of_knowing_the_effect(problem):
 
 def test_a_fit_that_fails_is_begun_again_nearer_to_no_effect(problem):
     """Wear that is looked for with the wrong sign and far too slow."""
-    laid = problem(hide("session", ("wear",), 25, seed=2))
-    right, wrong = (laid.fit_extended([Wear()], np.array(start)) for start in ((0.005, 1e4), (-0.005, 1e6)))
+    own_problem = problem(hide("session", ("wear",), 25, seed=2))
+    right, wrong = (
+        own_problem.fit_extended([Wear()], np.array(start)) for start in ((0.005, 1e4), (-0.005, 1e6))
+    )
     assert wrong.converged
     assert wrong.values == pytest.approx(right.values, rel=0.01)
 
@@ -364,8 +370,11 @@ def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
 
 def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
     responses = a_campaign(0.97).effects + _rng().standard_normal((40, 50))
-    for change, made in (
-        ({"ahead": 90.0}, 1), ({"ahead": 90.0, "names": False}, NONE_FOUND), ({"threshold": 30.0}, NONE_FOUND),
+    cases = [
+        ({"ahead": 90.0}, 1),
+        ({"ahead": 90.0, "names": False}, NONE_FOUND),
+        ({"threshold": 30.0}, NONE_FOUND),
         ({"ahead": -90.0}, CAUSE_FOUND),
-    ):  # fmt: skip
+    ]
+    for change, made in cases:
         assert set(simulate_selection(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}

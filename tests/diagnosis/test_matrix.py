@@ -25,7 +25,7 @@ from tests.hidden.generate import hide
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
 MACHINE = load_machine()
-FLIPS = 400
+N_BOOTSTRAP = 400
 
 HEAD = """
 order = "{order}"
@@ -89,13 +89,13 @@ ranges_mm = [[0, 12], [0, 4], [4, 8], [8, 12]]
 
 @cache
 def of_plan(sweeps: str, sessions: str = ONE, replicates: int = 2, order: str = "random"):
-    """What a plan can tell, and the bench that says so."""
+    """The separability matrix of a plan, and its problem."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "plan.toml")
         path.write_text(HEAD.format(order=order, replicates=replicates, sessions=sessions) + sweeps, "utf-8")
         plan = read_plan(path, MACHINE)
     problem, untestable = problem_from_plan(plan, read_law_values(LAW, MACHINE), MACHINE)
-    return assess_design(problem, untestable, 0.05, FLIPS, np.random.default_rng(1)), problem
+    return assess_design(problem, untestable, 0.05, N_BOOTSTRAP, np.random.default_rng(1)), problem
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect, tmp_
     problem, missing = problem_from_log(
         read_log(tmp_path / "log.csv"), [c for c in library() if c.name == effect]
     )
-    found = assess_design(problem, missing, 0.05, FLIPS, np.random.default_rng(1))
+    found = assess_design(problem, missing, 0.05, N_BOOTSTRAP, np.random.default_rng(1))
     (parameter,) = hidden.truth["effects"][0]["parameters"]
     size = abs(parameter["value"]) * {"%/h": 1 / 360_000, "deg": np.pi / 180, "%": 0.01}[parameter["unit"]]
     assert size * found.of(effect).per_size == pytest.approx(8.0, rel=0.15)
@@ -171,7 +171,7 @@ def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     shape = build_candidates(study, [cause for cause in problem.causes if cause.name == "side-load"])[0]
     rng = np.random.default_rng(5)
     seen = shape.directions[:, 0] * found.of("side-load").found
-    first = assess_residuals(study, problem, FLIPS, rng)
+    first = assess_residuals(study, problem, N_BOOTSTRAP, rng)
     alarms = 0
     for _ in range(100):
         noise = study.project(rng.standard_normal(len(study)))

@@ -12,10 +12,9 @@ import pytest
 from scipy.stats import binom
 
 from stickslip_fit.causes import Drift, library
+from stickslip_fit.diagnosis import diagnose, next_experiment
 from stickslip_fit.diagnosis.candidate_traverses import forecast_candidates
-from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, next_experiment, suggest_traverses
-from stickslip_fit.diagnosis.pipeline import find_causes
-from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 from stickslip_fit.laws import expected_steps, observed_count
 from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
@@ -44,8 +43,11 @@ def log_of(design: str, effect: str, strength: float):
 def diagnosis_of(design: str, effect: str, strength: float):
     """What is said of a log that hides an effect, when all but a few causes are out of the question."""
     known = [cause for cause in library() if cause.name in (effect, *RIVALS[effect])]
-    return find_causes(
-        log_of(design, effect, strength), causes=[*known, Twin()] if effect == "drift" else known, alpha=ALPHA
+    return diagnose(
+        log_of(design, effect, strength),
+        causes=[*known, Twin()] if effect == "drift" else known,
+        alpha=ALPHA,
+        gain=False,
     )
 
 
@@ -58,13 +60,13 @@ RIVALS = {
 
 
 def left_with(diagnosis, cause, rivals):
-    """The finding of a cause, with rivals that the log is said not to exclude."""
+    """The diagnosis of a cause alone, with rivals that the log is said not to exclude."""
     (finding,) = (each for each in diagnosis.findings if each.cause == cause)
-    return replace(finding, equivalent=tuple(rivals))
+    return replace(diagnosis, findings=(replace(finding, equivalent=tuple(rivals)),))
 
 
 def fit_with(diagnosis, cause, rival):
-    """The bench's law with a rival in place of what was found, by the bench's own refit."""
+    """The law with a rival in place of the selected cause, by the problem's own refit."""
     (found,) = (each for each in diagnosis.search.found if each.cause == cause)
     shape = found.misfit.best_hypothesis(rival)
     start = np.array(shape.version.absent) if shape.values is None else shape.values
@@ -150,7 +152,7 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
     diagnosis = diagnosis_of(design, effect, strength)
     problem = diagnosis.search.problem
     choices = forecast_candidates(problem, log_of(design, effect, strength).machine)
-    (traverse,) = next_experiment(diagnosis.search, [left_with(diagnosis, effect, [rival])], choices)
+    (traverse,) = next_experiment(left_with(diagnosis, effect, [rival]))
     assert set(traverse.tells_apart) == {effect, rival}
     forecast, row = rows_of(choices, traverse)
     rivals = [Rival(fit_with(diagnosis, effect, each), forecast, row) for each in (effect, rival)]
@@ -171,8 +173,7 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
 def test_no_more_readings_are_asked_for_than_it_takes():
     diagnosis = diagnosis_of("session", "side-load", 10.0)
     choices = forecast_candidates(diagnosis.search.problem, log_of("session", "side-load", 10.0).machine)
-    finding = left_with(diagnosis, "side-load", ["load-nonlinearity"])
-    (traverse,) = next_experiment(diagnosis.search, [finding], choices)
+    (traverse,) = next_experiment(left_with(diagnosis, "side-load", ["load-nonlinearity"]))
     forecast, row = rows_of(choices, traverse)
     one, other = (
         Rival(fit_with(diagnosis, "side-load", each), forecast, row)
@@ -197,29 +198,26 @@ def test_no_more_readings_are_asked_for_than_it_takes():
 
 def test_drift_warm_up_and_wear_are_told_apart_by_a_later_traverse():
     diagnosis = diagnosis_of("session", "drift", 12.0)
-    choices = forecast_candidates(diagnosis.search.problem, log_of("session", "drift", 12.0).machine)
-    finding = left_with(diagnosis, "drift", RIVALS["drift"])
-    traverses = next_experiment(diagnosis.search, [finding], choices)
+    doubtful = left_with(diagnosis, "drift", RIVALS["drift"])
+    traverses = next_experiment(doubtful)
     assert traverses
     assert all("h after the calibration" in each.note for each in traverses)
-    assert find_inseparable_pairs([finding], traverses) == ()
+    assert find_inseparable_pairs(doubtful.findings, traverses) == ()
 
 
 def test_nothing_is_proposed_where_nothing_is_left_to_tell_apart():
     diagnosis = diagnosis_of("session", "drift", 12.0)
-    choices = forecast_candidates(diagnosis.search.problem, log_of("session", "drift", 12.0).machine)
-    finding = left_with(diagnosis, "drift", [])
-    assert next_experiment(diagnosis.search, [finding], choices) == ()
-    assert find_inseparable_pairs([finding], ()) == ()
+    sure = left_with(diagnosis, "drift", [])
+    assert next_experiment(sure) == ()
+    assert find_inseparable_pairs(sure.findings, ()) == ()
 
 
 def test_two_names_for_one_thing_are_out_of_reach_of_every_traverse():
     diagnosis = diagnosis_of("session", "drift", 12.0)
-    choices = forecast_candidates(diagnosis.search.problem, log_of("session", "drift", 12.0).machine)
-    finding = left_with(diagnosis, "drift", ["twin", "wear"])
-    traverses = next_experiment(diagnosis.search, [finding], choices)
+    doubtful = left_with(diagnosis, "drift", ["twin", "wear"])
+    traverses = next_experiment(doubtful)
     assert all({"drift", "twin"} - set(each.tells_apart) for each in traverses)
-    assert find_inseparable_pairs([finding], traverses) == (("drift", "twin"),)
+    assert find_inseparable_pairs(doubtful.findings, traverses) == (("drift", "twin"),)
 
 
 def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibration():
@@ -248,11 +246,8 @@ def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibrati
 def whole_guide():
     """A log that never sets q1 and runs the whole guide in every traverse of joint 3."""
     log = log_of("session", "side-load", 10.0)
-    diagnosis = find_causes(log, causes=library(), alpha=ALPHA)
-    problem: DiagnosisProblem = diagnosis.search.problem
-    return diagnosis, suggest_traverses(
-        diagnosis.untestable, library(), problem.rows, forecast_candidates(problem, log.machine)
-    )
+    diagnosis = diagnose(log, causes=library(), alpha=ALPHA, gain=False)
+    return diagnosis, suggest_traverses(diagnosis, library())
 
 
 def test_what_makes_a_cause_testable_has_what_the_log_lacked(whole_guide):

@@ -31,44 +31,48 @@ def kind_of(rows):
     return np.unique(rows["q2"].round(3).to_numpy(), return_inverse=True)[1]
 
 
-def test_shapes_that_each_session_has_by_itself_are_those_of_all_rows(rows, study_with):
+def test_shapes_that_each_session_has_by_itself_are_those_of_all_rows(rows, linearize):
     """Against the same columns written out for all rows, zero outside their session."""
     rng = np.random.default_rng(1)
-    study = study_with(NOISE * rng.standard_normal(len(rows)))
-    columns, every = rng.standard_normal((len(rows), 1, 2)), list(split_sessions(study).values())
+    linearized = linearize(NOISE * rng.standard_normal(len(rows)))
+    columns, every = rng.standard_normal((len(rows), 1, 2)), list(split_sessions(linearized).values())
     (small,) = build_per_session_hypotheses(["unknown:waves"], len(rows), every, columns)
     own = np.concatenate([columns[:, 0] * (rows["session"] == name).to_numpy()[:, None] for name in "ab"], 1)
-    large = make_hypothesis("unknown:waves", None, None, study.project(own))
+    large = make_hypothesis("unknown:waves", None, None, linearized.project(own))
     first = every[0]
     (one,) = build_session_hypotheses(
         "jump", None, np.ones((1, 1)), len(rows), first, first.project(columns[first.rows, 0, :1])
     )
-    whole = make_hypothesis("jump", None, None, study.project(own[:, :1]))
-    found = batch_hypotheses([small, large, one, whole], study.df).log_evidence(study.residual[:, None])[:, 0]
+    whole = make_hypothesis("jump", None, None, linearized.project(own[:, :1]))
+    found = batch_hypotheses([small, large, one, whole], linearized.df).log_evidence(
+        linearized.residual[:, None]
+    )[:, 0]
     assert found[0] == pytest.approx(found[1], abs=1e-9)
     assert found[2] == pytest.approx(found[3], abs=1e-9)
 
 
-def test_an_effect_does_not_hide_behind_its_own_signs(rows, study_with):
+def test_an_effect_does_not_hide_behind_its_own_signs(rows, linearize):
     """It is in 8 of 200 traverses; with its signs flipped it would look as large in 1 log of 128."""
     rng = np.random.default_rng(2)
     shape = np.zeros((len(rows), 1))
     shape[rng.choice(len(rows), 8, replace=False)] = 1.0
-    study = study_with(NOISE * (rng.standard_normal(len(rows)) + 3.0 * shape[:, 0]))
-    found = compute_misfit(study, [make_hypothesis("some", None, None, study.project(shape))], 1999, rng)
+    linearized = linearize(NOISE * (rng.standard_normal(len(rows)) + 3.0 * shape[:, 0]))
+    found = compute_misfit(
+        linearized, [make_hypothesis("some", None, None, linearized.project(shape))], 1999, rng
+    )
     assert found.p_value == 1 / 2000
 
 
-def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, study_with):
+def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, linearize):
     """200 logs of such tails, and any two neighbours for a shape; then two of them are far off."""
     rng, n = np.random.default_rng(3), len(rows)
     pairs = np.repeat(np.eye(n // 2), 2, axis=0)
 
     def p_value(departure):
-        study = study_with(departure)
-        shapes = study.project(pairs).T
+        linearized = linearize(departure)
+        shapes = linearized.project(pairs).T
         tried = [make_hypothesis("pair", None, None, shape[:, None]) for shape in shapes]
-        return compute_misfit(study, tried, 99, rng).p_value
+        return compute_misfit(linearized, tried, 99, rng).p_value
 
     noise = [NOISE * rng.standard_t(5, n) for _ in range(200)]
     alarms = np.mean([p_value(each) <= 0.02 for each in noise])
@@ -76,23 +80,23 @@ def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, study_wi
     assert p_value(noise[0] + 20 * NOISE * pairs[:, 20]) == 1 / 100
 
 
-def test_configurations_that_repeat_worse_are_found_and_effects_are_not_taken_for_them(rows, study_with):
+def test_configurations_that_repeat_worse_are_found_and_effects_are_not_taken_for_them(rows, linearize):
     rng = np.random.default_rng(4)
     drive, kind = drive_of(rows), kind_of(rows)
     noisy = (rows["q2"] < -2.0).to_numpy()
     where = np.where(noisy, WIDE, 1.0)
 
     def judged(departure):
-        study = study_with(departure)
-        left = StructureRemoved(study.residual, np.zeros(len(rows)))
-        return estimate_noise(study, left, np.zeros(len(rows)), drive, kind)
+        linearized = linearize(departure)
+        left = StructureRemoved(linearized.residual, np.zeros(len(rows)))
+        return estimate_noise(linearized, left, np.zeros(len(rows)), drive, kind)
 
     found = judged(NOISE * where * rng.standard_normal(len(rows)))
-    assert found.uneven.ratio[noisy].mean() == pytest.approx(WIDE, rel=0.2)
-    assert found.uneven.ratio[~noisy].mean() == pytest.approx(1.0, abs=0.15)
+    assert found.heteroscedasticity.ratio[noisy].mean() == pytest.approx(WIDE, rel=0.2)
+    assert found.heteroscedasticity.ratio[~noisy].mean() == pytest.approx(1.0, abs=0.15)
     assert found.sd == pytest.approx([NOISE, NOISE], rel=0.2)
     shifted = judged(NOISE * (rng.standard_normal(len(rows)) + 3.0 * noisy * np.where(drive, -1.0, 1.0)))
-    assert np.all(shifted.uneven.ratio == 1.0)
+    assert np.all(shifted.heteroscedasticity.ratio == 1.0)
 
 
 @pytest.mark.parametrize(("tails", "seen"), [(np.inf, True), (5.0, False)])
@@ -106,8 +110,8 @@ def test_a_wild_count_is_one_where_the_others_are_tame(rows, parts, tails, seen)
     noise[77] = 7.0
     responses = Prismatic().predict(many, values) + NOISE * noise
     part = LawBlock(Prismatic(), np.arange(len(many)), block, values)
-    study = linearize_fit(many, [part], responses, np.full(len(many), NOISE))
-    found = find_outliers(study, study.residual, drive_of(many), 999, rng)
+    linearized = linearize_fit(many, [part], responses, np.full(len(many), NOISE))
+    found = find_outliers(linearized, linearized.residual, drive_of(many), 999, rng)
     assert (found.p_value < 0.01) == seen
     assert not seen or found.rows.tolist() == [77]
 
@@ -125,8 +129,8 @@ def test_memory_is_as_large_as_before_recalibration(rows, parts):
         for row in np.flatnonzero(before >= 0):
             noise[row] += share * noise[row - 1]
         responses = Prismatic().predict(short, part.values) + NOISE * noise
-        study = linearize_fit(short, [part], responses, np.full(48, NOISE))
-        found.append(estimate_ar1_effect(study, AR1("unknown:memory", before, 0.5)))
+        linearized = linearize_fit(short, [part], responses, np.full(48, NOISE))
+        found.append(estimate_ar1_effect(linearized, AR1("unknown:memory", before, 0.5)))
     truth = share / np.sqrt(1 - share**2)
     inside = np.mean([each.low <= truth <= each.high for each in found])
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
@@ -143,8 +147,8 @@ class Stalling:
         return np.arange(len(values))[:, None] * sizes
 
 
-def test_a_trial_that_stalls_a_joint_stands_for_a_smaller_one(rows, study_with):
-    study = study_with(np.zeros(len(rows)))
-    found = compute_changes(study, Stalling(), np.array([[0.5], [0.05], [90.0]]))
+def test_a_trial_that_stalls_a_joint_stands_for_a_smaller_one(rows, linearize):
+    linearized = linearize(np.zeros(len(rows)))
+    found = compute_changes(linearized, Stalling(), np.array([[0.5], [0.05], [90.0]]))
     assert found[:, 0] == pytest.approx(10 * found[:, 1])
     assert np.all(found[:, 2] == 0.0)

@@ -67,14 +67,16 @@ def test_the_envelope_holds_all_means_of_95_logs_in_100(left):
 
 def test_the_error_is_that_of_a_mean_of_noise(nothing):
     """The variance of a sum of independent signs, recalibrated, in closed form."""
-    study, quiet = nothing.search.study, compare_residuals(nothing.search, 0)
-    values = np.random.default_rng(6).integers(0, 4, len(study)).astype(float)
+    linearized, quiet = nothing.search.study, compare_residuals(nothing.search, 0)
+    values = np.random.default_rng(6).integers(0, 4, len(linearized)).astype(float)
     found = bin_residuals(
         quiet.after, quiet.null_after, values, bin_values(values), np.ones(len(values), dtype=bool)
     )
     mean_of = (values == np.arange(4.0)[:, None]) / np.bincount(values.astype(int))[:, None]
-    raw = study.residual / np.sqrt(1.0 - study.leverage)
-    expected = np.sqrt(np.sum((study.project((mean_of * study.scale).T) * raw[:, None]) ** 2, axis=0))
+    raw = linearized.residual / np.sqrt(1.0 - linearized.leverage)
+    expected = np.sqrt(
+        np.sum((linearized.project((mean_of * linearized.scale).T) * raw[:, None]) ** 2, axis=0)
+    )
     assert found.error == pytest.approx(expected, rel=0.15)
 
 

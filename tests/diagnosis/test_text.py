@@ -10,9 +10,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
-from stickslip_fit.diagnosis import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._summary import describe_effect, remedy_for, write_headline
-from stickslip_fit.diagnosis.pipeline import find_causes
 from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
@@ -73,9 +72,9 @@ def test_what_cannot_be_told_apart_is_named_together(named):
     unsure = replace(named, findings=(rivals,), verdict="cannot tell apart")
     said = told(unsure)
     assert "steps drift through each session (drift) or the drive warms up (thermal-warm-up)" in said
-    assert "No traverse that was looked at would tell" in said
+    assert "No candidate traverse would separate them." in said
     assert "Recalibrating" not in said
-    assert "No traverse within reach tells drift from thermal-warm-up." in str(unsure)
+    assert "No traverse within reach separates drift from thermal-warm-up." in str(unsure)
     traverse = NextTraverse(
         "new",
         3,
@@ -92,7 +91,7 @@ def test_what_cannot_be_told_apart_is_named_together(named):
         "after 5 h",
     )
     text = str(replace(unsure, next_experiment=(traverse,)))
-    assert "The traverses that would tell" in text
+    assert "The traverses that would separate them" in text
     assert re.search(r"3 − +4 +0° +0° +– +0° +0° +stop +stop +after 5 h", text)
     assert "No traverse within reach" not in text
 
@@ -116,7 +115,7 @@ def test_a_log_too_small_says_so_and_what_would_suffice(tiny):
 
 @pytest.mark.parametrize("rows", [1, 2, 5, 12])
 def test_hardly_any_rows_are_no_error(table, read, rows):
-    diagnosis = find_causes(read(table.head(rows), "few.csv"))
+    diagnosis = diagnose(read(table.head(rows), "few.csv"), gain=False)
     assert diagnosis.verdict == "nothing wrong"
     assert "too few traverses" in str(diagnosis)
 
@@ -124,17 +123,19 @@ def test_hardly_any_rows_are_no_error(table, read, rows):
 def test_as_many_traverses_as_it_asks_for_suffice(table, read):
     """Three groups of a session and direction with as many parameters as configurations, and 10 beyond."""
     upright = table[(table["joint"] == 3) & (table["direction"] == "+") & (table["session"] == "2012-03-05")]
-    short = find_causes(read(upright.head(12), "short.csv"))
+    short = diagnose(read(upright.head(12), "short.csv"), gain=False)
     missing = int(re.search(r"add (\d+) in", told(short))[1])
-    assert "too few" not in told(find_causes(read(upright.head(12 + missing), "enough.csv"), alpha=0.1))
-    assert "too few" in told(find_causes(read(upright.head(11 + missing), "short.csv"), alpha=0.1))
+    assert "too few" not in told(
+        diagnose(read(upright.head(12 + missing), "enough.csv"), alpha=0.1, gain=False)
+    )
+    assert "too few" in told(diagnose(read(upright.head(11 + missing), "short.csv"), alpha=0.1, gain=False))
 
 
 def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
     rng = np.random.default_rng(3)
     draught = rng.normal(size=len(table))
-    twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, problem=7.0, supply_V=230.0)
-    found = find_causes(read(twins, "twins.csv"), alpha=ALPHA)
+    twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, bench=7.0, supply_V=230.0)
+    found = diagnose(read(twins, "twins.csv"), alpha=ALPHA, gain=False)
     assert found.inclusion["covariate:bench"] is None
     assert found.inclusion["supply-voltage"] is None
     assert "the same within every session" in found.untestable["covariate:bench"]
@@ -149,7 +150,7 @@ def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
 def test_of_twins_either_may_be_to_blame(table, read):
     draught = np.random.default_rng(3).normal(size=len(table))
     twins = changed(table, 0.01 * draught).assign(draught=draught, copy=5.0 - 3.0 * draught)
-    found = find_causes(read(twins, "twins.csv"), alpha=ALPHA)
+    found = diagnose(read(twins, "twins.csv"), alpha=ALPHA, gain=False)
     assert found.verdict == "cannot tell apart"
     blamed = {found.findings[0].cause, *found.findings[0].equivalent}
     assert blamed == {"covariate:draught", "covariate:copy"}
@@ -228,7 +229,7 @@ def test_counts_that_are_wildly_off_are_handed_back(table, read):
     out = np.sort(rng.choice(len(table), 3, replace=False))
     relative = np.zeros(len(table))
     relative[out] = [0.09, -0.06, 0.12]
-    found = find_causes(read(changed(table, relative), "wild.csv"), alpha=ALPHA)
+    found = diagnose(read(changed(table, relative), "wild.csv"), alpha=ALPHA, gain=False)
     assert found.findings[0].cause == "end-stop-misfire"
     seen = found.findings[0].traverses
     assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
@@ -238,7 +239,7 @@ def test_counts_that_are_wildly_off_are_handed_back(table, read):
 
 def test_a_jump_is_told_with_its_moment(table, read):
     jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
-    found = find_causes(read(changed(table, -jump), "jump.csv"), alpha=ALPHA)
+    found = diagnose(read(changed(table, -jump), "jump.csv"), alpha=ALPHA, gain=False)
     said = re.search(r"Steps grow by (\d\.\d+) % (\d+) min into session 2012-03-06, and stay so", told(found))
     assert said
     assert float(said[1]) == pytest.approx(1.5, abs=0.2)

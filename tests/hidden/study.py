@@ -16,8 +16,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from stickslip_fit.diagnosis import Diagnosis
-from stickslip_fit.diagnosis.pipeline import find_causes
+from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.logs import read_log
 from tests.hidden.catalogue import OUTSIDE
 from tests.hidden.generate import Hidden, UnreachableError, hide, testable
@@ -89,7 +88,7 @@ def score(case: Case, hidden: Hidden) -> Score:
         path = Path(folder) / "log.csv"
         hidden.write(path)
         began = time.perf_counter()
-        found = find_causes(read_log(path), seed=case.seed)
+        found = diagnose(read_log(path), seed=case.seed, gain=False)
     effects = hidden.truth["effects"]
     truth = tuple("unknown" if each["name"] in OUTSIDE else each["cause"] for each in effects)
     brier, silence = _brier(found, truth)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from stickslip_fit.anova import analyze_formula, analyze_variance
 from stickslip_fit.bayes import fit_bayes
-from stickslip_fit.diagnosis.pipeline import find_causes
+from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
@@ -223,12 +223,12 @@ def factors(months):
 def test_factors_are_shown_with_sizes_and_adjusted_p(factors, read_page):
     page = read_page(factors._repr_html_())
     table = page.tables["Factors of joint 3 (prismatic)"]
-    assert len(table) == len(factors.answers)
+    assert len(table) == len(factors.factor_tests)
     cells = page.column("Factors of joint 3 (prismatic)", "difference (95 %)nm")
     sizes = [number(cell.split()[0]) for cell in cells]
-    assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.answers], abs=0.051)
+    assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.factor_tests], abs=0.051)
     told = [row[7] for row in table]
-    assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.answers]
+    assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.factor_tests]
     assert "No change from session to session shows" in page.text
 
 
@@ -263,7 +263,7 @@ def test_a_diagnosis_gives_its_numbers_as_tables(months):
     """Of a drift that was put into the counts, 3 % an hour."""
     rows = months.log.rows.copy()
     rows["steps"] = (rows["steps"] * (1 + 0.03 * rows["session_seconds"] / 3600)).round().astype(int)
-    found = find_causes(replace(months.log, rows=rows))
+    found = diagnose(replace(months.log, rows=rows), gain=False)
     assert found.verdict != "nothing wrong"
     of = found.parameters
     assert set(of["cause"]) == {each.cause for each in found.findings if each.parameters}
