@@ -193,11 +193,14 @@ def test_the_demo_runs_on_measured_campaigns(run, monkeypatch, tmp_path, name):
     [
         (["check", "absent.csv"], "absent.csv"),
         (["fit", "absent.json"], "absent.json"),
-        (["steps", "{log}", "--at", "0,-90", "--joints", "0,0,0"], "--at, value '0,-90': give three numbers"),
-        (["steps", "{log}", "--at", "0,-90,0"], "either --tip X,Y,Z"),
-        (["steps", "{log}", "--at", "0,-90,0", "--tip", "500,0,0"], "mm"),
-        (["steps", "{log}", "--at", "0,-90,0", "--joints", "0,0,0", "--order", "1,1,2"], "--order"),
-        (["steps", "{log}", "--at", "0,-90,nan", "--joints", "0,0,0"], "--at"),
+        (
+            ["plan-move", "{log}", "--at", "0,-90", "--joints", "0,0,0"],
+            "--at, value '0,-90': give three numbers",
+        ),
+        (["plan-move", "{log}", "--at", "0,-90,0"], "either --tip X,Y,Z"),
+        (["plan-move", "{log}", "--at", "0,-90,0", "--tip", "500,0,0"], "mm"),
+        (["plan-move", "{log}", "--at", "0,-90,0", "--joints", "0,0,0", "--order", "1,1,2"], "--order"),
+        (["plan-move", "{log}", "--at", "0,-90,nan", "--joints", "0,0,0"], "--at"),
         (
             ["dead-reckon", "{log}", "--at", "0,-90,0", "--drive", "3*50"],
             "--drive, value '3*50': give joint, direction",

@@ -84,13 +84,13 @@ class PosixConsole:
 
 
 class WindowsConsole:
-    """The console window, which has to be polled and delivers one key at a time."""
+    """The console window, which always delivers keys at once, one at a time, and has to be polled."""
 
     def __init__(self) -> None:
         self._console: Any = import_module("msvcrt")
 
     def open(self) -> None:
-        """See `Console.open`: it always does."""
+        """See `Console.open`: nothing to do."""
 
     def close(self) -> None:
         """See `Console.close`."""

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from stickslip_fit.simulation import LawValues
 
 LogPath = Annotated[
-    list[Path],
-    typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them."),
+    list[Path], typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them.")
 ]
 MachinePath = Annotated[
     Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")

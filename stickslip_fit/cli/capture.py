@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -152,12 +153,10 @@ def plan(
     device: Device = None,
     tuning: Annotated[Path | None, typer.Option(help="What `capture tune` wrote today.")] = None,
     law: Annotated[
-        Path | None,
-        typer.Option(help="Law file (TOML) or saved result (JSON) that predicts each count."),
+        Path | None, typer.Option(help="Law file (TOML) or saved result (JSON) that predicts each count.")
     ] = None,
     by_count: Annotated[
-        bool,
-        typer.Option("--by-count", help="Bring joints to where there is no stop by count, not by hand."),
+        bool, typer.Option("--by-count", help="Bring joints to where there is no stop by count, not by hand.")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an earlier capture ended.")] = False,
     condition: Annotated[
@@ -223,50 +222,50 @@ def plan(
         print(rigs.capture_real(job, connection, tuned))
 
 
+class _GroupPredictor(ABC):
+    """A `CountPredictor` that predicts the traverses of each joint and direction together."""
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """See `CountPredictor.predict`."""
+        import pandas as pd
+
+        counts = pd.DataFrame(nan, rows.index, COUNT_COLUMNS)
+        for (joint, direction), subset in rows.groupby(["joint", "direction"]):
+            self._fill(counts, subset, int(str(joint)), str(direction))
+        return counts
+
+    @abstractmethod
+    def _fill(self, counts: pd.DataFrame, rows: pd.DataFrame, joint: int, direction: str) -> None: ...
+
+
 @dataclass(frozen=True)
-class LawPredictor:
-    """A `CountPredictor` by known laws, without intervals; unknown without a law."""
+class LawPredictor(_GroupPredictor):
+    """Predicts by known laws, without intervals; nothing for a joint and direction without a law."""
 
     laws: LawValues
 
-    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """See `CountPredictor.predict`."""
-        import pandas as pd
-
+    def _fill(self, counts: pd.DataFrame, rows: pd.DataFrame, joint: int, direction: str) -> None:
         from stickslip_fit.simulation import expected_counts
 
-        counts = pd.DataFrame(nan, rows.index, COUNT_COLUMNS)
-        for (joint, direction), subset in rows.groupby(["joint", "direction"]):
-            number = int(str(joint))
-            if (number, str(direction), None) in self.laws.values:
-                values, _ = self.laws.of_rows(subset, number)
-                counts.loc[subset.index, "steps"] = expected_counts(self.laws.laws[number], subset, values)
-        return counts
+        if (joint, direction, None) in self.laws.values:
+            values, _ = self.laws.of_rows(rows, joint)
+            counts.loc[rows.index, "steps"] = expected_counts(self.laws.laws[joint], rows, values)
 
 
 @dataclass(frozen=True)
-class ResultPredictor:
-    """A `CountPredictor` by each joint and direction's latest calibration."""
+class ResultPredictor(_GroupPredictor):
+    """Predicts by the latest calibration of each joint and direction; nothing where there is none."""
 
     result: Result
 
-    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """See `CountPredictor.predict`."""
-        import pandas as pd
-
-        counts = pd.DataFrame(nan, rows.index, COUNT_COLUMNS)
-        for (joint, direction), subset in rows.groupby(["joint", "direction"]):
-            session = self._latest_session(int(str(joint)), str(direction))
-            if session is not None:
-                counts.loc[subset.index] = self.result.predict(subset.assign(session=session))[COUNT_COLUMNS]
-        return counts
-
-    def _latest_session(self, joint: int, direction: str) -> str | None:
-        fit = self.result.joints.get(joint)
-        if fit is None:
-            return None
+    def _fill(self, counts: pd.DataFrame, rows: pd.DataFrame, joint: int, direction: str) -> None:
+        if joint not in self.result.joints:
+            return
+        fit = self.result.joints[joint]
         known = (fit.groups["direction"] == direction).to_numpy() & fit.known.all(axis=1)
-        return str(fit.groups["session"][known].iloc[-1]) if known.any() else None
+        if known.any():
+            session = str(fit.groups["session"][known].iloc[-1])
+            counts.loc[rows.index] = self.result.predict(rows.assign(session=session))[COUNT_COLUMNS]
 
 
 def load_predictor(path: Path, machine: Machine) -> CountPredictor:

@@ -260,8 +260,7 @@ def dead_reckon(
     calibration: Calibration,
     at: At,
     drive: Annotated[
-        list[str],
-        typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeatable."),
+        list[str], typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeatable.")
     ],
     tolerance: Annotated[
         float, typer.Option(help="Uncertainty of the tip, µm (95 %), at which to re-home.")
@@ -339,8 +338,7 @@ def fit(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
     walks: Annotated[
-        Path | None,
-        typer.Option(help="Bayes: HDF5 file of the walks; the same call continues them."),
+        Path | None, typer.Option(help="Bayes: HDF5 file of the walks; the same call continues them.")
     ] = None,
     tree: Annotated[
         Path | None, typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads.")
