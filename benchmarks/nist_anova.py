@@ -81,7 +81,7 @@ def by_formula(problem: Certified) -> float:
     """F by the table of a formula."""
     rows = pd.DataFrame({"y": problem.values, "group": problem.group})
     between, within = anova_rows(*model_terms(rows, "y ~ C(group)", sums_to_zero=False), kind=1)
-    return between.squares / between.df / (within.squares / within.df)
+    return between.sum_of_squares / between.df / (within.sum_of_squares / within.df)
 
 
 def by_statsmodels(problem: Certified) -> float:

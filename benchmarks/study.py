@@ -38,7 +38,7 @@ def lmfit_loop(law: StepLaw, name: str, cells: list[DesignCell], campaigns: Simu
     for number in range(campaigns.count):
         rows = campaigns.campaign_rows(number)
         for cell in cells:
-            found.append(lmfit_one(law, rows.iloc[cell.made[name]], cell.repeatability))
+            found.append(lmfit_one(law, rows.iloc[cell.chosen[name]], cell.repeatability))
     return np.array(found)
 
 
@@ -68,7 +68,7 @@ def loop(study: StudyPlan) -> tuple[float, float]:
         offered = np.concatenate([cell.offered for cell in cells])
         session = np.repeat(np.arange(len(cells)), [len(cell.offered) for cell in cells])
         number = (np.arange(LOOPED)[:, None] * len(cells) + session).ravel()
-        rows = campaigns.rows.iloc[campaigns.places(offered).ravel()]
+        rows = campaigns.rows.iloc[campaigns.row_positions(offered).ravel()]
         for strategy in study.strategies:
             law = LAW_STRATEGIES[type(strategy)](cells[0].law)
             values = lmfit_loop(law, strategy.name, cells, campaigns)

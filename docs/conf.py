@@ -11,7 +11,7 @@ from pygments.lexers.special import TextLexer
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 
-from stickslip_fit import __version__
+from stickslip_fit import __version__  # noqa: E402
 
 project = "stickslip_fit"
 author = "The stickslip_fit authors"

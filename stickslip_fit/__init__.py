@@ -1,5 +1,69 @@
-"""Step-size laws for piezoelectric stick-slip actuators, from step counts to calibrated moves."""
+"""Step-size laws for piezoelectric stick-slip actuators, from step counts to calibrated moves.
+
+A whole analysis is one import::
+
+    import stickslip_fit as ssf
+
+    log = ssf.read_log("my-log.csv")
+    fit = ssf.fit(log)  # parameters with intervals and flags: fit.parameters, fit.plot_control()
+    diagnosis = ssf.diagnose(log)  # what the law gets wrong, why, and what knowing it gains
+    law = diagnosis.extended_law()  # a result again, with the causes in the law
+    ssf.report(log, diagnosis=diagnosis).save("report.html")
+
+A name is imported from its module when it is first used, so that ``import stickslip_fit`` is instant.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stickslip_fit import causes, laws
+    from stickslip_fit._workflow import calibrate, fit
+    from stickslip_fit.anova import Anova, analyze_formula, analyze_variance
+    from stickslip_fit.bayes import Posterior, load_posterior
+    from stickslip_fit.diagnosis import Diagnosis, diagnose, next_experiment
+    from stickslip_fit.errors import InputError
+    from stickslip_fit.estimation import Result, held_out_errors, load_result, save_result
+    from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
+    from stickslip_fit.machine import Machine, load_machine
+    from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move, predict
+    from stickslip_fit.reporting import Report, report
+    from stickslip_fit.simulation import LawValues, read_law_values, simulate
+    from stickslip_fit.strategies import Comparison, compare_strategies
+    from stickslip_fit.studies import SimulationStudy, read_study, run_study
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "_workflow": ("calibrate", "fit"),
+    "anova": ("Anova", "analyze_formula", "analyze_variance"),
+    "bayes": ("Posterior", "load_posterior"),
+    "diagnosis": ("Diagnosis", "diagnose", "next_experiment"),
+    "errors": ("InputError",),
+    "estimation": ("Result", "held_out_errors", "load_result", "save_result"),
+    "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
+    "machine": ("Machine", "load_machine"),
+    "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "plan_move", "predict"),
+    "reporting": ("Report", "report"),
+    "simulation": ("LawValues", "read_law_values", "simulate"),
+    "strategies": ("Comparison", "compare_strategies"),
+    "studies": ("SimulationStudy", "read_study", "run_study"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_PACKAGES = ("causes", "laws")
+
+__all__ = sorted([*_HOME_OF, *_PACKAGES])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -23,7 +23,7 @@ MISSING = "–"  # in a table's cell
 UNKNOWN_VALUE = "not known"
 STEP_DECIMALS = {"nm": 1, "µrad": 2, "%": 2}  # about a tenth of the repeatability of a traverse
 MAX_DECIMALS = 6
-WHOLE_FROM = 10.0  # without an interval, a number from here on has no decimals
+WHOLE_FROM = 10.0  # from here on, a number without an interval has no decimals
 ANGLE_TOL, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
 
 _BREAK_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))")
@@ -48,7 +48,7 @@ def decimals_for(uncertainty: float) -> int:
 
 
 def format_number(value: float | None, unit: str, decimals: int | None = None) -> str:
-    """An SI value in people's unit, which stands elsewhere; `MISSING` where there is none.
+    """An SI value in a display unit, which stands elsewhere; `MISSING` where there is none.
 
     Examples
     --------
@@ -76,7 +76,7 @@ def format_value(value: float | None, unit: str, decimals: int | None = None) ->
 def format_uncertain(
     value: float | None, standard_error: float | None, unit: str, *, with_unit: bool = True
 ) -> str:
-    """An SI value with its standard error, in people's unit.
+    """An SI value with its standard error, in a display unit.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def format_uncertain(
 
 
 def format_range(low: float, high: float, unit: str, decimals: int | None = None) -> str:
-    """Two SI values in people's unit, which stands elsewhere.
+    """Two SI values in a display unit, which stands elsewhere.
 
     Examples
     --------
@@ -143,8 +143,8 @@ def format_percent(share: float, *, with_unit: bool = True, signed: bool = False
     """
     if not isfinite(share):
         return UNKNOWN_VALUE
-    size = 100 * abs(share)
-    text = format_number(share, "%", 2 if size < 0.995 else 1 if size < 99.5 else 0)
+    percent = 100 * abs(share)
+    text = format_number(share, "%", 2 if percent < 0.995 else 1 if percent < 99.5 else 0)
     return f"{'+' if signed and share > 0 else ''}{text}{' %' if with_unit else ''}"
 
 
@@ -189,13 +189,7 @@ def format_plain(value: float) -> str:
 
 
 def format_angle(value: float) -> str:
-    """An angle in degrees.
-
-    Examples
-    --------
-    >>> format_angle(-1.5707963267948966)
-    '−90°'
-    """
+    """An angle in degrees."""
     return f"{format_plain(from_si(value, 'deg'))}°"
 
 
@@ -216,14 +210,9 @@ def format_coordinate(name: str, value: float) -> str:
 
 
 def format_configuration(row: pd.Series, span: float) -> str:
-    """Where everything stood while a joint moved; of a partial traverse its ends too.
+    """The configuration of a traverse, and its ends if it does not cover `span`, the joint's full travel.
 
-    Parameters
-    ----------
-    row : Series
-        joint, q1, q2, q3, theta, psi, start, stop (SI).
-    span : float
-        The joint's full travel.
+    `row` has joint, q1, q2, q3, theta, psi, start and stop, SI.
     """
     joint = int(row["joint"])
     names = ["q1"] if abs(row["q1"]) > ANGLE_TOL else []
@@ -236,29 +225,17 @@ def format_configuration(row: pd.Series, span: float) -> str:
 
 
 def step_unit(joint: int) -> str:
-    """Unit in which people see a joint's step size."""
+    """Display unit of a joint's step size."""
     return "nm" if joint == PRISMATIC else "µrad"
 
 
 def format_step(value: float, joint: int) -> str:
-    """A step size, or a difference of two, with its unit.
-
-    Examples
-    --------
-    >>> format_step(2.19e-8, 3)
-    '21.9 nm'
-    """
+    """A step size, or a difference of two, with its unit."""
     return format_value(value, step_unit(joint))
 
 
 def format_step_range(low: float, high: float, joint: int) -> str:
-    """An interval of step sizes with its unit.
-
-    Examples
-    --------
-    >>> format_step_range(-1e-9, 2e-9, 3)
-    '−1.0 to 2.0 nm'
-    """
+    """An interval of step sizes with its unit."""
     return f"{format_range(low, high, step_unit(joint))} {step_unit(joint)}"
 
 
@@ -327,13 +304,11 @@ def keep_units(text: str) -> str:
 
 
 def _decimals_of(interval: Interval, unit: str, further: int = 0) -> int:
-    shown = [
-        float(from_si(each, unit)) if unit in UNITS else each
-        for each in (interval.estimate, interval.low, interval.high)
-    ]
-    half = abs(shown[2] - shown[1]) / 2
+    values = interval.estimate, interval.low, interval.high
+    estimate, low, high = (float(from_si(x, unit)) if unit in UNITS else x for x in values)
+    half = abs(high - low) / 2
     if not isfinite(half) or half <= 0:
-        return 0 if abs(shown[0]) >= WHOLE_FROM else 2
+        return 0 if abs(estimate) >= WHOLE_FROM else 2
     return min(max(0, further - floor(log10(half))), MAX_DECIMALS)
 
 

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and progress bars.
+"""Files written completely or not at all, and progress bars.
 
 A file is written under a temporary name in its own folder and then renamed, so that a reader never sees
 half of one. Progress bars appear at a terminal or in a notebook, and nowhere else.
@@ -35,50 +35,30 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(raw)
-            os.chmod(name, 0o666 & ~_read_umask())
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
             os.replace(name, path)
         except BaseException:
             os.unlink(name)
             raise
     except OSError as error:
-        raise InputError(
-            InputIssue(f"cannot be written ({error.strerror}); give a path in an existing folder", str(path))
-        ) from None
+        message = f"cannot be written ({error.strerror}); give a path in an existing folder"
+        raise InputError(InputIssue(message, str(path))) from None
 
 
 def check_folder(path: str | Path) -> None:
-    """Refuse a path whose folder is not there, before the work that would fill the file.
-
-    Raises
-    ------
-    InputError
-        As `write_atomically` would.
-    """
+    """Raise the InputError of `write_atomically` for a missing or read-only folder, before long work."""
     folder = Path(path).parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(
-            InputIssue("cannot be written; give a path in an existing folder of yours", str(path))
-        )
-
-
-def _read_umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+        message = "cannot be written; give a path in an existing folder of yours"
+        raise InputError(InputIssue(message, str(path)))
 
 
 def progress_bar(shown: bool, **options: Any) -> tqdm:
-    """A tqdm that goes away when its work is done.
-
-    Parameters
-    ----------
-    shown : bool
-        Whether somebody asked for it. Even then only a terminal, or a notebook that has ipywidgets, shows it.
-    **options
-        Of `tqdm.tqdm`.
-    """
+    """A tqdm that disappears when done, with its options; if `shown`, then at a terminal or in a notebook."""
     with warnings.catch_warnings():
-        # That a notebook has no ipywidgets is no reason to complain on its page.
+        # A notebook without ipywidgets shows no warning.
         warnings.filterwarnings("ignore", message="IProgress not found")
         from tqdm.auto import tqdm
 
@@ -86,21 +66,21 @@ def progress_bar(shown: bool, **options: Any) -> tqdm:
 
 
 ProgressCallback = Callable[[str, float], None]
-"""Is told what begins now, and the share of the work that is done."""
+"""Called with the step that begins and the share of the work that is done."""
 
 
 def ignore_progress(step: str, done: float) -> None:
-    """Tell nobody."""
+    """Show nothing."""
 
 
 @contextmanager
 def show_progress() -> Iterator[ProgressCallback]:
-    """A bar in a notebook or at a terminal: ``with shown() as told: diagnose(log, progress=told)``."""
-    with progress_bar(True, total=1.0, bar_format="{desc} {percentage:3.0f}% |{bar}|") as each:
+    """A progress bar: ``with show_progress() as callback: diagnose(log, progress=callback)``."""
+    with progress_bar(True, total=1.0, bar_format="{desc} {percentage:3.0f}% |{bar}|") as bar:
 
-        def tell(step: str, done: float) -> None:
-            each.set_description_str(step, refresh=False)
-            each.n = done
-            each.refresh()
+        def update(step: str, done: float) -> None:
+            bar.set_description_str(step, refresh=False)
+            bar.n = done
+            bar.refresh()
 
-        yield tell
+        yield update

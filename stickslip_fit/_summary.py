@@ -31,7 +31,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")
 
 
 class Figure(Protocol):
-    """A figure as a page holds it, see `report.figures.picture.Picture`; ``svg`` is None if it has none."""
+    """A figure of a page; ``svg`` is None if it has none."""
 
     @property
     def key(self) -> str: ...
@@ -45,17 +45,16 @@ class Figure(Protocol):
 
 @dataclass(frozen=True)
 class Column:
-    """A column's head.
+    """The head of a column.
 
     Attributes
     ----------
-    head : str
     unit : str
-        Stands below the head; empty where cells have none or carry their own.
+        Below the head; empty where cells have none or contain their own.
     group : str
-        Columns next to each other with the same group share a head above theirs.
+        Adjacent columns of one group share an upper head.
     text : bool
-        Whether cells are words (to the left) or numbers (to the right).
+        Whether cells are text (flush left) or numbers (flush right).
     """
 
     head: str
@@ -80,13 +79,10 @@ class Table:
 
     Attributes
     ----------
-    caption : str
-    columns : tuple of Column
-    rows : tuple of tuple of str
     stubs : int
-        How many leading cells of a row name it.
+        Number of leading cells that name a row.
     note : str
-        Stands below: what a mark in a cell means, what was left out.
+        Below the table: what a mark in a cell means, what was left out.
     folded : bool
         Whether the caption alone is shown: HTML opens the table at a click, text leaves it out unless full.
     """
@@ -110,14 +106,14 @@ class Table:
         if any(column.unit for column in self.columns):
             heads.append([column.unit for column in self.columns])
         lines = [*heads, *self.rows]
-        widths, above, place = _widths(lines), "", 0
+        widths, upper, first = _widths(lines), "", 0
         for group, span in self.groups:
-            last = place + span - 1
-            widths[last] += max(0, len(group) - sum(widths[place : last + 1]) - len(GAP) * (span - 1))
-            above += group.ljust(sum(widths[place : last + 1]) + len(GAP) * span)
-            place += span
+            end = first + span
+            widths[end - 1] += max(0, len(group) - sum(widths[first:end]) - len(GAP) * (span - 1))
+            upper += group.ljust(sum(widths[first:end]) + len(GAP) * span)
+            first = end
         body = _aligned(lines, widths, [column.text for column in self.columns])
-        return "\n".join(filter(None, [self.caption, above.rstrip(), *body, paragraph(self.note, width)]))
+        return "\n".join(filter(None, [self.caption, upper.rstrip(), *body, paragraph(self.note, width)]))
 
 
 @dataclass(frozen=True)
@@ -127,13 +123,11 @@ class Section:
     Attributes
     ----------
     title : str
-        Empty where the part needs none.
-    paragraphs : tuple of str
-    tables : tuple of Table
+        May be empty.
     figures : tuple of Figure
-        Shown by pages alone.
+        Shown on pages only.
     key : str
-        Names the section in a page's addresses.
+        The section's anchor on a page.
     """
 
     title: str = ""
@@ -145,18 +139,16 @@ class Section:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a result says to people.
+    """A result for display.
 
     Attributes
     ----------
-    title : str
     headline : tuple of str
-        The answer, a paragraph each; text begins with it, the title stands below.
-    sections : tuple of Section
+        The main results, as paragraphs; text begins with them, followed by the title.
     flags : tuple of str
-        What is wrong or doubtful.
+        Warnings.
     provenance : tuple of (str, str)
-        Where the numbers come from; HTML shows it folded, text leaves it to the saved files.
+        Sources with their hashes; HTML shows them folded, text omits them.
     """
 
     title: str
@@ -183,30 +175,30 @@ class Summary:
         return "\n\n".join(filter(None, self._blocks(width, full)))
 
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
-        yield from (paragraph(each, width) for each in self.headline)
+        yield from (paragraph(text, width) for text in self.headline)
         yield self.title if self.flags or self.sections else ""
         yield "\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags)
         for section in self.sections:
-            said = [paragraph(each, width) for each in section.paragraphs]
-            yield "\n".join(filter(None, [section.title, *said]))
+            paragraphs = [paragraph(text, width) for text in section.paragraphs]
+            yield "\n".join(filter(None, [section.title, *paragraphs]))
             yield from (table.as_text(width) for table in section.tables if full or not table.folded)
 
     def as_html(self) -> str:
-        """A fragment that needs nothing but itself, on light and on dark ground."""
+        """A self-contained fragment, for light and dark backgrounds."""
         return load_template("summary.html.j2").render(summary=self)
 
 
 @singledispatch
 def summarize(result: object) -> Summary:
-    """What a result says; each package registers how for its own results, beside them."""
+    """The summary of a result; each package registers its own results."""
     raise TypeError(f"nothing is registered that summarizes a {type(result).__name__}")
 
 
 class Summarized:
-    """A result that shows itself by its summary, as text and in a notebook."""
+    """A result whose summary is its display, as text and in a notebook."""
 
     def summary(self) -> Summary:
-        """What the result says: headline, sections with tables, flags, provenance."""
+        """The result as headline, sections with tables, flags and provenance."""
         return summarize(self)
 
     def __repr__(self) -> str:
@@ -247,13 +239,11 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int =
 
 
 def _aligned(lines: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
-    return [
-        GAP.join(
-            _CONTROL.sub(" ", cell).ljust(width) if flush_left else _CONTROL.sub(" ", cell).rjust(width)
-            for cell, width, flush_left in zip(line, widths, left, strict=True)
-        ).rstrip()
-        for line in lines
-    ]
+    def align(cell: str, width: int, flush_left: bool) -> str:
+        text = _CONTROL.sub(" ", cell)
+        return text.ljust(width) if flush_left else text.rjust(width)
+
+    return [GAP.join(map(align, line, widths, left)).rstrip() for line in lines]
 
 
 def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
@@ -278,15 +268,7 @@ def load_template(name: str) -> Template:
 
 @dataclass(frozen=True)
 class PageAssets:
-    """Style and script of a page, and the policy that allows nothing but them.
-
-    Attributes
-    ----------
-    style, script : Markup
-        The script is empty where a page has none.
-    policy : str
-        Content-Security-Policy: nothing is fetched, no other script runs.
-    """
+    """Style and script (may be empty) of a page, and the Content-Security-Policy that allows only them."""
 
     style: Markup
     script: Markup
@@ -305,7 +287,7 @@ def load_page_assets(*, script: bool) -> PageAssets:
 
 
 def embed_json(content: Any) -> Markup:
-    r"""Data as JSON that can stand in a script element: no letter of it ends the element or begins another.
+    r"""Data as JSON for a script element, which no character of it can end.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A TOML file into a pydantic model; all its faults at once, each with what a person can do about it."""
+"""TOML files as pydantic models, with all issues at once and advice for each."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from stickslip_fit.units import SUFFIXES, from_si, to_si
 Bounds = tuple[float, float]
 Place = tuple[str | int, ...]
 Misfit = tuple[str, Place]
-"""Advice, and the path of the key that it is about from its table on."""
+"""Advice, and the path of its key from the table on."""
 Text = Annotated[str, MinLen(1)]
 Count = Annotated[int, Interval(ge=1, le=10_000)]
 
@@ -39,23 +39,17 @@ FAULT = "fault"
 
 @dataclass(frozen=True)
 class Give:
-    """Metadata of a field: what a person reads whose value cannot be used."""
+    """Metadata of a field: the advice for a value that cannot be used."""
 
     advice: str
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Metadata of a field whose keys end in a unit; the model has it in SI.
+    """Metadata of a field whose keys end in one of `units`; the model has it in SI.
 
-    Attributes
-    ----------
-    units : tuple of str
-        Those that a key may have.
-    within : (float, float) or callable
-        Bounds of every number, SI; a callable takes the context of the validation.
-    advice : str
-        As of `Give`; ``{}`` stands for a number, its unit and its bounds.
+    `within` bounds every number, SI; a callable takes the context of the validation. In `advice`, ``{}``
+    stands for a number, its unit and its bounds.
     """
 
     units: tuple[str, ...]
@@ -73,7 +67,7 @@ class Quantity:
         return {stem if unit == "1" else f"{stem}_{SUFFIX_OF[unit]}": unit for unit in self.units}
 
     def advice_in(self, unit: str, context: Any) -> str:
-        """The advice for a key in `unit`; without a context, what holds in any."""
+        """The advice for a key in `unit`; without a context, independent of it."""
         low, high = (from_si(end, unit) for end in self._bounds(context))
         span = f", {low:g} or more" if high == inf else f", {low:g} to {high:g}"
         number = "a number" if unit == "1" else f"a number in {unit}"
@@ -85,7 +79,7 @@ class Quantity:
         return (-inf, inf) if context is None else self.within(context)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
-        """As the field's own type, with every number checked and taken to SI."""
+        """The field's own type, with every number checked and converted to SI."""
 
         def read(written: tuple[Any, str], inner: Callable[[Any], Any], info: ValidationInfo) -> Any:
             low, high = self._bounds(info.context)
@@ -97,13 +91,13 @@ class Quantity:
                     raise ValueError("out of bounds")
                 return value
 
-            return _each_number(si, inner(written[0]))
+            return _convert(si, inner(written[0]))
 
         return core_schema.with_info_wrap_validator_function(read, handler(source))
 
 
 class Table(BaseModel):
-    """A table of a TOML file: no key but its fields', no value taken for one of another type."""
+    """A table of a TOML file: no other keys than its fields, no conversion between types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
     _written: dict[str, Any] = PrivateAttr(default_factory=dict)
@@ -111,23 +105,21 @@ class Table(BaseModel):
     @classmethod
     def fields_by_key(cls) -> dict[str, tuple[str, str]]:
         """The field that each key gives, and the unit if it is a quantity."""
-        found: dict[str, tuple[str, str]] = {}
+        fields: dict[str, tuple[str, str]] = {}
         for name, field in cls.model_fields.items():
-            units = next(
-                (each.keys(name) for each in field.metadata if isinstance(each, Quantity)), {name: ""}
-            )
-            found |= {key: (name, unit) for key, unit in units.items()}
-        return found
+            quantities = (data.keys(name) for data in field.metadata if isinstance(data, Quantity))
+            fields |= {key: (name, unit) for key, unit in next(quantities, {name: ""}).items()}
+        return fields
 
     def fields_in_file(self) -> list[str]:
-        """The fields that stand in the file, in its order."""
+        """The fields in the file, in its order."""
         return [self.fields_by_key()[key][0] for key in self._written]
 
-    def refuse(self, *misfits: Misfit) -> None:
-        """Raise what is wrong with values that are right by themselves, if anything is."""
-        found = [_fault(advice, place, _value_at(self._written, place)) for advice, place in misfits]
-        if found:
-            raise ValidationError.from_exception_data(type(self).__name__, found)
+    def refuse(self, *rejections: Misfit) -> None:
+        """Raise issues of values that are valid by themselves, if there are any."""
+        faults = [_fault(advice, place, _value_at(self._written, place)) for advice, place in rejections]
+        if faults:
+            raise ValidationError.from_exception_data(type(self).__name__, faults)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -140,9 +132,8 @@ class Table(BaseModel):
         for key, value in written.items():
             name, unit = keys.get(key, ("", ""))
             if unit and name in content:
-                faults.append(
-                    _fault(f"{key_of[name]} gives the same quantity; keep one of them", (key,), value)
-                )
+                advice = f"{key_of[name]} gives the same quantity; keep one of them"
+                faults.append(_fault(advice, (key,), value))
             elif name:
                 content[name], key_of[name] = (value, unit) if unit else value, key
             elif cls.model_config["extra"] == "forbid":
@@ -151,13 +142,13 @@ class Table(BaseModel):
             table = handler(content)
         except ValidationError as error:
             own: dict[str, InitErrorDetails] = {}
-            for each in error.errors(include_url=False):
-                key, problems = key_of[str(each["loc"][0])], each.get("ctx", {}).get("problems", ())
-                if each["type"] == FAULT and len(each["loc"]) > 1:
-                    faults.append(_fault(each["msg"], each["loc"], each["input"], problems))
+            for detail in error.errors(include_url=False):
+                key, issues = key_of[str(detail["loc"][0])], detail.get("ctx", {}).get("issues", ())
+                if detail["type"] == FAULT and len(detail["loc"]) > 1:
+                    faults.append(_fault(detail["msg"], detail["loc"], detail["input"], issues))
                 else:
-                    said = each["msg"] if each["type"] == FAULT else _advice(cls, key, info.context)
-                    own.setdefault(key, _fault(said, (key,), written.get(key), problems))
+                    advice = detail["msg"] if detail["type"] == FAULT else _advice(cls, key, info.context)
+                    own.setdefault(key, _fault(advice, (key,), written.get(key), issues))
             faults += own.values()
         if faults:
             raise ValidationError.from_exception_data(cls.__name__, faults)
@@ -178,7 +169,7 @@ class Table(BaseModel):
             entry = own["properties"][key] = fields[name] | {"title": _advice(cls, key, None)}
             entry |= {"description": meanings[name]} if name in meanings else {}
             if unit and entry.get("default") is not None:
-                entry["default"] = _each_number(partial(from_si, symbol=unit), entry["default"])
+                entry["default"] = _convert(partial(from_si, symbol=unit), entry["default"])
             if name in needed:
                 needed[name].append({"required": [key]})
         if needed:
@@ -201,13 +192,7 @@ def file_bytes(path: str | Path, kind: str) -> bytes:
 
 
 def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
-    """A TOML text as a model.
-
-    Raises
-    ------
-    InputError
-        With every fault: its file, line, key and value, and what to do.
-    """
+    """A TOML text as a model; InputError with every issue: file, line, key, value, and what to do."""
     try:
         text = raw.decode("utf-8-sig")
         content = tomllib.loads(text)
@@ -216,22 +201,22 @@ def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context:
     try:
         return model.model_validate(content, context=context)
     except ValidationError as error:
-        lines, problems = _lines(text), list[InputIssue]()
-        for each in error.errors(include_url=False):
-            place, value = each["loc"], each["input"]
+        lines, issues = _find_lines(text), list[InputIssue]()
+        for detail in error.errors(include_url=False):
+            place, value = detail["loc"], None if detail["input"] is None else _format_value(detail["input"])
             line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
-            here = InputIssue(each["msg"], file, line, _path(place), None if value is None else _shown(value))
-            problems += each["ctx"]["problems"] or [here]
-        raise InputError(problems) from None
+            issue = InputIssue(detail["msg"], file, line, _format_place(place), value)
+            issues += detail["ctx"]["issues"] or [issue]
+        raise InputError(issues) from None
 
 
-def fault(advice: str, problems: Sequence[InputIssue] = ()) -> PydanticCustomError:
-    """For a validator of a field: what is wrong in words of its own, or problems of another file."""
-    return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "problems": problems})
+def fault(advice: str, issues: Sequence[InputIssue] = ()) -> PydanticCustomError:
+    """For a validator of a field: its own advice, or issues of another file."""
+    return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "issues": issues})
 
 
 def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -> WrapValidator:
-    """For a table whose keys depend on the value of one of them; `other` where that has no model."""
+    """For a table whose keys depend on the value of one; `other` for values without a model."""
 
     def read(written: Any, inner: Any, info: ValidationInfo) -> Any:
         value = written.get(key) if isinstance(written, dict) else None
@@ -241,12 +226,12 @@ def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -
     return WrapValidator(read, json_schema_input_type=Union[tuple(models.values())])  # noqa: UP007
 
 
-def _fault(advice: str, place: Place, value: Any, problems: Sequence[InputIssue] = ()) -> InitErrorDetails:
-    return InitErrorDetails(type=fault(advice, problems), loc=place, input=value)
+def _fault(advice: str, place: Place, value: Any, issues: Sequence[InputIssue] = ()) -> InitErrorDetails:
+    return InitErrorDetails(type=fault(advice, issues), loc=place, input=value)
 
 
-def _each_number(change: Callable[[float], float], value: Any) -> Any:
-    return [_each_number(change, each) for each in value] if isinstance(value, list) else change(value)
+def _convert(change: Callable[[float], float], value: Any) -> Any:
+    return [_convert(change, item) for item in value] if isinstance(value, list) else change(value)
 
 
 def _is_table(table: type[Table], name: str) -> bool:
@@ -258,13 +243,13 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
     """What to write for a key: as its field says, or as its type does."""
     name, unit = table.fields_by_key()[key]
     field = table.model_fields[name]
-    for each in field.metadata:
-        if isinstance(each, Give):
-            return each.advice
-        if isinstance(each, Quantity):
-            return each.advice_in(unit, context)
-        if isinstance(each, Interval):
-            return f"give a whole number from {each.ge} to {each.le}"
+    for data in field.metadata:
+        if isinstance(data, Give):
+            return data.advice
+        if isinstance(data, Quantity):
+            return data.advice_in(unit, context)
+        if isinstance(data, Interval):
+            return f"give a whole number from {data.ge} to {data.le}"
     kinds = [field.annotation, *get_args(field.annotation)]
     if choices := next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ()):
         return f"give one of {', '.join(map(repr, choices))}"
@@ -275,21 +260,21 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
 
 def _attribute_docstrings(table: type[Table]) -> dict[str, str]:
     """The strings below fields; pydantic could read them too, but would at every start of a command."""
-    found = {}
-    for each in table.__mro__[-3::-1]:
+    docstrings = {}
+    for model in table.__mro__[-3::-1]:
         with suppress(OSError):
-            body = ast.parse(inspect.getsource(each)).body[0].body  # type: ignore[attr-defined]
-            for field, said in pairwise(body):
-                if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
-                    found[ast.unparse(field.target)] = ast.literal_eval(said.value)
-    return found
+            body = ast.parse(inspect.getsource(model)).body[0].body  # type: ignore[attr-defined]
+            for field, text in pairwise(body):
+                if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                    docstrings[ast.unparse(field.target)] = ast.literal_eval(text.value)
+    return docstrings
 
 
 def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
-    alike = get_close_matches(key, keys, 1)
-    meant = f"did you mean {alike[0]}? It" if alike else "it"
+    similar = get_close_matches(key, keys, 1)
+    hint = f"did you mean {similar[0]}? It" if similar else "it"
     one_each = {name: key for key, (name, _) in reversed(keys.items())}
-    return f"is no key of this table; {meant} may have {', '.join(reversed(one_each.values()))}"
+    return f"is no key of this table; {hint} may have {', '.join(reversed(one_each.values()))}"
 
 
 def _value_at(value: Any, place: Place) -> Any:
@@ -300,27 +285,27 @@ def _value_at(value: Any, place: Place) -> Any:
     return value
 
 
-def _path(place: Place) -> str:
-    """A key as people find it.
+def _format_place(place: Place) -> str:
+    """The path of a key.
 
     Examples
     --------
-    >>> _path(("sessions", "dates")), _path(("scenario", 1, "cause", 0, "tau"))
+    >>> _format_place(("sessions", "dates")), _format_place(("scenario", 1, "cause", 0, "tau"))
     ('sessions.dates', 'scenario 2 cause 1 tau')
     """
     parts = [f" {part + 1} " if isinstance(part, int) else f".{part}" for part in place]
     return "".join(parts).replace(" .", " ").strip(". ")
 
 
-def _shown(value: object) -> str:
-    """A value much as it stands in the file."""
+def _format_value(value: object) -> str:
+    """A value as in the file."""
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_format_value, value))}]"
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _lines(text: str) -> dict[Place, int]:
-    """The line of every table and key that begins one."""
+def _find_lines(text: str) -> dict[Place, int]:
+    """The line of every table and of every key at the beginning of a line."""
     found: dict[Place, int] = {}
     table: Place = ()
     count: Counter[Place] = Counter()

@@ -1,7 +1,4 @@
-"""InputError: input that cannot be used, with every fault that was found.
-
-Each fault is an InputIssue: file, line, column, value, what is wrong and what to do about it.
-"""
+"""InputError: input that cannot be used, with every issue: where, what is wrong and what to do about it."""
 
 from __future__ import annotations
 
@@ -11,16 +8,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InputIssue:
-    """One fault of one input.
+    """What is wrong with an input and what to do about it, in one or two sentences, and where it is.
 
-    Attributes
-    ----------
-    message : str
-        What is wrong and what to do about it, one or two sentences.
-    file, column, value : str, optional
-        Where the fault stands and what stands there.
-    line : int, optional
-        Line of the file, the header being line 1; row number for Parquet.
+    `line` counts from 1, the header; for Parquet it is the row.
     """
 
     message: str
@@ -41,12 +31,7 @@ class InputIssue:
 
 
 class InputError(Exception):
-    """Input that cannot be used; carries every problem that was found, not only the first.
-
-    Parameters
-    ----------
-    problems : str, Problem or iterable of Problem
-        A plain sentence is taken as a problem without a place.
+    """Input that cannot be used, with all its issues; a plain sentence is an issue without a place.
 
     Examples
     --------
@@ -57,11 +42,9 @@ class InputError(Exception):
 
     def __init__(self, problems: str | InputIssue | Iterable[InputIssue]) -> None:
         if isinstance(problems, str):
-            problems = [InputIssue(problems)]
-        elif isinstance(problems, InputIssue):
-            problems = [problems]
-        self.problems = tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+            problems = InputIssue(problems)
+        self.problems = (problems,) if isinstance(problems, InputIssue) else tuple(problems)
+        super().__init__("\n".join(map(str, self.problems)))
 
 
 def shorten(value: str, width: int = 60) -> str:

@@ -66,21 +66,21 @@ def test_calibrate_is_the_closed_form(run, log):
 def test_a_move_from_a_log_and_from_a_saved_fit_agree(run, log, tmp_path):
     run("fit", log, "--json", tmp_path / "fit.json")
     move = ("--at", "0,-90,0", "--joints", "20,-60,6")
-    status, out, _ = run("steps", log, *move)
+    status, out, _ = run("plan-move", log, *move)
     assert status == 0
-    assert run("steps", tmp_path / "fit.json", *move)[1] == out
+    assert run("plan-move", tmp_path / "fit.json", *move)[1] == out
     assert re.search(r"3 \+ +0\.000 mm +6\.000 mm +9,\d{3}", out)
 
 
 def test_the_tip_goes_where_it_is_sent(run, log):
-    status, out, _ = run("steps", log, "--at", "-5,-90,0", "--tip", "55,3,-5", "--session", "2012-03-05")
+    status, out, _ = run("plan-move", log, "--at", "-5,-90,0", "--tip", "55,3,-5", "--session", "2012-03-05")
     assert status == 0
     assert "tip at (55.000, 3.000, -5.000) mm" in out
 
 
 def test_where_says_when_to_go_back_to_a_stop(run, log):
     status, out, _ = run(
-        "where", log, "--at=0,-90,0", "--drive", "3+2000", "--drive", "2-100", "--tolerance", 100
+        "dead-reckon", log, "--at=0,-90,0", "--drive", "3+2000", "--drive", "2-100", "--tolerance", 100
     )
     assert status == 0
     assert re.search(r"joint 2 \+ +[\d,]+ steps, then go back to a stop", out)
@@ -199,11 +199,11 @@ def test_the_demo_runs_on_measured_campaigns(run, monkeypatch, tmp_path, name):
         (["steps", "{log}", "--at", "0,-90,0", "--joints", "0,0,0", "--order", "1,1,2"], "--order"),
         (["steps", "{log}", "--at", "0,-90,nan", "--joints", "0,0,0"], "--at"),
         (
-            ["where", "{log}", "--at", "0,-90,0", "--drive", "3*50"],
+            ["dead-reckon", "{log}", "--at", "0,-90,0", "--drive", "3*50"],
             "--drive, value '3*50': give joint, direction",
         ),
-        (["where", "{log}", "--at", "0,-90,0", "--drive", "3+0"], "--drive, value '3+0': give joint"),
-        (["where", "{log}", "--at", "0,-90,0", "--drive", "3+50", "--session", "never"], "'never'"),
+        (["dead-reckon", "{log}", "--at", "0,-90,0", "--drive", "3+0"], "--drive, value '3+0': give joint"),
+        (["dead-reckon", "{log}", "--at", "0,-90,0", "--drive", "3+50", "--session", "never"], "'never'"),
         (["fit", "{log}", "--machine", "absent.toml"], "absent.toml"),
         (["report", "{log}", "-o", "absent/report.html"], "absent/report.html"),
         (["fit", "{log}", "--json", "absent/fit.json"], "absent/fit.json"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -134,7 +135,7 @@ def steps_of(out: str) -> list[int]:
 
 
 def test_a_move_takes_fewer_steps_once_warm(run):
-    move = ("steps", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
+    move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     cold, hot = (run(*move, "--condition", f"session_{time}") for time in ("s=0", "h=100"))
     assert cold[0] == hot[0] == 0
     ratios = np.divide(steps_of(cold[1]), steps_of(hot[1]))
@@ -143,7 +144,7 @@ def test_a_move_takes_fewer_steps_once_warm(run):
 
 def test_a_reversal_within_a_run_of_drives_costs_its_steps(run):
     """Out and back by as many steps as it takes: what the reversal loses is missing on the way back."""
-    at = ("where", "fit.json", "--at", "0,-90,6", "--condition", "session_h=100", "--drive")
+    at = ("dead-reckon", "fit.json", "--at", "0,-90,6", "--condition", "session_h=100", "--drive")
     back = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3-3000")[1])[1])
     there = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3+3000", "--drive", "3-3000")[1])[1])
     out = float(re.search(r"q3 +([\d.]+) mm", run(*at, "3+3000")[1])[1])
@@ -155,13 +156,13 @@ def test_a_reversal_within_a_run_of_drives_costs_its_steps(run):
 
 
 def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(run):
-    move = ("steps", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
+    move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
     status, _, err = run(*move)
     assert status == 2
-    assert "the law looks at how long the session has run: say --condition session_min=NUMBER" in err
+    assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in err
     status, _, err = run(*move, "--condition", "temperature_C=20")
     assert status == 2
-    assert "this law looks at session_min; leave temperature_C out" in err
+    assert "this law depends on session_min; leave temperature_C out" in err
     assert run(*move, "--condition", "session_min=soon")[0] == 2
 
 
@@ -205,15 +206,13 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     misheard = [5, 40]
     rows = log.rows.copy()
     rows.loc[misheard, "steps"] = (rows.loc[misheard, "steps"] * 1.3).astype(int)
-    from dataclasses import replace
-
     log = replace(log, rows=rows)
     found = SimpleNamespace(
         require_log=lambda: log,
         findings=[
             SimpleNamespace(version=ThermalWarmUp(), traverses=None),
             SimpleNamespace(version=None, traverses=log.usable.iloc[misheard]),
-        ]
+        ],
     )
     law = Diagnosis.extended_law(found)
     assert isinstance(law.joints[3].law, ExtendedLaw)
@@ -222,7 +221,16 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     assert abs(size["estimate"] - A) < 0.015
     told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
-    move = ("steps", "named.json", "--at", "0,-90,0", "--joints", "0,-60,6", "--condition", "session_min=30")
+    move = (
+        "plan-move",
+        "named.json",
+        "--at",
+        "0,-90,0",
+        "--joints",
+        "0,-60,6",
+        "--condition",
+        "session_min=30",
+    )
     assert run(*move)[0] == 0
     nothing = Diagnosis.extended_law(SimpleNamespace(findings=[], require_log=lambda: log))
     assert "published, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))

@@ -11,7 +11,7 @@ from markdown import code, table, text
 from stickslip_fit.causes import Cause, CountCause, FactorCause, StateCause, TermCause, library
 from stickslip_fit.units import from_si
 
-STATIONS = {
+STAGES = {
     StateCause: "the state: an angle, the load or the recoil",
     TermCause: "the step size, as a term outside the recoil's factor",
     FactorCause: "the step size, as a factor",
@@ -27,10 +27,10 @@ def page() -> str:
 
 def _section(cause: Cause) -> str:
     facts = [
-        f"acts on {_station(cause)}; {JOINTS.get(cause.joints) or f'joint {cause.joints[0]}'}",
+        f"acts on {_stage(cause)}; {JOINTS.get(cause.joints) or f'joint {cause.joints[0]}'}",
         f"needs {_needs(cause)}",
         f"would be shown best by {text(cause.shows_best)}",
-        f"what helps: {text(cause.remedy or 'a law that knows of it')}",
+        f"what helps: {text(cause.remedy or 'an extended law')}",
         f"in code: {{py:obj}}`stickslip_fit.causes.{type(cause).__name__}`, in "
         f"`{Path(inspect.getfile(type(cause))).name}`",
     ]
@@ -43,8 +43,8 @@ def _section(cause: Cause) -> str:
     ]
     if cause.parameters:
         rows = [
-            (code(each.name), text(each.unit), text(each.meaning), _span(each.lower, each.upper, each.unit))
-            for each in cause.parameters
+            (code(k.name), text(k.unit), text(k.meaning), _span(k.lower, k.upper, k.unit))
+            for k in cause.parameters
         ]
         parts.append(table(["parameter", "unit", "meaning", "physically possible"], rows))
     return "\n\n".join(parts)
@@ -54,12 +54,14 @@ def _equation(cause: Cause) -> str:
     return (inspect.getdoc(type(cause)) or "").split("\n\n")[0].replace("\n", " ")
 
 
-def _station(cause: Cause) -> str:
-    return next((said for kind, said in STATIONS.items() if isinstance(cause, kind)), "hearing the stop")
+def _stage(cause: Cause) -> str:
+    return next(
+        (stage for kind, stage in STAGES.items() if isinstance(cause, kind)), "the detection of the stop"
+    )
 
 
 def _needs(cause: Cause) -> str:
-    return ", ".join(map(code, cause.columns)) if cause.columns else "nothing beside positions and angles"
+    return ", ".join(map(code, cause.columns)) if cause.columns else "nothing besides positions and angles"
 
 
 def _span(lower: float, upper: float, unit: str) -> str:

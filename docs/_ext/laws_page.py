@@ -20,8 +20,8 @@ def page() -> str:
 
 def _section(law: StepLaw) -> str:
     about = (inspect.getdoc(type(law)) or "").split("\nParameters\n")[0].strip()
-    parameters = [(code(each.name), text(each.unit), text(each.meaning)) for each in law.parameters]
-    calibration = [(text(each.label), *_where(each)) for each in law.calibration()]
+    parameters = [(code(k.name), text(k.unit), text(k.meaning)) for k in law.parameters]
+    calibration = [(text(place.label), *_pose(place)) for place in law.calibration()]
     return "\n\n".join(
         [
             f"## Joint {law.joint}: {code(law.name)}",
@@ -34,7 +34,7 @@ def _section(law: StepLaw) -> str:
     )
 
 
-def _where(each: Configuration) -> list[str]:
-    angles = (each.q2, each.theta, each.psi)
+def _pose(place: Configuration) -> list[str]:
+    angles = (place.q2, place.theta, place.psi)
     q2, theta, psi = ("any" if isnan(angle) else f"{from_si(angle, 'deg'):g}" for angle in angles)
-    return [q2, "any" if isnan(each.q3) else f"{from_si(each.q3, 'mm'):g}", theta, psi]
+    return [q2, "any" if isnan(place.q3) else f"{from_si(place.q3, 'mm'):g}", theta, psi]

@@ -15,9 +15,7 @@ from stickslip_fit.machine.machine_file import MachineFile
 from stickslip_fit.simulation.truth import LawFile
 from stickslip_fit.studies.plan import StudyFile
 
-FILES: dict[str, type[Table]] = {
-    "plan": PlanFile, "law": LawFile, "study": StudyFile, "machine": MachineFile
-}  # fmt: skip
+FILES: dict[str, type[Table]] = {"plan": PlanFile, "law": LawFile, "study": StudyFile, "machine": MachineFile}
 Row = tuple[str, str, str, str, str]
 
 
@@ -35,8 +33,9 @@ def _section(name: str, schema: dict[str, Any]) -> str:
     rows = []
     # One row for all units that a key may have.
     for _, same in groupby(_rows(schema, schema.get("$defs", {})), lambda row: (row[0], row[4] or row[1])):
-        (place, key, without, advice, meaning), *more = same
-        keys = ", ".join([code(key), *(code(each[1]) for each in more)])
+        rows_of_field = list(same)
+        place, _, without, advice, meaning = rows_of_field[0]
+        keys = ", ".join(code(row[1]) for row in rows_of_field)
         rows.append((place, keys, without, f"{_sentence(meaning)} {text(_sentence(advice))}".strip()))
     listed = table(["table", "key", "without it", "meaning"], rows)
     return (
@@ -45,10 +44,10 @@ def _section(name: str, schema: dict[str, Any]) -> str:
 
 
 def _rows(schema: dict[str, Any], tables: dict[str, Any], place: str = "") -> Iterator[Row]:
-    needed = {key for each in schema.get("allOf", ()) for one in each["oneOf"] for key in one["required"]}
+    needed = {key for rule in schema.get("allOf", ()) for one in rule["oneOf"] for key in one["required"]}
     for key, entry in schema["properties"].items():
         items = entry.get("items", entry)
-        kinds = [each["$ref"].rpartition("/")[2] for each in items.get("anyOf", [items]) if "$ref" in each]
+        kinds = [kind["$ref"].rpartition("/")[2] for kind in items.get("anyOf", [items]) if "$ref" in kind]
         if kinds:
             inside = f"{place}.{key}".strip(".")
             listed = [list(_rows(tables[kind], tables, inside)) for kind in kinds]
@@ -64,5 +63,5 @@ def _rows(schema: dict[str, Any], tables: dict[str, Any], place: str = "") -> It
             yield "", key, "must be given" if key in needed else without, entry["title"], meaning
 
 
-def _sentence(said: str) -> str:
-    return "" if said in ("", "give a text in quotes") else f"{said[0].upper()}{said[1:].rstrip('.')}."
+def _sentence(phrase: str) -> str:
+    return "" if phrase in ("", "give a text in quotes") else f"{phrase[0].upper()}{phrase[1:].rstrip('.')}."

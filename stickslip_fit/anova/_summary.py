@@ -39,38 +39,42 @@ MAX_LISTED_SESSIONS = 3  # sessions that a list names
 
 
 def is_significant(factor_test: FactorTest) -> bool:
-    """Whether levels differ at 5 %, everything that was asked taken into account."""
+    """Whether levels differ at 5 %, adjusted over all tests."""
     return factor_test.p_holm < SIGNIFICANCE_LEVEL
 
 
 def conclude(joint: int, factor_tests: Sequence[FactorTest]) -> list[str]:
-    """What a joint's answers come to, one sentence for each question."""
-    subset = [each for each in factor_tests if each.design.joint == joint]
+    """A sentence for each analysis of a joint."""
     writers = {"day": _conclude_day, "direction": _conclude_direction, "normal-force": _conclude_normal_force}
-    by_name = {name: [each for each in subset if each.design.analysis == name] for name in writers}
-    return [capitalize_first(tell(by_name[name])) for name, tell in writers.items() if by_name[name]]
+    return [
+        capitalize_first(write(subset))
+        for name, write in writers.items()
+        if (
+            subset := [
+                test for test in factor_tests if (test.design.analysis, test.design.joint) == (name, joint)
+            ]
+        )
+    ]
 
 
 def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[str]:
-    """Whether to recalibrate each session and to keep parameters for each direction, with the cost of not."""
+    """Whether to recalibrate each session and to keep parameters for each direction, with the cost."""
     subset = [each for each in factor_tests if each.design.joint == components.joint]
     return [_recommend_recalibration(components, subset), *_recommend_directions(components, subset)]
 
 
 def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> str:
-    changes = any(is_significant(each) for each in factor_tests if each.design.analysis == "day")
-    cost, low, high = (
-        sqrt(2.0) * value
-        for value in (components.total.deviation, components.total.low, components.total.high)
-    )
+    changes = any(is_significant(test) for test in factor_tests if test.design.analysis == "day")
+    total, replicate, joint = components.total, components.replicate.deviation, components.joint
+    cost, low, high = (sqrt(2.0) * value for value in (total.deviation, total.low, total.high))
     price = (
-        f"the calibration of another session is off by {format_step(cost, components.joint)} a step "
-        f"rms ({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, components.joint)}), "
-        f"{_format_ratio(cost / components.replicate.deviation)} what one reading differs from the next"
+        f"the calibration of another session is off by {format_step(cost, joint)} a step rms "
+        f"({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, joint)}), "
+        f"{cost / replicate:.2g} times what one reading differs from the next"
     )
     if changes:
         return f"Recalibrate each session: {price}."
-    if high > COST_LIMIT * components.replicate.deviation:
+    if high > COST_LIMIT * replicate:
         return f"Whether to recalibrate each session this log is too small to say: {price}."
     return f"This log gives no reason to recalibrate each session: {price}."
 
@@ -78,7 +82,7 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
 def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[str]:
     if components.direction is None:
         return []
-    differs = any(is_significant(each) for each in factor_tests if each.design.analysis == "direction")
+    differs = any(is_significant(test) for test in factor_tests if test.design.analysis == "direction")
     cost, limit = abs(components.direction) / 2, COST_LIMIT * components.replicate.deviation
     share = format_percent(cost / components.mean)
     price = f"one set for both is off by {format_step(cost, components.joint)} a step ({share})"
@@ -91,152 +95,144 @@ def _recommend_directions(components: VarianceComponents, factor_tests: Sequence
     return [f"This log gives no reason for separate parameters: {price}."]
 
 
-def _format_ratio(ratio: float) -> str:
-    return f"{ratio:.2g} times"
-
-
 def _conclude_day(factor_tests: Sequence[FactorTest]) -> str:
-    changed = [each for each in factor_tests if is_significant(each)]
-    same = [each for each in factor_tests if not is_significant(each)]
+    changed = [test for test in factor_tests if is_significant(test)]
+    same = [test for test in factor_tests if not is_significant(test)]
     sentences = []
     if changed:
-        sizes = [f"{_effect_text(each)} in direction {_test_direction(each)}" for each in changed]
         sentences.append(
-            f"the step size changes from session to session, by up to {join_words(sizes)} ({_adjusted_p_text(changed)})"
+            "the step size changes from session to session, by up to "
+            f"{join_words(list(map(_effect_text, changed)))} ({_adjusted_p_text(changed)})"
         )
     if same:
-        directions = join_words([_test_direction(each) for each in same])
-        seen = [
-            f"{format_step(each.detectable, each.design.joint)} in direction {_test_direction(each)}"
-            for each in same
-        ]
+        directions = join_words([format_direction(test.design.direction) for test in same])
+        detectable = [f"{_detectable_text(test)} {_direction_text(test)}" for test in same]
         sentences.append(
-            f"no change from session to session shows in direction {directions} ({_adjusted_p_text(same)}); one of "
-            f"{join_words(seen)} would most likely have shown"
+            f"no change from session to session shows in direction {directions} ({_adjusted_p_text(same)}); "
+            f"one of {join_words(detectable)} would most likely have shown"
         )
     return "; ".join(sentences) + "."
 
 
 def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
-    over = [each for each in factor_tests if each.design.session is None]
-    within = [each for each in factor_tests if each.design.session is not None]
-    differing = [each for each in within if is_significant(each)]
+    over = [test for test in factor_tests if test.design.session is None]
+    within = [test for test in factor_tests if test.design.session is not None]
+    differing = [test for test in within if is_significant(test)]
     if over and is_significant(over[0]):
-        return f"the two directions differ by {_effect_text(over[0])}, taken over all sessions ({_adjusted_p_text(over)})."
+        return (
+            f"the two directions differ by {_difference_text(over[0])}, taken over all sessions "
+            f"({_adjusted_p_text(over)})."
+        )
     if differing:
-        each_of = f"{len(differing)} of {len(within)} sessions" if len(within) > 1 else "the session"
-        sizes = sorted(each.effect.difference for each in differing)
+        sessions = f"{len(differing)} of {len(within)} sessions" if len(within) > 1 else "the session"
+        sizes = sorted(test.effect.difference for test in differing)
         joint = factor_tests[0].design.joint
-        spread = (
+        size = (
             format_step(sizes[0], joint) if len(sizes) == 1 else format_step_range(sizes[0], sizes[-1], joint)
         )
         unsure = "; from so few, or so different, sessions it cannot be said of others" if over else ""
-        return f"the two directions differ in {each_of}, by {spread} ({_adjusted_p_text(differing)}){unsure}."
-    least = min(factor_tests, key=lambda each: each.detectable)
+        return f"the two directions differ in {sessions}, by {size} ({_adjusted_p_text(differing)}){unsure}."
     return (
         f"no difference between the directions shows ({_adjusted_p_text(factor_tests)}); one of "
-        f"{format_step(least.detectable, least.design.joint)} would most likely have shown."
+        f"{_detectable_text(min(factor_tests, key=lambda test: test.detectable))} would most likely have "
+        "shown."
     )
 
 
 def _conclude_normal_force(factor_tests: Sequence[FactorTest]) -> str:
-    over = [each for each in factor_tests if each.design.session is None] or list(factor_tests)
-    differing = [each for each in over if is_significant(each)]
+    over = [test for test in factor_tests if test.design.session is None] or list(factor_tests)
+    differing = [test for test in over if is_significant(test)]
     if not differing:
-        least = max(over, key=lambda each: each.detectable)
+        detectable = _detectable_text(max(over, key=lambda test: test.detectable))
         return (
-            f"turning the base about the joint's axis changes nothing that shows ({_adjusted_p_text(over)}); a change of "
-            f"{format_step(least.detectable, least.design.joint)} would most likely have shown."
+            "turning the base about the joint's axis changes nothing that shows "
+            f"({_adjusted_p_text(over)}); a change of {detectable} would most likely have shown."
         )
-    sizes = [
-        f"{_effect_text(each)} in direction {_test_direction(each)} (between {' and '.join(each.extreme_levels)})"
-        for each in differing
-    ]
-    sentences = f"{join_words(sizes)} ({_adjusted_p_text(differing)})"
+    sizes = [f"{_effect_text(test)} (between {' and '.join(test.extreme_levels)})" for test in differing]
+    size = f"{join_words(sizes)} ({_adjusted_p_text(differing)})"
     if _may_be_drift(differing):
         return (
-            f"between orientations of the base about the joint's axis the step size differs, by {sentences}; but "
+            f"between orientations of the base about the joint's axis the step size differs, by {size}; but "
             "readings drift, or may, within their session, which alone could do that."
         )
-    return f"turning the base about the joint's axis changes the step size, by {sentences}."
+    return f"turning the base about the joint's axis changes the step size, by {size}."
 
 
 def _may_be_drift(factor_tests: Sequence[FactorTest]) -> bool:
-    """Whether readings drift, or levels were read one after another: then the hour could be what matters."""
-    by_time = {"levels in turn", "drift within a session"}
+    """Whether observations drift, or levels were measured one after another."""
     return any(
-        each.name in by_time and each.verdict == "doubtful"
-        for one in factor_tests
-        for each in one.assumptions
+        check.name in ("levels in turn", "drift within a session") and check.outcome == "doubtful"
+        for test in factor_tests
+        for check in test.assumptions
     )
 
 
-def _test_direction(factor_test: FactorTest) -> str:
-    return format_direction(str(factor_test.design.direction))
+def _direction_text(test: FactorTest) -> str:
+    return f"in direction {format_direction(test.design.direction)}"
 
 
-def _effect_text(factor_test: FactorTest) -> str:
-    return f"{format_step(factor_test.effect.difference, factor_test.design.joint)} ({format_percent(factor_test.relative_difference)})"
+def _difference_text(test: FactorTest) -> str:
+    difference = format_step(test.effect.difference, test.design.joint)
+    return f"{difference} ({format_percent(test.relative_difference)})"
+
+
+def _effect_text(test: FactorTest) -> str:
+    return f"{_difference_text(test)} {_direction_text(test)}"
+
+
+def _detectable_text(test: FactorTest) -> str:
+    return format_step(test.detectable, test.design.joint)
 
 
 def _adjusted_p_text(factor_tests: Sequence[FactorTest]) -> str:
-    """The least convincing adjusted p-value of effects, the most convincing one where none shows."""
-    values = [each.p_holm for each in factor_tests]
-    shown = max(values) if all(value < SIGNIFICANCE_LEVEL for value in values) else min(values)
-    return f"adjusted p {format_p_value(shown, relation=True)}"
+    """The largest adjusted p-value of significant effects; the smallest where none is significant."""
+    values = [test.p_holm for test in factor_tests]
+    p_value = max(values) if all(value < SIGNIFICANCE_LEVEL for value in values) else min(values)
+    return f"adjusted p {format_p_value(p_value, relation=True)}"
 
 
 def list_failed_assumptions(factor_tests: Sequence[FactorTest]) -> list[str]:
-    """Premises that fail, then those that nothing can be told of, each once, with the questions concerned."""
+    """Assumptions that fail, then those that cannot be checked, each once, with the tests concerned."""
     sentences: dict[str, dict[str, list[FactorTestDesign]]] = {"doubtful": {}, "cannot tell": {}}
     fine: dict[str, None] = {}
     for each in factor_tests:
-        for premise in each.assumptions:
-            if premise.verdict == "holds":
-                fine[premise.name] = None
+        for check in each.assumptions:
+            if check.outcome == "holds":
+                fine[check.name] = None
             else:
-                sentences[premise.verdict].setdefault(premise.message, []).append(each.design)
+                sentences[check.outcome].setdefault(check.message, []).append(each.design)
     lines = [
-        f"{capitalize_first(message)} ({name_designs(factor_tests)})."
+        f"{capitalize_first(message)} ({name_designs(designs)})."
         for by_message in sentences.values()
-        for message, factor_tests in by_message.items()
+        for message, designs in by_message.items()
     ]
     return [*lines, f"All other checks of {join_words(list(fine))} pass."] if fine else lines
 
 
 def list_not_testable(reasons_by_design: Sequence[NotTestable]) -> list[str]:
-    """Why questions cannot be answered, each reason once."""
-    sentences: dict[str, list[NotTestable]] = {}
+    """Why tests cannot be made, each reason once."""
+    designs: dict[str, list[NotTestable]] = {}
     for each in reasons_by_design:
-        sentences.setdefault(each.reason, []).append(each)
-    return [
-        f"{capitalize_first(name_designs(factor_tests))}: {reason}."
-        for reason, factor_tests in sentences.items()
-    ]
+        designs.setdefault(each.reason, []).append(each)
+    return [f"{capitalize_first(name_designs(same))}: {reason}." for reason, same in designs.items()]
 
 
-def name_designs(factor_tests: Sequence[FactorTestDesign | NotTestable]) -> str:
-    """Questions in few words, the sessions of one kind together."""
-    sessions: dict[str, list[str]] = {}
-    for each in factor_tests:
-        parts = [
-            f"joint {each.joint}",
-            each.analysis,
-            *([format_direction(each.direction)] if each.direction else []),
-        ]
-        sessions.setdefault(" ".join(parts), []).append(each.session or ALL_SESSIONS)
-    return join_words([f"{name}{_sessions_text(which)}" for name, which in sessions.items()])
+def name_designs(designs: Sequence[FactorTestDesign | NotTestable]) -> str:
+    """Tests in few words, the sessions of one kind together."""
+    by_name: dict[str, list[str]] = {}
+    for design in designs:
+        name = f"joint {design.joint} {design.analysis} {format_direction(design.direction)}".strip()
+        by_name.setdefault(name, []).append(design.session or ALL_SESSIONS)
+    return join_words([f"{name}{_sessions_text(sessions)}" for name, sessions in by_name.items()])
 
 
-def _sessions_text(which: Sequence[str]) -> str:
-    if set(which) == {ALL_SESSIONS}:
+def _sessions_text(sessions: Sequence[str]) -> str:
+    if set(sessions) == {ALL_SESSIONS}:
         return ""
-    few = (
-        [*which[:MAX_LISTED_SESSIONS], f"{len(which) - MAX_LISTED_SESSIONS} more"]
-        if len(which) > MAX_LISTED_SESSIONS + 1
-        else which
-    )
-    return f" [{', '.join(few)}]"
+    if len(sessions) > MAX_LISTED_SESSIONS + 1:
+        n_more = len(sessions) - MAX_LISTED_SESSIONS
+        sessions = [*sessions[:MAX_LISTED_SESSIONS], f"{n_more} more"]
+    return f" [{', '.join(sessions)}]"
 
 
 MAX_ROWS = 24
@@ -246,14 +242,14 @@ CAUTIONS = "What to mind, and what cannot be answered"
 
 @summarize.register
 def summarize_anova(anova: Anova) -> Summary:
-    """A paragraph and a section for each joint, then assumptions that fail and what has no answer."""
+    """A paragraph and a section for each joint, then failed assumptions and tests that cannot be made."""
     sentences = sentences_by_joint(anova)
-    headline = [f"Joint {joint}. {' '.join(said)}" for joint, said in sentences.items()]
+    headline = [f"Joint {joint}. {' '.join(lines)}" for joint, lines in sentences.items()]
     sections = [
         Section(capitalize_first(joint_name(joint)), tables=tuple(_tables(joint, anova)))
         for joint in sentences
     ]
-    cautions = [*list_failed_assumptions(anova.answers), *list_not_testable(anova.not_testable)]
+    cautions = [*list_failed_assumptions(anova.factor_tests), *list_not_testable(anova.not_testable)]
     if cautions:
         sections.append(Section(CAUTIONS, tuple(map(typeset_text, cautions))))
     return Summary(
@@ -264,21 +260,21 @@ def summarize_anova(anova: Anova) -> Summary:
 
 
 def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
-    """What matters for each joint, and what to do."""
-    joints = dict.fromkeys(each.design.joint for each in anova.answers)
-    sentences = {joint: conclude(joint, anova.answers) for joint in joints}
+    """Conclusions and recommendations for each joint."""
+    joints = dict.fromkeys(each.design.joint for each in anova.factor_tests)
+    sentences = {joint: conclude(joint, anova.factor_tests) for joint in joints}
     for each in anova.components:
-        sentences.setdefault(each.joint, []).extend(recommend(each, anova.answers))
+        sentences.setdefault(each.joint, []).extend(recommend(each, anova.factor_tests))
     return sentences
 
 
 def _tables(joint: int, anova: Anova) -> list[Table]:
-    answers = [each for each in anova.answers if each.design.joint == joint]
-    tables = [_answers_table(joint, answers), _squares_table(joint, answers)] if answers else []
+    tests = [test for test in anova.factor_tests if test.design.joint == joint]
+    tables = [_tests_table(joint, tests), _squares_table(joint, tests)] if tests else []
     return [*tables, *(_components_table(each) for each in anova.components if each.joint == joint)]
 
 
-def _answers_table(joint: int, answers: Sequence[FactorTest]) -> Table:
+def _tests_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     unit = step_unit(joint)
     columns = (
         *words("question", "session", "largest less smallest"),
@@ -287,71 +283,68 @@ def _answers_table(joint: int, answers: Sequence[FactorTest]) -> Table:
         *numbers("F test", "adjusted", "permuted", group="p"),
         Column("would show", unit),
     )
-    shown = [each for each in answers if len(answers) <= MAX_ROWS or each.design.session is None]
+    shown = [test for test in tests if len(tests) <= MAX_ROWS or test.design.session is None]
     note = (
         "Adjusted: for everything asked of this log (Holm). Permuted: from relabelled readings; "
         f"{AT_FLOOR} the smallest that so few can give. Would show: the smallest difference that is seen at "
         f"5 % in 80 of 100 such logs. {_places(shown)}"
     )
-    if len(shown) < len(answers):
-        note += f" Not shown: {len(answers) - len(shown)} answers within single sessions."
-    elif _sessions_not_asked(answers):
+    if len(shown) < len(tests):
+        note += f" Not shown: {len(tests) - len(shown)} answers within single sessions."
+    elif _sessions_not_tested(tests):
         note += " Within a single session: name it with --session."
     return Table(f"Factors of {joint_name(joint)}", columns, tuple(map(_test_row, shown)), stubs=2, note=note)
 
 
-def _sessions_not_asked(answers: Sequence[FactorTest]) -> bool:
-    """Of many sessions, single ones are not asked unless one is named."""
-    most = max(each.design.readings["session"].nunique() for each in answers)
-    return most > MAX_SESSIONS and not any(each.design.session for each in answers)
+def _sessions_not_tested(tests: Sequence[FactorTest]) -> bool:
+    """Of many sessions, single ones are not tested unless one is chosen."""
+    n_sessions = max(test.design.observations["session"].nunique() for test in tests)
+    return n_sessions > MAX_SESSIONS and not any(test.design.session for test in tests)
 
 
-def _test_row(answer: FactorTest) -> tuple[str, ...]:
-    effect, unit = answer.effect, step_unit(answer.design.joint)
-    day = answer.design.analysis == "day"
-    levels = (
-        answer.extreme_levels
-        if day
-        else [typeset_text(format_direction(level)) for level in answer.extreme_levels]
-    )
-    at_floor = answer.permutation.p_value <= answer.permutation.floor * (1 + 1e-9)
-    statistic = f"{answer.statistic:.3g}" if answer.statistic < 1000 else f"{answer.statistic:,.0f}"
+def _test_row(test: FactorTest) -> tuple[str, ...]:
+    effect, unit = test.effect, step_unit(test.design.joint)
+    largest, smallest = test.extreme_levels
+    if test.design.analysis != "day":
+        largest, smallest = (typeset_text(format_direction(level)) for level in (largest, smallest))
+    at_floor = test.permutation.p_value <= test.permutation.floor * (1 + 1e-9)
+    statistic = f"{test.statistic:.3g}" if test.statistic < 1000 else f"{test.statistic:,.0f}"
     return (
-        *_design_cells(answer),
-        _less(*levels),
+        *_design_cells(test),
+        _less(largest, smallest),
         f"{format_number(effect.difference, unit)} ({format_range(effect.low, effect.high, unit)})",
-        f"{float(answer.squares.omega_squared):.2f}",
-        f"{statistic} ({', '.join(str(df) for df in answer.squares.df[1:])})",
-        format_p_value(answer.p_value),
-        format_p_value(answer.p_holm),
-        format_p_value(answer.permutation.p_value) + (AT_FLOOR if at_floor else ""),
-        format_number(answer.detectable, unit),
+        f"{float(test.sums.omega_squared):.2f}",
+        f"{statistic} ({', '.join(str(df) for df in test.sums.df[1:])})",
+        format_p_value(test.p_value),
+        format_p_value(test.p_holm),
+        format_p_value(test.permutation.p_value) + (AT_FLOOR if at_floor else ""),
+        format_number(test.detectable, unit),
     )
 
 
-def _design_cells(answer: FactorTest) -> tuple[str, str]:
-    asked = answer.design
-    return f"{asked.analysis} {format_direction(asked.direction)}".strip(), asked.session or "all"
+def _design_cells(test: FactorTest) -> tuple[str, str]:
+    design = test.design
+    return f"{design.analysis} {format_direction(design.direction)}".strip(), design.session or "all"
 
 
 def _less(largest: str, smallest: str) -> str:
-    """What both names begin with is said once: theta −90° less 0°."""
+    """Two levels, without the repeated name: theta −90° less 0°."""
     first, _, rest = smallest.partition(" ")
     return f"{largest} less {rest if rest and largest.startswith(f'{first} ') else smallest}"
 
 
-def _places(answers: Sequence[FactorTest]) -> str:
-    """At which configuration each question was asked."""
+def _places(tests: Sequence[FactorTest]) -> str:
+    """The configuration of each analysis."""
     places: dict[str, list[str]] = {}
-    for each in answers:
-        names = places.setdefault(each.design.configuration, [])
-        names += [each.design.analysis] if each.design.analysis not in names else []
+    for test in tests:
+        names = places.setdefault(test.design.configuration, [])
+        names += [test.design.analysis] if test.design.analysis not in names else []
     return " ".join(
         f"{' and '.join(names).capitalize()}: at {typeset_text(where)}." for where, names in places.items()
     )
 
 
-def _squares_table(joint: int, answers: Sequence[FactorTest]) -> Table:
+def _squares_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     unit = step_unit(joint)
     columns = (
         *words("question", "session", "term"),
@@ -361,9 +354,9 @@ def _squares_table(joint: int, answers: Sequence[FactorTest]) -> Table:
         *numbers("F", "p"),
     )
     rows = [
-        (*_design_cells(each), *_squares_row(line, unit))
-        for each in answers
-        for line in each.table.itertuples(index=False)
+        (*_design_cells(test), *_squares_row(line, unit))
+        for test in tests
+        for line in test.table.itertuples(index=False)
     ]
     note = "Over sessions of the means of cells."
     return Table(
@@ -377,29 +370,33 @@ def _squares_row(line: Any, unit: str) -> tuple[str, ...]:
     return (line.term, ss, str(line.df), ms if line.ms == line.ms else "", *tested)
 
 
-def _components_table(found: VarianceComponents) -> Table:
-    unit = step_unit(found.joint)
+def _components_table(components: VarianceComponents) -> Table:
+    unit = step_unit(components.joint)
     columns = (
         Column("source", text=True),
         *numbers("standard deviation", "95 % interval", unit=unit),
         Column("share of the step size", "%"),
     )
     parts: list[tuple[str, VarianceComponent | None]] = [
-        ("day, both directions alike", found.day),
-        ("day, each direction by itself", found.day_direction),
-        ("day, in one direction altogether", found.total),
-        ("reading to reading", found.replicate),
+        ("day, both directions alike", components.day),
+        ("day, each direction by itself", components.day_direction),
+        ("day, in one direction altogether", components.total),
+        ("reading to reading", components.replicate),
     ]
     sizes = [(name, part.deviation, part.low, part.high) for name, part in parts if part is not None]
-    if found.direction is not None and found.direction_low is not None and found.direction_high is not None:
-        direction = (found.direction, found.direction_low, found.direction_high)
+    if (
+        components.direction is not None
+        and components.direction_low is not None
+        and components.direction_high is not None
+    ):
+        direction = (components.direction, components.direction_low, components.direction_high)
         sizes.append((f"direction, + less {MINUS}", *direction))
     body = tuple(
         (
             name,
             format_number(size, unit),
             format_range(low, high, unit),
-            format_number(size / found.mean, "%"),
+            format_number(size / components.mean, "%"),
         )
         for name, size, low, high in sizes
     )
@@ -408,28 +405,28 @@ def _components_table(found: VarianceComponents) -> Table:
         "difference and no standard deviation. Restricted maximum likelihood; an interval that begins at 0 "
         "includes no change at all."
     )
-    caption = f"Where the variation of {joint_name(found.joint)} comes from"
+    caption = f"Where the variation of {joint_name(components.joint)} comes from"
     return Table(caption, columns, body, note=note)
 
 
 @summarize.register
-def summarize_formula(found: FormulaTable) -> Summary:
-    """What shows an effect, then the table; sums of squares in SI units of the response."""
-    table = found.table
+def summarize_formula(result: FormulaTable) -> Summary:
+    """Terms with an effect, then the table; sums of squares in SI units of the response."""
+    table = result.table
     heads = ("sum of squares", "df", "mean square", "F", "p", "p, adjusted", "omega²")
     rows = [_formula_row(row) for _, row in table.iterrows()]
-    if found.kind == 1:
-        total = sum(line.squares for line in found.lines)
-        rows.append(("total", f"{total:.6g}", str(found.count - 1), *[""] * 5))
+    if result.kind == 1:
+        total = sum(line.sum_of_squares for line in result.lines)
+        rows.append(("total", f"{total:.6g}", str(result.count - 1), *[""] * 5))
     note = (
-        f"{found.formula}, type {found.kind}, {pluralize(found.count, 'reading')}. Sums of squares in the "
+        f"{result.formula}, type {result.kind}, {pluralize(result.count, 'reading')}. Sums of squares in the "
         "response's SI unit; adjusted for all terms (Holm); omega² partial."
     )
     columns = (Column("term", text=True), *map(Column, heads))
-    caption = f"Analysis of variance, {joint_name(found.joint)}"
+    caption = f"Analysis of variance, {joint_name(result.joint)}"
     return Summary(
-        found.formula,
-        (f"Joint {found.joint}. {_formula_sentence(table)}",),
+        result.formula,
+        (f"Joint {result.joint}. {_formula_sentence(table)}",),
         (Section(tables=(Table(caption, columns, tuple(rows), note=note),)),),
     )
 
@@ -438,13 +435,13 @@ def _formula_sentence(table: pd.DataFrame) -> str:
     terms = table[:-1]
     shown = terms[terms["p_holm"] < SIGNIFICANCE_LEVEL]
     untested = list(terms.loc[terms["df"] == 0, "term"])
-    said = "Nothing in the formula shows an effect."
+    sentence = "Nothing in the formula shows an effect."
     if len(shown):
         worst = format_p_value(shown["p_holm"].max(), relation=True)
-        said = f"What shows an effect: {join_words(list(shown['term']))} (adjusted p {worst})."
+        sentence = f"What shows an effect: {join_words(list(shown['term']))} (adjusted p {worst})."
     if untested:
-        said += f" Other terms say all that {join_words(untested)} could say."
-    return said
+        sentence += f" Other terms explain all that {join_words(untested)} could explain."
+    return sentence
 
 
 def _formula_row(row: pd.Series) -> tuple[str, ...]:

@@ -36,10 +36,10 @@ from stickslip_fit.logs import Log
 from stickslip_fit.units import from_si
 
 RECORD_COLUMNS = (
-    "analysis", "joint", "direction", "session", "configuration", "F", "df", "error_term", "p_value",
-    "p_holm", "p_permutation", "p_permutation_floor", "omega_squared", "difference", "levels", "unit",
-    "low", "high",
-)  # fmt: skip
+    *("analysis", "joint", "direction", "session", "configuration", "F", "df", "error_term", "p_value"),
+    *("p_holm", "p_permutation", "p_permutation_floor", "omega_squared", "difference", "levels", "unit"),
+    *("low", "high"),
+)
 
 
 def save_records(records: Sequence[Mapping[str, object]], path: str | Path) -> None:
@@ -55,23 +55,22 @@ def save_records(records: Sequence[Mapping[str, object]], path: str | Path) -> N
 
 
 def to_record(item: FactorTest | NotTestable) -> dict[str, object]:
-    """The fields of `COLUMNS`, None where one does not apply; difference, low and high in `unit`."""
+    """The fields of `RECORD_COLUMNS`, None where one does not apply; difference, low and high in `unit`."""
     design = item.design if isinstance(item, FactorTest) else item
     record: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
     record |= {name: getattr(design, name) for name in RECORD_COLUMNS[:5]}
     if isinstance(item, NotTestable):
         return record
-    unit = step_unit(item.design.joint)
-    effect, permutation = item.effect, item.permutation
+    unit, effect = step_unit(item.design.joint), item.effect
     return record | {
         "F": item.statistic,
-        "df": [int(df) for df in item.squares.df[1:]],
+        "df": [int(df) for df in item.sums.df[1:]],
         "error_term": item.design.error_term,
         "p_value": item.p_value,
         "p_holm": item.p_holm,
-        "p_permutation": permutation.p_value,
-        "p_permutation_floor": permutation.floor,
-        "omega_squared": float(item.squares.omega_squared),
+        "p_permutation": item.permutation.p_value,
+        "p_permutation_floor": item.permutation.floor,
+        "omega_squared": float(item.sums.omega_squared),
         "levels": list(item.extreme_levels),
         "unit": unit,
         "difference": from_si(effect.difference, unit),
@@ -82,42 +81,42 @@ def to_record(item: FactorTest | NotTestable) -> dict[str, object]:
 
 @dataclass(frozen=True, repr=False)
 class Anova(Summarized):
-    """What a log says of day, direction and normal force.
+    """F tests of day, direction and normal force, and variance components.
 
     Attributes
     ----------
-    answers : tuple of Answer
-    refusals : tuple of Refusal
-        What was asked and cannot be answered, with the reason.
-    components : tuple of Components
-        Variance components of each joint that has them.
+    factor_tests : tuple of FactorTest
+    not_testable : tuple of NotTestable
+        Tests that the log does not allow, with the reason.
+    components : tuple of VarianceComponents
+        Of each joint that has them.
     """
 
-    answers: tuple[FactorTest, ...]
+    factor_tests: tuple[FactorTest, ...]
     not_testable: tuple[NotTestable, ...]
     components: tuple[VarianceComponents, ...] = ()
 
     def plot_factor(self, joint: int, factor: str) -> AxesArray:
-        """One joint's readings by ``day``, ``direction`` or ``normal-force``.
+        """One joint's observations by ``day``, ``direction`` or ``normal-force``.
 
         Raises
         ------
         InputError
-            If that was not answered.
+            If that was not tested.
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.anova import plot_factor
 
-        return collect_axes(plot_factor(joint, factor, self.answers))
+        return collect_axes(plot_factor(joint, factor, self.factor_tests))
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row for each question, the refused ones last; see `record.record`."""
+        """One row for each test, those that cannot be made last; columns `RECORD_COLUMNS`."""
         return pd.DataFrame(self.to_json(), columns=list(RECORD_COLUMNS))
 
     def to_json(self) -> list[dict[str, object]]:
-        """One object for each question, in people's units, null where a field does not apply."""
-        return [*map(to_record, self.answers), *map(to_record, self.not_testable)]
+        """One object for each test, null where a field does not apply."""
+        return [*map(to_record, self.factor_tests), *map(to_record, self.not_testable)]
 
 
 def analyze_variance(
@@ -127,18 +126,17 @@ def analyze_variance(
     session: str | None = None,
     choose: ConfigurationChooser = choose_most_informative,
 ) -> Anova:
-    """Ask the thesis's three questions of each joint.
+    """Test day, direction and normal force for each joint, as in the thesis's Sections 4.2, 4.4 and 5.2.
 
     Parameters
     ----------
     log : Log
     joint : {1, 2, 3}, optional
-        Ask of this joint only.
+        This joint only.
     session : str, optional
-        Ask within this session only.
+        This session only.
     choose : callable, optional
-        Picks the configurations at which they are asked: `question.most_read`, one for each joint, or
-        `question.every`.
+        Picks the configurations: `choose_most_informative`, one for each joint, or `choose_all`.
 
     Raises
     ------
@@ -146,25 +144,26 @@ def analyze_variance(
         If the log has no usable traverse of that joint in that session.
     """
     rows = select_observations(step_size_observations(log), joint, session)
+    by_joint = list(rows.groupby("joint"))
     designs = [
-        each
-        for number, subset in rows.groupby("joint")
-        for ask in (design_day_tests, design_direction_tests, design_normal_force_tests)
-        for each in ask(subset, log.machine.span(int(number)), choose)
+        design
+        for number, subset in by_joint
+        for make_designs in (design_day_tests, design_direction_tests, design_normal_force_tests)
+        for design in make_designs(subset, log.machine.span(int(number)), choose)
     ]
-    found = [estimate_components(subset) for _, subset in rows.groupby("joint")]
-    return replace(
-        run_factor_tests(designs),
-        components=tuple(each for each in found if isinstance(each, VarianceComponents)),
-    )
+    components = [estimate_components(subset) for _, subset in by_joint]
+    estimated = tuple(one for one in components if isinstance(one, VarianceComponents))
+    return replace(run_factor_tests(designs), components=estimated)
 
 
 def run_factor_tests(designs: Sequence[FactorTestDesign | NotTestable]) -> Anova:
-    """Answer questions, with p-values adjusted for all of them."""
-    results = [run_factor_test(each) if isinstance(each, FactorTestDesign) else each for each in designs]
-    factor_tests = [each for each in results if isinstance(each, FactorTest)]
-    adjusted = adjust_holm([each.p_value for each in factor_tests])
+    """Make the tests, with p-values adjusted over all of them."""
+    results = [
+        run_factor_test(design) if isinstance(design, FactorTestDesign) else design for design in designs
+    ]
+    factor_tests = [result for result in results if isinstance(result, FactorTest)]
+    adjusted = adjust_holm([test.p_value for test in factor_tests])
     return Anova(
-        tuple(replace(each, p_holm=float(p)) for each, p in zip(factor_tests, adjusted, strict=True)),
-        tuple(each for each in results if isinstance(each, NotTestable)),
+        tuple(replace(test, p_holm=float(p)) for test, p in zip(factor_tests, adjusted, strict=True)),
+        tuple(result for result in results if isinstance(result, NotTestable)),
     )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from stickslip_fit._typing import Array, IntArray
 
-RANK_TOL = 1e-9  # of a column's length: what is left of one that earlier columns span
+RANK_TOL = 1e-9  # relative length of the residual of a column that earlier columns span
 
 
 def indicator_columns(codes: npt.NDArray[np.intp]) -> Array:
@@ -24,14 +24,14 @@ def indicator_columns(codes: npt.NDArray[np.intp]) -> Array:
 
 
 def unit_columns(codes: npt.NDArray[np.intp]) -> Array:
-    """As `indicator`, each column of length 1."""
+    """As `indicator_columns`, each column of length 1."""
     return indicator_columns(codes) / np.sqrt(np.bincount(codes))
 
 
 def contrast_basis(codes: npt.NDArray[np.intp]) -> Array:
-    """Basis of what the means of k groups tell beyond the general mean, shape (n, k - 1).
+    """Orthonormal basis of the contrasts of k group means, shape (n, k - 1).
 
-    A reflection takes the general mean to the first axis of the groups' space; its other columns are left.
+    A reflection takes the general mean to the first axis of the groups' space; the others are contrasts.
     """
     root = np.sqrt(np.bincount(codes) / len(codes))
     normal = root + np.eye(len(root))[0]
@@ -40,20 +40,10 @@ def contrast_basis(codes: npt.NDArray[np.intp]) -> Array:
 
 
 def orthonormal_basis(columns: Array, beyond: Array) -> Array:
-    """Basis of what the columns span and `beyond` does not.
+    """Basis of the columns' span, shape (n, p), orthogonal to that of `beyond`, orthonormal, shape (n, q).
 
     Its width is the term's degrees of freedom, whatever the coding: columns that are empty, or combine
-    others, add nothing. Labels of an inner factor may so be reused in each outer level or not.
-
-    Parameters
-    ----------
-    columns : array, shape (n, p)
-    beyond : array, shape (n, q)
-        Orthonormal.
-
-    Returns
-    -------
-    array, shape (n, r), r <= p
+    others, add nothing, so that an inner factor's labels may be reused in each outer level.
 
     Examples
     --------
@@ -65,7 +55,7 @@ def orthonormal_basis(columns: Array, beyond: Array) -> Array:
 
     length = np.sqrt(np.sum(columns**2, axis=0))
     columns = columns[:, length > 0] / length[length > 0]
-    # Twice: what rounding left of the first projection goes with the second.
+    # Twice: the second projection removes the rounding of the first.
     for _ in range(2):
         columns = columns - beyond @ (beyond.T @ columns)
     if not columns.size:
@@ -76,7 +66,7 @@ def orthonormal_basis(columns: Array, beyond: Array) -> Array:
 
 
 def adjust_holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """p-values that hold over all of them at once, in the order given; none where there is none.
+    """p-values adjusted over all of them by Holm's method, in the order given.
 
     Examples
     --------
@@ -91,7 +81,7 @@ def adjust_holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class BlockedComparison:
-    """Which of n units has which of k levels, in which of b blocks.
+    """The levels (k) and blocks (b) of n units.
 
     Attributes
     ----------
@@ -100,8 +90,8 @@ class BlockedComparison:
     nuisance : array, shape (n, b)
         Orthonormal basis of the blocks' means (of the general mean where there is one block).
     effect : array, shape (n, k - 1)
-        Orthonormal basis of what the levels add to that; fewer columns where not all levels are
-        connected through blocks.
+        Orthonormal basis of the levels' effects beside the blocks'; fewer columns where blocks do not
+        connect all levels.
     """
 
     level: IntArray
@@ -111,7 +101,7 @@ class BlockedComparison:
 
     @property
     def levels(self) -> int:
-        """How many levels there are."""
+        """Number of levels."""
         return int(self.level.max()) + 1
 
     @property
@@ -122,7 +112,7 @@ class BlockedComparison:
 
     @property
     def connected(self) -> bool:
-        """Whether blocks tie all levels together, so that each can be compared with each."""
+        """Whether blocks connect all levels, so that each can be compared with each."""
         return self.effect.shape[1] == self.levels - 1
 
 
@@ -134,7 +124,7 @@ class SumsOfSquares:
     ----------
     blocks, between, within : array, shape (...)
         They add up to the total about the general mean.
-    freedom : tuple of (int, int, int)
+    df : tuple of (int, int, int)
     """
 
     blocks: Array
@@ -172,13 +162,7 @@ class SumsOfSquares:
 
 
 def build_comparison(level: npt.ArrayLike, block: npt.ArrayLike | None = None) -> BlockedComparison:
-    """Prepare a comparison.
-
-    Parameters
-    ----------
-    level, block : array_like, shape (n,)
-        Labels of any kind.
-    """
+    """The comparison of n units with labels of any kind, shape (n,)."""
     levels = np.unique(np.asarray(level), return_inverse=True)[1]
     blocks = np.zeros_like(levels) if block is None else np.unique(np.asarray(block), return_inverse=True)[1]
     nuisance = unit_columns(blocks)
@@ -188,21 +172,15 @@ def build_comparison(level: npt.ArrayLike, block: npt.ArrayLike | None = None) -
 
 
 def sums_of_squares(values: npt.ArrayLike, comparison: BlockedComparison) -> SumsOfSquares:
-    """Sums of squares of blocks, of levels within them and of the rest.
+    """Sums of squares of blocks, of levels within them and of the residuals of values, shape (..., n).
 
-    Values are shifted by one of them first. The difference of two nearby doubles is exact (Sterbenz), so
-    that no digit is lost to a large common part but those that the doubles never had.
-
-    Parameters
-    ----------
-    values : array_like, shape (..., n)
-    comparison : Comparison
+    Values are shifted by one of them first: the difference of two nearby doubles is exact (Sterbenz).
 
     Examples
     --------
     >>> two_days = build_comparison(["Mon", "Mon", "Mon", "Tue", "Tue", "Tue"])
-    >>> found = sums_of_squares([1e12 + 1, 1e12 + 2, 1e12 + 3, 1e12 + 4, 1e12 + 5, 1e12 + 6], two_days)
-    >>> round(float(found.statistic), 12), round(float(found.p_value), 6)
+    >>> sums = sums_of_squares([1e12 + 1, 1e12 + 2, 1e12 + 3, 1e12 + 4, 1e12 + 5, 1e12 + 6], two_days)
+    >>> round(float(sums.statistic), 12), round(float(sums.p_value), 6)
     (13.5, 0.021312)
     """
     shifted = subtract_median(values)
@@ -211,7 +189,7 @@ def sums_of_squares(values: npt.ArrayLike, comparison: BlockedComparison) -> Sum
     rest = centred - by_block @ comparison.nuisance.T
     by_level = rest @ comparison.effect
     rest = rest - by_level @ comparison.effect.T
-    # What rounding left of the first two parts in the rest is taken out once more.
+    # Once more, for the rounding of the first projections.
     rest = rest - (rest @ comparison.nuisance) @ comparison.nuisance.T
     rest = rest - (rest @ comparison.effect) @ comparison.effect.T
     between_blocks, between, within = (np.sum(part**2, axis=-1) for part in (by_block, by_level, rest))
@@ -226,7 +204,7 @@ def level_means(values: npt.ArrayLike, comparison: BlockedComparison) -> tuple[A
     -------
     means : array, shape (..., k)
     factor : array, shape (k, k)
-        Times the error's variance: covariance of the means, but for what all of them share.
+        Times the error's variance: covariance of the means, up to a constant common to all.
     """
     values = np.asarray(values, float)
     shifted = subtract_median(values)
@@ -241,7 +219,7 @@ def level_means(values: npt.ArrayLike, comparison: BlockedComparison) -> tuple[A
 
 
 def subtract_median(values: npt.ArrayLike) -> Array:
-    """Values less their median, exactly where they are near each other."""
+    """Values less their median, without rounding where they are near each other."""
     values = np.asarray(values, float)
     middle = values.shape[-1] // 2
     return values - np.partition(values, middle, axis=-1)[..., middle : middle + 1]
@@ -263,8 +241,8 @@ class LevelDifference:
     largest, smallest : int
         The two levels.
     difference, low, high : float
-        Largest less smallest mean, with the 95 % interval of Tukey and Kramer: it holds for all pairs
-        at once, so also for the pair that stood out. With two levels it is Student's.
+        Largest less smallest mean, with the 95 % interval of Tukey and Kramer, which holds for all pairs
+        at once. With two levels it is Student's.
     """
 
     means: Array
@@ -277,21 +255,19 @@ class LevelDifference:
 
 
 def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDifference:
-    """The effect of the levels of one set of values, shape (n,).
+    """The largest difference between levels of one set of values, shape (n,).
 
     Examples
     --------
-    >>> from stickslip_fit.anova.contrasts import build_comparison
-    >>> found = largest_difference(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), build_comparison(list("aaabbb")))
-    >>> round(found.difference, 3), round(found.low, 3), round(found.high, 3)
+    >>> result = largest_difference(np.array([1.0, 2, 3, 4, 5, 6]), build_comparison(list("aaabbb")))
+    >>> round(result.difference, 3), round(result.low, 3), round(result.high, 3)
     (3.0, 0.733, 5.267)
     """
     from scipy.stats import t
 
     means, factor = level_means(values, comparison)
-    squares = sums_of_squares(values, comparison)
     df = comparison.df[1]
-    spread = float(np.sqrt(squares.variance))
+    spread = float(np.sqrt(sums_of_squares(values, comparison).variance))
     largest, smallest = int(np.argmax(means)), int(np.argmin(means))
     difference = float(means[largest] - means[smallest])
     error = spread * np.sqrt(difference_factor(factor)[largest, smallest])
@@ -304,14 +280,14 @@ def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDif
 
 
 def difference_factor(factor: Array) -> Array:
-    """Times the error's variance: that of the difference between each two means, shape (k, k)."""
-    own = np.diag(factor)
-    return own[:, None] + own[None, :] - 2 * factor
+    """Times the error's variance: variance of the difference between each two means, shape (k, k)."""
+    diagonal = np.diag(factor)
+    return diagonal[:, None] + diagonal[None, :] - 2 * factor
 
 
 @cache
 def _studentized_range_quantile(levels: int, df: int) -> float:
-    """Quantile of the studentized range for a difference in units of its own standard error."""
+    """Quantile of the studentized range for a difference in units of its standard error."""
     from scipy.stats import studentized_range, t
 
     if levels == 2:
@@ -323,14 +299,9 @@ SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
 
 
 def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNIFICANCE_LEVEL) -> float:
-    """Probability that the F test rejects.
+    """Probability that the F test rejects at `level`.
 
-    Parameters
-    ----------
-    noncentrality : float
-        Sum of squares of the true level means within blocks over the error's variance.
-    freedom : tuple of (int, int)
-    level : float, optional
+    The noncentrality is the sum of squares of the true level means within blocks over the error's variance.
 
     Examples
     --------
@@ -343,26 +314,18 @@ def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNI
 
 
 def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:
-    """The smallest noncentrality when two levels differ by `difference`.
-
-    It arises for the two levels that are known least, with all others where they help least.
-    """
+    """The smallest noncentrality when two levels differ by `difference`, whichever two these are."""
     _, factor = level_means(np.zeros(len(comparison.level)), comparison)
     return (difference / spread) ** 2 / float(difference_factor(factor).max())
 
 
 def detectable_difference(spread: float, comparison: BlockedComparison) -> float:
-    """The smallest difference between two levels that shows at 5 % in 80 of 100 such comparisons.
+    """The difference between two levels that is detected at 5 % with a power of 80 %.
 
-    Parameters
-    ----------
-    spread : float
-        Standard deviation of the error.
-    comparison : Comparison
+    `spread` is the standard deviation of the error.
 
     Examples
     --------
-    >>> from stickslip_fit.anova.contrasts import build_comparison
     >>> two_days_of_three = build_comparison(list("aaabbb"))
     >>> round(detectable_difference(1.0, two_days_of_three), 3)
     3.071
@@ -370,10 +333,10 @@ def detectable_difference(spread: float, comparison: BlockedComparison) -> float
     from scipy.optimize import brentq
 
     # FTestPower.solve_power stops within 1e-5 of the root, and FTestPowerF2's stays at its start for few df.
-    most = 10.0
-    while f_test_power(most, comparison.df) < TARGET_POWER:
-        most *= 4.0
-    wanted = float(
-        brentq(lambda size: f_test_power(size, comparison.df) - TARGET_POWER, 1e-6, most, rtol=1e-10)
+    upper = 10.0
+    while f_test_power(upper, comparison.df) < TARGET_POWER:
+        upper *= 4.0
+    noncentrality = float(
+        brentq(lambda size: f_test_power(size, comparison.df) - TARGET_POWER, 1e-6, upper, rtol=1e-10)
     )
-    return spread * float(np.sqrt(wanted / smallest_noncentrality(1.0, 1.0, comparison)))
+    return spread * float(np.sqrt(noncentrality / smallest_noncentrality(1.0, 1.0, comparison)))

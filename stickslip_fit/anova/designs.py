@@ -26,53 +26,8 @@ ConfigurationChooser = Callable[[pd.DataFrame, list[str]], Iterable[pd.DataFrame
 
 
 @dataclass(frozen=True)
-class FactorTestDesign:
-    """What is asked, and of which readings.
-
-    Attributes
-    ----------
-    analysis : str
-        ``day``, ``direction`` or ``normal-force``.
-    joint : int
-    direction, session : str or None
-        None where the question is about both, or all.
-    configuration : str
-        Where everything else stood, in words.
-    factor : str
-        Column of `readings` whose levels are compared.
-    error_term : str
-        What the difference between levels is measured against.
-    readings : DataFrame
-        See `readings.readings`; with a column level, the names of the levels.
-    """
-
-    analysis: str
-    joint: int
-    direction: str | None
-    session: str | None
-    configuration: str
-    factor: str
-    error_term: str
-    readings: pd.DataFrame
-
-    @property
-    def units(self) -> pd.DataFrame:
-        """What is compared: readings, or their mean in each session and level.
-
-        Returns
-        -------
-        DataFrame
-            step_size, level, block.
-        """
-        if self.error_term == WITHIN_SESSION_ERROR:
-            return self.readings[["step_size", "level"]].assign(block="")
-        cells = self.readings.groupby(["session", "level"], sort=False, as_index=False)["step_size"].mean()
-        return cells.rename(columns={"session": "block"})
-
-
-@dataclass(frozen=True)
 class NotTestable:
-    """A question that the log cannot answer, and why; attributes as of `Question`."""
+    """A test that the log does not allow, and why; other attributes as of `FactorTestDesign`."""
 
     analysis: str
     joint: int
@@ -82,124 +37,141 @@ class NotTestable:
     reason: str
 
 
-def choose_most_informative(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
-    """The configuration that says most: seen in several sessions, repeated most, read most, read first.
+@dataclass(frozen=True)
+class FactorTestDesign:
+    """The observations, levels and error term of one test.
 
-    Nothing but the design decides, never what was read.
+    Attributes
+    ----------
+    analysis : str
+        ``day``, ``direction`` or ``normal-force``.
+    joint : int
+    direction, session : str or None
+        None where the test is over both, or all.
+    configuration : str
+        Position of all other joints and the base, in words.
+    factor : str
+        What differs between the levels, in words.
+    error_term : str
+        The variation that differences between levels are compared with.
+    observations : DataFrame
+        See `step_size_observations`; with a column level, the names of the levels.
+    """
+
+    analysis: str
+    joint: int
+    direction: str | None
+    session: str | None
+    configuration: str
+    factor: str
+    error_term: str
+    observations: pd.DataFrame
+
+    @property
+    def units(self) -> pd.DataFrame:
+        """Observations, or their mean in each session and level: step_size, level, block."""
+        if self.error_term == WITHIN_SESSION_ERROR:
+            return self.observations[["step_size", "level"]].assign(block="")
+        cells = self.observations.groupby(["session", "level"], sort=False, as_index=False)[
+            "step_size"
+        ].mean()
+        return cells.rename(columns={"session": "block"})
+
+    def not_testable(self, reason: str) -> NotTestable:
+        """The test as one that cannot be made, with the reason."""
+        return NotTestable(
+            self.analysis, self.joint, self.direction, self.session, self.configuration, reason
+        )
+
+
+def choose_most_informative(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
+    """The configuration with several sessions, then most replicates, then most observations.
+
+    The choice depends on the design alone, never on the observed values.
 
     Parameters
     ----------
     rows : DataFrame
-        Readings of one joint.
+        Observations of one joint.
     by : list of str
         Columns that make a configuration.
     """
-    place, order = _ranked(rows, by)
-    return [rows[place == order[0]]]
+    return choose_all(rows, by)[:1]
 
 
 def choose_all(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
-    """Each configuration, the one that says most first."""
-    place, order = _ranked(rows, by)
-    parts = dict(list(rows.groupby(place, sort=False)))
-    return [parts[one] for one in order]
-
-
-def _ranked(rows: pd.DataFrame, by: list[str]) -> tuple[pd.Series[int], list[int]]:
-    """The number of each row's configuration, and these numbers, the one that says most first."""
-    place = rows.groupby(by, dropna=False, sort=False).ngroup()
-    cells = rows.groupby([place, "session", "direction", "orientation"], sort=False).size()
-    places = cells.groupby(level=0, sort=False)
-    repeats = places.sum() - places.size()
-    again = rows.groupby(place)["session"].nunique() > 1
+    """Each configuration, the most informative first."""
+    code = rows.groupby(by, dropna=False, sort=False).ngroup()
+    cells = rows.groupby([code, "session", "direction", "orientation"], sort=False).size()
+    by_code = cells.groupby(level=0, sort=False)
+    replicates = by_code.sum() - by_code.size()
+    several = rows.groupby(code)["session"].nunique() > 1
     ranking = pd.DataFrame(
-        {"both": again & (repeats > 0), "again": again, "repeats": repeats, "readings": places.sum()}
+        {"both": several & (replicates > 0), "several": several, "replicates": replicates, "n": by_code.sum()}
     )
-    return place, list(ranking.sort_values(list(ranking), ascending=False, kind="stable").index)
+    subsets = dict(list(rows.groupby(code, sort=False)))
+    order = ranking.sort_values(list(ranking), ascending=False, kind="stable").index
+    return [subsets[one] for one in order]
 
 
-MAX_SESSIONS = 12  # beyond these, only the question over all sessions; one can still be named
+MAX_SESSIONS = 12  # with more, only the test over all sessions; one session can still be chosen
 
 
 def design_session_tests(
     analysis: str, factor: str, rows: pd.DataFrame, direction: str | None, configuration: str
 ) -> list[FactorTestDesign | NotTestable]:
-    """Ask over all sessions, sessions being blocks, and in each of them.
+    """Tests over all sessions, with sessions as blocks, and within each of them.
 
-    Over sessions, levels are compared by the means of their cells, against how differently they differ from
-    session to session: what holds for these sessions and not only in one of them. In a session, against
-    its readings' scatter.
+    Over sessions, cell means are compared against the interaction of session and level, so that the result
+    holds for other sessions too; within a session, observations against their scatter.
 
-    The F test over sessions is exact where cells have equal numbers of readings. Where these differ sixfold
-    and levels differ alike in all sessions, it rejects 3.6 to 5.7 times in 100 in place of 5.
+    The F test over sessions is exact where cells have equal numbers of observations. Where these differ
+    sixfold and levels differ alike in all sessions, it rejects 3.6 to 5.7 times in 100 in place of 5.
 
     Parameters
     ----------
     analysis, factor : str
-        Name of the question, and of what differs.
+        Name of the test, and of what differs.
     rows : DataFrame
-        Readings of one joint at one configuration, with a column level.
+        Observations of one joint at one configuration, with a column level.
     direction : str or None
     configuration : str
     """
     joint = int(rows["joint"].iloc[0])
-    levels = rows.groupby("session", sort=False)["level"].nunique()
-    paired = [session for session, count in levels.items() if count > 1]
-    if not paired:
+    n_levels = rows.groupby("session", sort=False)["level"].nunique()
+    sessions = [session for session, count in n_levels.items() if count > 1]
+    if not sessions:
         reason = f"no session has readings of more than one {factor} here"
         return [NotTestable(analysis, joint, direction, None, configuration, reason)]
-    designs: list[FactorTestDesign | NotTestable] = []
-    if len(levels) > 1:
-        subset = rows[rows["session"].isin(paired)]
-        over = FactorTestDesign(
-            analysis, joint, direction, None, configuration, factor, f"session x {factor}", subset
+
+    def design(session: str | None, error_term: str, subset: pd.DataFrame) -> FactorTestDesign:
+        return FactorTestDesign(
+            analysis, joint, direction, session, configuration, factor, error_term, subset
         )
-        designs.append(_check_between_sessions(over, len(paired)))
-    if len(paired) <= MAX_SESSIONS:
-        designs += [
-            _check_within_session(
-                FactorTestDesign(
-                    analysis, joint, direction, session, configuration, factor, WITHIN_SESSION_ERROR,
-                    rows[rows["session"] == session],
-                )
-            )
-            for session in paired
-        ]  # fmt: skip
+
+    designs: list[FactorTestDesign | NotTestable] = []
+    if len(n_levels) > 1:
+        over = design(None, f"session x {factor}", rows[rows["session"].isin(sessions)])
+        reason = _why_not_between_sessions(over, len(sessions))
+        designs.append(over.not_testable(reason) if reason else over)
+    for session in sessions if len(sessions) <= MAX_SESSIONS else ():
+        within = design(session, WITHIN_SESSION_ERROR, rows[rows["session"] == session])
+        replicated = len(within.observations) > within.observations["level"].nunique()
+        reason = f"one reading of each {factor} says nothing of scatter: repeat one in this session"
+        designs.append(within if replicated else within.not_testable(reason))
     return designs
 
 
-def _check_between_sessions(over: FactorTestDesign, sessions: int) -> FactorTestDesign | NotTestable:
-    if sessions < 2:
-        return _not_testable(
-            over, f"one session only has more than one {over.factor}: repeat it in another session"
-        )
+def _why_not_between_sessions(over: FactorTestDesign, n_sessions: int) -> str:
+    if n_sessions < 2:
+        return f"one session only has more than one {over.factor}: repeat it in another session"
     units = over.units
     comparison = build_comparison(units["level"], units["block"])
     if not comparison.connected:
-        return _not_testable(
-            over, f"some levels of {over.factor} were never read in one session with the others"
-        )
+        return f"some levels of {over.factor} were never read in one session with the others"
     if comparison.df[1] < 1:
-        return _not_testable(over, f"too few sessions have the same levels of {over.factor}")
-    return over
-
-
-def _check_within_session(design: FactorTestDesign) -> FactorTestDesign | NotTestable:
-    if len(design.readings) == design.readings["level"].nunique():
-        reason = f"one reading of each {design.factor} says nothing of scatter: repeat one in this session"
-        return _not_testable(design, reason)
-    return design
-
-
-def _not_testable(design: FactorTestDesign, reason: str) -> NotTestable:
-    return NotTestable(
-        design.analysis,
-        design.joint,
-        design.direction,
-        design.session,
-        design.configuration,
-        reason,
-    )
+        return f"too few sessions have the same levels of {over.factor}"
+    return ""
 
 
 COORDINATE_UNITS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
@@ -215,32 +187,29 @@ def step_size_observations(log: Log) -> pd.DataFrame:
     -------
     DataFrame
         The log's columns with plain text for session and direction, and step_size (rad or m per step),
-        rounding (spread that the end stop's check adds to it), low and high (the stretch traversed),
-        load_low, load_middle, load_high (published load along it), configuration and orientation
-        (labels of where everything stood, and of how the base was turned).
+        rounding (standard deviation that the end stop's check adds to it), low and high (ends of the
+        traverse in order), load_low, load_middle, load_high (published load along it), configuration and
+        orientation (labels of all positions, and of the base's).
     """
     rows = log.usable
-    found = rows.astype({"session": object, "direction": object})
-    seen = expected_steps(rows["steps"], rows["check_every"])
-    found["step_size"] = traverse_length(rows) / seen
-    checked = np.where(rows["check_every"] > 1, rows["check_every"], 1)
-    found["rounding"] = found["step_size"] * checked / np.sqrt(12.0) / seen
-    found["low"], found["high"] = (
-        np.minimum(rows["start"], rows["stop"]),
-        np.maximum(rows["start"], rows["stop"]),
-    )
-    found[CONFIGURATION_COLUMNS] = found[CONFIGURATION_COLUMNS].round(_POSITION_DECIMALS) + 0.0
+    table = rows.astype({"session": object, "direction": object})
+    steps = expected_steps(rows["steps"], rows["check_every"])
+    table["step_size"] = traverse_length(rows) / steps
+    check_every = np.where(rows["check_every"] > 1, rows["check_every"], 1)
+    table["rounding"] = table["step_size"] * check_every / np.sqrt(12.0) / steps
+    table["low"], table["high"] = rows[["start", "stop"]].min(axis=1), rows[["start", "stop"]].max(axis=1)
+    table[CONFIGURATION_COLUMNS] = table[CONFIGURATION_COLUMNS].round(_POSITION_DECIMALS) + 0.0
     for joint in log.joints:
-        subset = found["joint"] == joint
+        subset = table["joint"] == joint
         for name, share in (("low", 0.0), ("middle", 0.5), ("high", 1.0)):
-            found.loc[subset, f"load_{name}"] = _observation_loads(found[subset], joint, share)
-    found["configuration"] = _group_labels(found, CONFIGURATION_COLUMNS)
-    found["orientation"] = _group_labels(found, ["joint", "theta", "psi"])
-    return found
+            table.loc[subset, f"load_{name}"] = _observation_loads(table[subset], joint, share)
+    table["configuration"] = _group_labels(table, CONFIGURATION_COLUMNS)
+    table["orientation"] = _group_labels(table, ["joint", "theta", "psi"])
+    return table
 
 
 def select_observations(rows: pd.DataFrame, joint: int | None, session: str | None) -> pd.DataFrame:
-    """The readings of one joint, of one session, or of both.
+    """The observations of one joint, of one session, or of both.
 
     Raises
     ------
@@ -259,12 +228,12 @@ def select_observations(rows: pd.DataFrame, joint: int | None, session: str | No
 
 
 def describe_design_point(row: pd.Series, span: float, names: list[str]) -> str:
-    """Where things stood, of a partial traverse its ends too.
+    """The configuration of an observation, in words; of a partial traverse its ends too.
 
     Parameters
     ----------
     row : Series
-        A reading.
+        An observation.
     span : float
         The joint's full travel.
     names : list of str
@@ -293,9 +262,9 @@ def _format_plain(value: float, unit: str) -> str:
 
 
 def _observation_loads(rows: pd.DataFrame, joint: int, share: float) -> np.ndarray:
-    at = (rows["low"] + share * (rows["high"] - rows["low"])).to_numpy()
-    q1 = at if joint == 1 else float_column(rows, "q1")
-    q2 = at if joint == 2 else float_column(rows, "q2")
+    moving = (rows["low"] + share * (rows["high"] - rows["low"])).to_numpy()
+    q1 = moving if joint == 1 else float_column(rows, "q1")
+    q2 = moving if joint == 2 else float_column(rows, "q2")
     load = published_load(joint, q1, q2, float_column(rows, "theta"), float_column(rows, "psi"))
     return np.round(load, _LOAD_DECIMALS) + 0.0
 
@@ -312,65 +281,50 @@ POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi"]
 def design_day_tests(
     rows: pd.DataFrame, span: float, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
-    """One question for each direction: sessions against readings within them, at one configuration.
+    """One test for each direction: sessions against observations within them, at one configuration.
 
     Parameters
     ----------
     rows : DataFrame
-        Readings of one joint.
+        Observations of one joint.
     span : float
         The joint's full travel, rad or m.
     choose : callable
         Picks the configurations.
     """
-    return [
-        _design_day_test(
-            here[here["direction"] == direction],
-            direction,
-            describe_design_point(here.iloc[0], span, POSITION_COLUMNS),
-        )
-        for here in choose(rows, CONFIGURATION_COLUMNS)
-        for direction in ("+", "-")
-        if (here["direction"] == direction).any()
-    ]
-
-
-def _design_day_test(
-    rows: pd.DataFrame, direction: str, configuration: str
-) -> FactorTestDesign | NotTestable:
-    joint = int(rows["joint"].iloc[0])
-    sessions = rows["session"].nunique()
-    asked = ("day", joint, direction, None, configuration)
-    if sessions < 2:
-        return NotTestable(*asked, "all readings are of one session: repeat this configuration in another")
-    if len(rows) == sessions:
-        return NotTestable(
-            *asked,
-            "one reading in each session says nothing of scatter: read it twice in one session at least",
-        )
-    return FactorTestDesign(*asked, "session", WITHIN_SESSION_ERROR, rows.assign(level=rows["session"]))
+    designs: list[FactorTestDesign | NotTestable] = []
+    for subset in choose(rows, CONFIGURATION_COLUMNS):
+        configuration = describe_design_point(subset.iloc[0], span, POSITION_COLUMNS)
+        for direction, observations in subset.groupby("direction"):
+            n_sessions = observations["session"].nunique()
+            common = ("day", int(rows["joint"].iloc[0]), str(direction), None, configuration)
+            if n_sessions < 2:
+                reason = "all readings are of one session: repeat this configuration in another"
+                designs.append(NotTestable(*common, reason))
+            elif len(observations) == n_sessions:
+                reason = "one reading in each session says nothing of scatter: read it twice in one session "
+                designs.append(NotTestable(*common, f"{reason}at least"))
+            else:
+                levels = observations.assign(level=observations["session"])
+                designs.append(FactorTestDesign(*common, "session", WITHIN_SESSION_ERROR, levels))
+    return designs
 
 
 def design_direction_tests(
     rows: pd.DataFrame, span: float, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
-    """Direction + against -, at one configuration; parameters as of `day.day`."""
+    """Direction + against -, at one configuration; parameters as of `design_day_tests`."""
     joint = int(rows["joint"].iloc[0])
     driven = rows["direction"].unique()
     if len(driven) < 2:
         reason = f"joint {joint} was driven in direction {driven[0]} only"
         return [NotTestable("direction", joint, None, None, None, reason)]
-    return [
-        asked
-        for here in choose(rows, CONFIGURATION_COLUMNS)
-        for asked in design_session_tests(
-            "direction",
-            "direction",
-            here.assign(level=here["direction"]),
-            None,
-            describe_design_point(here.iloc[0], span, POSITION_COLUMNS),
-        )
-    ]
+    designs: list[FactorTestDesign | NotTestable] = []
+    for subset in choose(rows, CONFIGURATION_COLUMNS):
+        levels = subset.assign(level=subset["direction"])
+        configuration = describe_design_point(subset.iloc[0], span, POSITION_COLUMNS)
+        designs += design_session_tests("direction", "direction", levels, None, configuration)
+    return designs
 
 
 NO_ROTATION_REASON = (
@@ -382,28 +336,32 @@ NO_ROTATION_REASON = (
 def design_normal_force_tests(
     rows: pd.DataFrame, span: float, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
-    """One question for each direction; parameters as of `day.day`."""
+    """One test for each direction; parameters as of `design_day_tests`."""
     joint = int(rows["joint"].iloc[0])
-    together = rows.groupby([*ROTATION_COLUMNS, "session", "direction"], dropna=False)["orientation"]
-    compared = rows.assign(compared=together.transform("nunique") > 1).groupby(ROTATION_COLUMNS, dropna=False)
-    turned = compared["compared"].transform("any")
+    cells = rows.groupby([*ROTATION_COLUMNS, "session", "direction"], dropna=False)["orientation"]
+    turned = (
+        rows.assign(turned=cells.transform("nunique") > 1)
+        .groupby(ROTATION_COLUMNS, dropna=False)["turned"]
+        .transform("any")
+    )
     if not turned.any():
         return [NotTestable("normal-force", joint, None, None, None, NO_ROTATION_REASON)]
-    asked: list[FactorTestDesign | NotTestable] = []
-    for here in choose(rows[turned], ROTATION_COLUMNS):
-        varied = [name for name in ("theta", "psi") if here[name].nunique() > 1]
-        fixed = [name for name in ("q1", "q2", "q3", "theta", "psi") if name not in varied]
-        names = {key: _orientation_name(part.iloc[0], varied) for key, part in here.groupby("orientation")}
-        configuration = f"{describe_design_point(here.iloc[0], span, fixed)}; {' and '.join(varied)} turned"
-        labelled = here.assign(level=here["orientation"].map(names))
-        for sign in ("+", "-"):
-            driven = labelled[labelled["direction"] == sign]
+    designs: list[FactorTestDesign | NotTestable] = []
+    for subset in choose(rows[turned], ROTATION_COLUMNS):
+        varied = [name for name in ("theta", "psi") if subset[name].nunique() > 1]
+        fixed = [name for name in POSITION_COLUMNS if name not in varied]
+        names = {key: _orientation_name(part.iloc[0], varied) for key, part in subset.groupby("orientation")}
+        configuration = f"{describe_design_point(subset.iloc[0], span, fixed)}; {' and '.join(varied)} turned"
+        levels = subset.assign(level=subset["orientation"].map(names))
+        for sign, driven in levels.groupby("direction"):
             if driven["level"].nunique() > 1:
-                asked += design_session_tests("normal-force", "orientation", driven, sign, configuration)
-            elif len(driven):
+                designs += design_session_tests(
+                    "normal-force", "orientation", driven, str(sign), configuration
+                )
+            else:
                 reason = f"direction {sign} was driven in one of these orientations only"
-                asked.append(NotTestable("normal-force", joint, sign, None, configuration, reason))
-    return asked
+                designs.append(NotTestable("normal-force", joint, str(sign), None, configuration, reason))
+    return designs
 
 
 def _orientation_name(row: pd.Series, varied: list[str]) -> str:

@@ -33,16 +33,7 @@ LAB_COLUMN_PREFIXES = (COVARIATE_PREFIX, "text:")
 
 @dataclass(frozen=True)
 class ModelTerm:
-    """One term of a model.
-
-    Attributes
-    ----------
-    name : str
-    factors : frozenset of str
-        What it is a product of.
-    columns : array, shape (n, p)
-        Its part of the design matrix.
-    """
+    """One term of a model, a product of factors; columns of the design matrix, shape (n, p)."""
 
     name: str
     factors: frozenset[str]
@@ -54,7 +45,7 @@ class AnovaRow:
     """Sum of squares and degrees of freedom of a term, or of the residual."""
 
     name: str
-    squares: float
+    sum_of_squares: float
     df: int
 
 
@@ -71,7 +62,7 @@ class FormulaTable(Summarized):
     lines : tuple of AnovaRow
         The terms in the order of the formula, then the residual.
     count : int
-        Readings.
+        Number of observations.
     """
 
     joint: int
@@ -85,11 +76,11 @@ class FormulaTable(Summarized):
         """term, ss, df, ms, F, p, p_holm, omega_squared (partial)."""
         from scipy.special import fdtrc
 
-        table = pd.DataFrame([(line.name, line.squares, line.df) for line in self.lines])
+        table = pd.DataFrame([(line.name, line.sum_of_squares, line.df) for line in self.lines])
         table.columns = pd.Index(["term", "ss", "df"])
         table["ms"] = table["ss"] / table["df"].where(table["df"] > 0)
         error = self.lines[-1]
-        table["F"] = (table["ms"] / (error.squares / error.df)).where(table["term"] != RESIDUAL_NAME)
+        table["F"] = (table["ms"] / (error.sum_of_squares / error.df)).where(table["term"] != RESIDUAL_NAME)
         table["p"] = fdtrc(table["df"].astype(float), float(error.df), table["F"])
         tested = table["p"].notna()
         table.loc[tested, "p_holm"] = adjust_holm(table.loc[tested, "p"])
@@ -97,17 +88,16 @@ class FormulaTable(Summarized):
         return table.assign(omega_squared=np.maximum(0.0, excess / (excess + self.count)))
 
     def to_json(self) -> list[dict[str, object]]:
-        """One object for each term, with the fields of `record.COLUMNS`."""
-        told = []
+        """One object for each term, with the fields of `RECORD_COLUMNS`."""
+        records = []
         for row in self.table[:-1].itertuples(index=False):
-            tested = bool(row.df)
-            found: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
-            found |= {"analysis": f"formula: {row.term}", "joint": self.joint, "error_term": RESIDUAL_NAME}
-            if tested:
-                found |= {"F": row.F, "df": [row.df, self.lines[-1].df], "p_value": row.p}
-                found |= {"p_holm": row.p_holm, "omega_squared": row.omega_squared}
-            told.append(found)
-        return told
+            record: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
+            record |= {"analysis": f"formula: {row.term}", "joint": self.joint, "error_term": RESIDUAL_NAME}
+            if row.df:
+                record |= {"F": row.F, "df": [row.df, self.lines[-1].df], "p_value": row.p}
+                record |= {"p_holm": row.p_holm, "omega_squared": row.omega_squared}
+            records.append(record)
+        return records
 
 
 def analyze_formula(
@@ -115,10 +105,10 @@ def analyze_formula(
 ) -> tuple[FormulaTable, ...]:
     """Analyse any columns of a log, each joint by itself.
 
-    Factors are columns of `readings.readings`, which has the log's own (``covariate:pressure`` may be called
-    ``pressure``) and step_size, configuration and orientation; numpy is ``np``. Text is a factor, and
+    Factors are columns of `step_size_observations`, which has the log's own (``covariate:pressure`` may be
+    called ``pressure``) and step_size, configuration and orientation; numpy is ``np``. Text is a factor, and
     ``C(...)`` makes one of numbers. ``a / b`` nests b in a, whether or not b's labels start anew in each a:
-    degrees of freedom are counted from what the columns span.
+    degrees of freedom are ranks.
 
     Parameters
     ----------
@@ -136,8 +126,8 @@ def analyze_formula(
     Raises
     ------
     InputError
-        If the formula cannot be read, names what the log does not have, meets empty cells, leaves no scatter
-        to compare with, or asks for type III where some combinations of levels are missing.
+        If the formula cannot be read, names a column that the log does not have, meets empty cells, leaves
+        no residual scatter, or asks for type III where some combinations of levels are missing.
     """
     rows = add_plain_names(select_observations(step_size_observations(log), joint, session))
     return tuple(_analyze_joint(subset, int(one), text, kind) for one, subset in rows.groupby("joint"))
@@ -160,7 +150,7 @@ def _analyze_joint(rows: pd.DataFrame, joint: int, text: str, kind: int) -> Form
     values, terms = model_terms(rows, text, sums_to_zero=kind == 3)
     lines = anova_rows(values, terms, kind)
     rest, rounding = lines[-1], EXACT_FIT_TOL * float(np.abs(values).max())
-    if rest.df < 1 or rest.squares <= rest.df * rounding**2:
+    if rest.df < 1 or rest.sum_of_squares <= rest.df * rounding**2:
         raise InputError(f"joint {joint}: {text!r} leaves no scatter to compare with; leave a term out")
     if kind == 3:
         _check_estimable(terms, lines)
@@ -192,7 +182,7 @@ def anova_rows(values: Array, terms: Sequence[ModelTerm], kind: int) -> list[Ano
     --------
     >>> session = ModelTerm("session", frozenset({"session"}), np.array([[1.0], [1], [0], [0]]))
     >>> rows = anova_rows(np.array([1.0, 2, 3, 4]), [session], kind=1)
-    >>> [(row.name, round(row.squares, 9), row.df) for row in rows]
+    >>> [(row.name, round(row.sum_of_squares, 9), row.df) for row in rows]
     [('session', 4.0, 1), ('residual', 1.0, 2)]
     """
     values, rows = subtract_median(values), []

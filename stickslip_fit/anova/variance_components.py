@@ -26,7 +26,7 @@ from stickslip_fit.anova.factor_test import EXACT_REPEAT_TOL
 
 @dataclass(frozen=True)
 class CellStatistics:
-    """Readings by session and direction.
+    """Observations by session and direction.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class CellStatistics:
 
     @property
     def complete(self) -> npt.NDArray[np.bool_]:
-        """Sessions in which every direction was read, shape (sessions,)."""
+        """Sessions in which every direction was observed, shape (sessions,)."""
         return np.all(self.count > 0, axis=1)
 
     @property
-    def within_freedom(self) -> int:
+    def within_df(self) -> int:
         """Degrees of freedom of `within`."""
         return int(self.count.sum() - (self.count > 0).sum())
 
@@ -63,19 +63,14 @@ class VarianceEstimates:
 def fit_reml(cells: CellStatistics) -> VarianceEstimates:
     """Variances at the maximum of the restricted likelihood, each at least 0.
 
-    The maximum may lie where a variance is 0. Each such face is searched by itself, on a logarithmic
-    scale, and the best of all is taken, so that no search has to crawl along a bound.
-
-    Parameters
-    ----------
-    cells : CellStatistics
-        With one direction only, day by direction is part of day.
+    The maximum may lie where a variance is 0. Each such face is searched separately, on a logarithmic
+    scale, and the best is taken. With one direction only, day by direction is part of day.
 
     Examples
     --------
     >>> cells = CellStatistics(np.array([[3.0], [3.0]]), np.array([[0.0], [2.0]]), 4.0)
-    >>> found = fit_reml(cells)  # balanced: (MS between - MS within) / 3
-    >>> round(found.day, 6), round(found.replicate, 6)
+    >>> variances = fit_reml(cells)  # balanced: (MS between - MS within) / 3
+    >>> round(variances.day, 6), round(variances.replicate, 6)
     (1.666667, 1.0)
     """
     faces = ([], [0], [1], [0, 1]) if cells.count.shape[1] > 1 else ([], [0])
@@ -86,20 +81,20 @@ def fit_reml(cells: CellStatistics) -> VarianceEstimates:
 
 
 def _minimize_deviance(cells: CellStatistics, free: list[int]) -> list[Array]:
-    """Where the deviance is lowest with the other ratios 0, from a start on either side."""
+    """Minima of the deviance with the other ratios 0, from a start on either side."""
     from scipy.optimize import minimize
 
-    def ratios(logarithms: Array) -> Array:
-        found = np.zeros(2)
-        found[free] = np.exp(np.clip(logarithms, -60.0, 60.0))
-        return found
+    def to_ratios(logarithms: Array) -> Array:
+        ratios = np.zeros(2)
+        ratios[free] = np.exp(np.clip(logarithms, -60.0, 60.0))
+        return ratios
 
     def deviance(logarithms: Array) -> float:
-        return _profile_deviance(cells, ratios(logarithms))[0]
+        return _profile_deviance(cells, to_ratios(logarithms))[0]
 
     if not free:
         return [np.zeros(2)]
-    found = [
+    minima = [
         minimize(
             deviance,
             np.full(len(free), start),
@@ -108,11 +103,11 @@ def _minimize_deviance(cells: CellStatistics, free: list[int]) -> list[Array]:
         )
         for start in (-1.0, 4.0)
     ]
-    return [ratios(each.x) for each in found]
+    return [to_ratios(minimum.x) for minimum in minima]
 
 
 def _profile_deviance(cells: CellStatistics, ratios: Array) -> tuple[float, float]:
-    """Deviance at ratios of variances to the replicate's, and the replicate's variance that goes with it."""
+    """Deviance at ratios of variances to the replicate's, and the replicate's variance profiled there."""
     present = cells.count > 0
     own = np.where(present, ratios[1] + 1.0 / np.where(present, cells.count, 1.0), 1.0)
     weight = np.where(present, 1.0 / own, 0.0)
@@ -147,21 +142,16 @@ class VarianceIntervals:
 
 
 def generalized_pivotal_intervals(cells: CellStatistics, seed: int = 0) -> VarianceIntervals:
-    """Intervals from the sessions in which every direction was read, two at least.
+    """Intervals from the sessions, two at least, in which every direction was observed.
 
     A session's mean over its directions varies by ``day + V / 4`` and the difference between them by
     ``V = 2 day_direction + h replicate``, h being the sum of 1 / count over its cells, here its average.
     Both are exact where all cells have the same count.
-
-    Parameters
-    ----------
-    cells : CellStatistics
-    seed : int, optional
     """
     rng = np.random.default_rng(seed)
     count, mean = cells.count[cells.complete], cells.mean[cells.complete]
     df = len(mean) - 1
-    replicate = cells.within / rng.chisquare(cells.within_freedom, PIVOTAL_DRAWS)
+    replicate = cells.within / rng.chisquare(cells.within_df, PIVOTAL_DRAWS)
     h = float(np.mean(np.sum(1.0 / count, axis=1)))
     middle = _sum_of_squares(mean.mean(axis=1)) / rng.chisquare(df, PIVOTAL_DRAWS)
     if mean.shape[1] == 1:
@@ -202,20 +192,18 @@ class VarianceComponents:
     ----------
     joint : int
     configuration : str
-        Label of it, as in `readings.readings`.
+        Its label, as in `step_size_observations`.
     mean : float
         Mean step size.
     sessions : int
-    day, day_direction, replicate : Component
-        What changes from session to session in both directions alike, in each by itself, and from reading
-        to reading. With one direction only, day_direction is None and part of day.
-    total : Component
-        What changes from session to session in one direction: day and day_direction together.
-    direction : float or None
-        The step size in direction + less that in direction -. Both directions there are were driven, so that
-        this is a fixed effect: a difference, not a variance.
-    direction_low, direction_high : float or None
-        Its 95 % interval, from how differently it comes out in different sessions.
+    day, day_direction, replicate : VarianceComponent
+        Between sessions in both directions alike, in each by itself, and between replicates. With one
+        direction only, day_direction is None and part of day.
+    total : VarianceComponent
+        Between sessions in one direction: day and day_direction together.
+    direction, direction_low, direction_high : float or None
+        Step size in direction + less that in direction -, a fixed effect, with its 95 % interval from the
+        variation between sessions.
     """
 
     joint: int
@@ -232,34 +220,26 @@ class VarianceComponents:
 
 
 def estimate_components(rows: pd.DataFrame) -> VarianceComponents | NotTestable:
-    """Variance components at the configuration that says most.
-
-    Estimates are by restricted maximum likelihood, intervals by generalised pivotal quantities.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Readings of one joint.
-    """
-    here = choose_most_informative(rows, CONFIGURATION_COLUMNS)[0]
-    joint, where = int(here["joint"].iloc[0]), str(here["configuration"].iloc[0])
-    cells, rounding = build_cell_statistics(here), EXACT_REPEAT_TOL * float(here["step_size"].max())
-    scatters = cells.within_freedom > 0 and cells.within > cells.within_freedom * rounding**2
+    """Variance components of one joint's observations at the most informative configuration."""
+    subset = choose_most_informative(rows, CONFIGURATION_COLUMNS)[0]
+    joint, configuration = int(subset["joint"].iloc[0]), str(subset["configuration"].iloc[0])
+    cells, rounding = build_cell_statistics(subset), EXACT_REPEAT_TOL * float(subset["step_size"].max())
+    scatters = cells.within_df > 0 and cells.within > cells.within_df * rounding**2
     if cells.complete.sum() < 2 or not scatters:
         reason = "needs two sessions with every direction at one configuration, and readings that scatter"
         return NotTestable("components", joint, None, None, None, reason)
-    found, bounds = fit_reml(cells), generalized_pivotal_intervals(cells)
+    variances, intervals = fit_reml(cells), generalized_pivotal_intervals(cells)
     two = cells.count.shape[1] > 1
     difference = _direction_difference(cells.mean[cells.complete]) if two else (None, None, None)
     return VarianceComponents(
         joint,
-        where,
-        float(here["step_size"].mean()),
+        configuration,
+        float(subset["step_size"].mean()),
         len(cells.count),
-        _build_component(found.day, bounds.day),
-        _build_component(found.day_direction, bounds.day_direction) if two else None,
-        _build_component(found.replicate, bounds.replicate),
-        _build_component(found.day + found.day_direction, bounds.total),
+        _build_component(variances.day, intervals.day),
+        _build_component(variances.day_direction, intervals.day_direction) if two else None,
+        _build_component(variances.replicate, intervals.replicate),
+        _build_component(variances.day + variances.day_direction, intervals.total),
         *difference,
     )
 
@@ -279,19 +259,16 @@ def build_cell_statistics(rows: pd.DataFrame) -> CellStatistics:
     return CellStatistics(count.reshape(shape), mean.reshape(shape), within)
 
 
-def _build_component(variance: float, bounds: tuple[float, float]) -> VarianceComponent:
-    """Where directions change against each other, day is 0 and the rest is estimated as if that were known.
-
-    Their intervals do not know that, and are widened to hold the estimates.
-    """
-    deviation, low, high = np.sqrt([variance, *bounds])
+def _build_component(variance: float, interval: tuple[float, float]) -> VarianceComponent:
+    """A standard deviation whose interval is widened to hold an estimate at the bound of another variance."""
+    deviation, low, high = np.sqrt([variance, *interval])
     return VarianceComponent(float(deviation), float(min(low, deviation)), float(max(high, deviation)))
 
 
 def _direction_difference(mean: Array) -> tuple[float, float, float]:
     """Direction + less -, the columns being in this order."""
     sessions = np.repeat(np.arange(len(mean)), 2)
-    found = largest_difference(mean.ravel(), build_comparison(np.tile([0, 1], len(mean)), sessions))
-    sign = 1.0 if found.largest == 0 else -1.0
-    low, high = sorted((sign * found.low, sign * found.high))
-    return sign * found.difference, low, high
+    effect = largest_difference(mean.ravel(), build_comparison(np.tile([0, 1], len(mean)), sessions))
+    sign = 1.0 if effect.largest == 0 else -1.0
+    low, high = sorted((sign * effect.low, sign * effect.high))
+    return sign * effect.difference, low, high

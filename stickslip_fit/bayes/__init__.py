@@ -2,7 +2,7 @@
 
 from stickslip_fit.bayes.checks import check_predictive, leave_one_out, predictive_p_values
 from stickslip_fit.bayes.estimator import fit_bayes
-from stickslip_fit.bayes.posterior import Posterior, load_posterior, predict_posterior, save_posterior
+from stickslip_fit.bayes.posterior import Posterior, load_posterior
 from stickslip_fit.bayes.priors import Prior, Priors, weak_prior, weak_priors
 
 __all__ = [
@@ -13,9 +13,7 @@ __all__ = [
     "fit_bayes",
     "leave_one_out",
     "load_posterior",
-    "predict_posterior",
     "predictive_p_values",
-    "save_posterior",
     "weak_prior",
     "weak_priors",
 ]

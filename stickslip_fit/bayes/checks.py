@@ -1,6 +1,7 @@
-"""Predictive checks of a posterior, PSIS-LOO, and predictions for fitted and for new sessions.
+"""Predictive checks of a posterior, and PSIS-LOO.
 
-The p-values compare statistics of the residuals with those of replicated data from the posterior.
+The p-values compare statistics of the residuals with those of replicated data from the posterior (A. Gelman,
+X.-L. Meng and H. Stern, Statistica Sinica 6:733, 1996).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_direction
-from stickslip_fit._summary import Column, Section, Table
+from stickslip_fit._summary import Section, Table, numbers, words
 from stickslip_fit._typing import Array
 from stickslip_fit.bayes.posterior import Posterior
 from stickslip_fit.bayes.result import INTERVAL_QUANTILES
@@ -20,55 +21,46 @@ from stickslip_fit.bayes.result import INTERVAL_QUANTILES
 def check_predictive(
     posterior: Posterior, which: Literal["prior", "posterior"] = "posterior"
 ) -> pd.DataFrame:
-    """Each count of the log among the counts that the model would have given.
+    """Each count of the log among the counts that the model predicts.
 
     Parameters
     ----------
     posterior : Posterior
     which : {"prior", "posterior"}, optional
-        The prior's counts say whether it allows for what was seen; the posterior's, whether the law and
-        the noise describe it.
+        Whether the prior allows for the counts, or the law and the noise describe them.
 
     Returns
     -------
     DataFrame, indexed as the log's usable rows
-        joint, direction, steps as seen; low, median, high of the model's counts (95 %); rank: the share of
-        them below the count seen, ties halved; and stalled: the share in which the joint comes to a halt.
+        joint, direction, steps as counted; low, median, high of the model's counts (95 %); rank: the share of
+        them below the count, ties halved; and stalled: the share in which the joint comes to a halt.
     """
     tables = []
     for joint, direction in posterior.groups:
         branch = posterior.group_tree(joint, direction)
-        seen = branch["observed_data"]["steps"]
-        model = branch[f"{which}_predictive"]["steps"].to_numpy().reshape(-1, seen.size)
-        stalled = np.isnan(model)
-        endless = np.where(stalled, np.inf, model)
-        low, median, high = np.quantile(
-            endless, (INTERVAL_QUANTILES[0], 0.5, INTERVAL_QUANTILES[1]), axis=0, method="nearest"
-        )
-        steps = seen.to_numpy()
-        rank = np.mean(endless < steps, axis=0) + 0.5 * np.mean(endless == steps, axis=0)
-        table = pd.DataFrame(
-            {
-                "joint": joint, "direction": direction, "steps": steps, "low": low, "median": median,
-                "high": high, "rank": rank, "stalled": stalled.mean(axis=0),
-            },
-            index=seen["traverse"].to_numpy(),
-        )  # fmt: skip
-        tables.append(table)
+        observed = branch["observed_data"]["steps"]
+        steps = observed.to_numpy()
+        counts = branch[f"{which}_predictive"]["steps"].to_numpy().reshape(-1, steps.size)
+        stalled = np.isnan(counts)
+        counts = np.where(stalled, np.inf, counts)
+        probabilities = (INTERVAL_QUANTILES[0], 0.5, INTERVAL_QUANTILES[1])
+        quantiles = np.quantile(counts, probabilities, axis=0, method="nearest")
+        table = pd.DataFrame({"joint": joint, "direction": direction, "steps": steps})
+        table[["low", "median", "high"]] = quantiles.T
+        table["rank"] = np.mean(counts < steps, axis=0) + 0.5 * np.mean(counts == steps, axis=0)
+        table["stalled"] = stalled.mean(axis=0)
+        tables.append(table.set_index(observed["traverse"].to_numpy()))
     return pd.concat(tables).sort_index()
 
 
 def predictive_p_values(posterior: Posterior) -> pd.DataFrame:
-    """Posterior predictive p-values of what a wrong law or noise would show.
-
-    Each draw compares how the log departs from it with how counts of its own do (Gelman, Meng and Stern,
-    Statistica Sinica 6:733, 1996).
+    """Posterior predictive p-values of statistics of the residuals.
 
     Returns
     -------
     DataFrame
-        joint, direction and, each near 0 or 1 where the model fails: spread (more or less scatter than it
-        allows), extreme (its largest departure) and memory (neighbours in time that depart alike).
+        joint, direction and, each near 0 or 1 where the model fails: spread (mean square of the residuals),
+        extreme (the largest) and memory (autocorrelation of neighbours in time).
     """
     rows = []
     for joint, direction in posterior.groups:
@@ -79,24 +71,26 @@ def predictive_p_values(posterior: Posterior) -> pd.DataFrame:
             predictive[name].to_numpy().reshape(-1, width)
             for name, width in (("law", len(y)), ("steps", len(y)), ("repeatability", 1))
         )
-        # A count stands for half a check less, in the model's as in the lab's.
-        half = steps - np.exp(y)
-        found, own = (_residual_statistics((each - law) / noise) for each in (y, np.log(counts - half)))
+        # A count is on average half a check too high, replicated or observed.
+        half_check = steps - np.exp(y)
+        of_log, replicated = (
+            _residual_statistics((log_steps - law) / noise) for log_steps in (y, np.log(counts - half_check))
+        )
         rows.append(
             {"joint": joint, "direction": direction}
-            | {name: float(np.mean(own[name] >= found[name])) for name in found}
+            | {name: float(np.mean(replicated[name] >= of_log[name])) for name in of_log}
         )
     return pd.DataFrame(rows)
 
 
 def leave_one_out(posterior: Posterior) -> pd.DataFrame:
-    """PSIS-LOO by ArviZ: how well each traverse is foretold by all the others.
+    """PSIS-LOO by ArviZ: expected log predictive density of each traverse given all the others.
 
     Returns
     -------
     DataFrame
         joint, direction, elpd and its standard_error, p (effective number of parameters), and
-        untrusted: how many traverses have a k-hat too large to be judged so.
+        untrusted: the number of traverses with too large a k-hat.
     """
     import warnings
 
@@ -107,29 +101,30 @@ def leave_one_out(posterior: Posterior) -> pd.DataFrame:
         with warnings.catch_warnings():
             # What it warns of is counted in the last column.
             warnings.simplefilter("ignore", UserWarning)
-            found = loo(posterior.group_tree(joint, direction), pointwise=True)
-        untrusted = int(np.sum(found.pareto_k.to_numpy() > found.good_k))
-        rows.append((joint, direction, float(found.elpd), float(found.se), float(found.p), untrusted))
+            result = loo(posterior.group_tree(joint, direction), pointwise=True)
+        untrusted = int(np.sum(result.pareto_k.to_numpy() > result.good_k))
+        rows.append((joint, direction, float(result.elpd), float(result.se), float(result.p), untrusted))
     return pd.DataFrame(rows, columns=["joint", "direction", "elpd", "standard_error", "p", "untrusted"])
 
 
-def _residual_statistics(departure: Array) -> dict[str, Array]:
-    """Statistics of standardised departures, (d, n) -> (d,)."""
+def _residual_statistics(residual: Array) -> dict[str, Array]:
+    """Statistics of standardized residuals, (d, n) -> (d,)."""
     return {
-        "spread": np.mean(departure**2, axis=1),
-        "extreme": np.max(np.abs(departure), axis=1),
-        "memory": np.sum(departure[:, 1:] * departure[:, :-1], axis=1),
+        "spread": np.mean(residual**2, axis=1),
+        "extreme": np.max(np.abs(residual), axis=1),
+        "memory": np.sum(residual[:, 1:] * residual[:, :-1], axis=1),
     }
 
 
-EXTREME_P_VALUE = (
-    0.002  # in either tail; one of the p-values of all joints is this odd in about one fit of thirty
-)
-# What a p-value near 0, and one near 1, says. A largest departure that is smaller than usual is no harm.
+EXTREME_P_VALUE = 0.002  # in either tail; one of all p-values is as extreme in about one fit of thirty
+# Of a p-value near 0, and of one near 1. A largest residual smaller than usual is harmless.
 STATISTIC_MEANINGS = {
     "spread": ("counts scatter more than the model has it", "counts scatter less than the model has it"),
     "extreme": ("a count is further off than the model ever has it", ""),
-    "memory": ("neighbours in time depart alike: something drifts", "neighbours in time depart oppositely"),
+    "memory": (
+        "neighbours in time have residuals of one sign: something drifts",
+        "neighbours in time have residuals of opposite signs",
+    ),
 }
 
 
@@ -138,16 +133,19 @@ def checks_section(posterior: Posterior) -> Section:
 
     What has not converged is left out.
     """
-    groups = [group for group in posterior.groups if _has_converged(posterior, *group)]
+    failed = {(flag.joint, flag.direction) for flag in posterior.flags if flag.flag == "not_converged"}
+    groups = [group for group in posterior.groups if group not in failed]
     if not groups:
-        said = "Nothing has converged, so there is nothing to check the counts against."
-        return Section("Predictive checks", (said,))
-    found = predictive_p_values(posterior).merge(leave_one_out(posterior), on=["joint", "direction"])
-    found = found[[group in groups for group in zip(found["joint"], found["direction"], strict=True)]]
+        text = "Nothing has converged, so there is nothing to check the counts against."
+        return Section("Predictive checks", (text,))
+    checks = predictive_p_values(posterior).merge(leave_one_out(posterior), on=["joint", "direction"])
+    checks = checks[[group in groups for group in zip(checks["joint"], checks["direction"], strict=True)]]
+    trees = [posterior.group_tree(*group) for group in groups]
+    checks["traverses"] = [tree["observed_data"]["steps"].size for tree in trees]
     columns = (
-        Column("joint", text=True),
-        *(Column(name, group="p-value") for name in STATISTIC_MEANINGS),
-        *(Column(head) for head in ("elpd (LOO)", "its parameters", "counts it cannot judge")),
+        *words("joint"),
+        *numbers(*STATISTIC_MEANINGS, group="p-value"),
+        *numbers("elpd (LOO)", "its parameters", "counts it cannot judge"),
     )
     rows = tuple(
         (
@@ -155,28 +153,21 @@ def checks_section(posterior: Posterior) -> Section:
             *(f"{getattr(row, name):.2f}" for name in STATISTIC_MEANINGS),
             f"{row.elpd:.1f} ± {row.standard_error:.1f}",
             f"{row.p:.1f}",
-            f"{row.untrusted} of {posterior.group_tree(row.joint, row.direction)['observed_data']['steps'].size}",
+            f"{row.untrusted} of {row.traverses}",
         )
-        for row in found.itertuples(index=False)
+        for row in checks.itertuples(index=False)
     )
     note = "p-values: shares of the model's own logs that show more than this one."
     table = Table("Posterior predictive p-values, PSIS-LOO", columns, rows, note=note)
-    return Section("Predictive checks", tuple(_conclude(found)), (table,))
+    return Section("Predictive checks", tuple(_conclude(checks)), (table,))
 
 
-def _has_converged(posterior: Posterior, joint: int, direction: str) -> bool:
-    return not any(
-        (flag.joint, flag.direction, flag.flag) == (joint, direction, "not_converged")
-        for flag in posterior.result.flags
-    )
-
-
-def _conclude(found: pd.DataFrame) -> list[str]:
+def _conclude(checks: pd.DataFrame) -> list[str]:
     lines = []
-    for row in found.itertuples(index=False):
+    for row in checks.itertuples(index=False):
         for name, (small, large) in STATISTIC_MEANINGS.items():
             value = getattr(row, name)
-            said = small if value < EXTREME_P_VALUE else large if value > 1 - EXTREME_P_VALUE else ""
-            if said:
-                lines.append(f"! joint {row.joint} {format_direction(row.direction)}: {said}")
+            text = small if value < EXTREME_P_VALUE else large if value > 1 - EXTREME_P_VALUE else ""
+            if text:
+                lines.append(f"! joint {row.joint} {format_direction(row.direction)}: {text}")
     return lines or ["The counts look like the model's own."]

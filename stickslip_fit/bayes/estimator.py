@@ -34,6 +34,7 @@ from stickslip_fit.bayes.marginal import (
 from stickslip_fit.bayes.posterior import Posterior
 from stickslip_fit.bayes.priors import (
     CausePriors,
+    Group,
     GroupData,
     Priors,
     build_group_data,
@@ -63,17 +64,7 @@ from stickslip_fit.logs import Log
 
 @dataclass(frozen=True, eq=False)
 class LinearizedGroup:
-    """One joint and direction, expanded with the causes held.
-
-    Attributes
-    ----------
-    traverses : Traverses
-        Under a HeldLaw.
-    marginal : Marginal
-    mode : array, shape (p + 1,)
-    covariance : array, shape (p + 1, p + 1)
-        Of its levels.
-    """
+    """One joint and direction under a `FixedCauseLaw`, linearized; mode, (p + 1,), and covariance there."""
 
     traverses: GroupData
     marginal: MarginalLikelihood
@@ -88,7 +79,7 @@ class LinearizedGroup:
         return replace(self.traverses, law=law.extended)
 
     def with_causes_fixed(self, sizes: Array) -> GroupData:
-        """The traverses with the causes held at other sizes, shape (q,)."""
+        """The traverses with the causes fixed at other sizes, shape (q,)."""
         law = self.traverses.law
         assert isinstance(law, FixedCauseLaw)
         return replace(self.traverses, law=FixedCauseLaw(law.law, law.extended.causes, sizes))
@@ -98,42 +89,34 @@ class LinearizedGroup:
         prior, whole = self.marginal.prior, self.whole
         own = prior.centre + prior.width * self.marginal.z
         response = whole.predict(join_parameters(np.broadcast_to(own, (len(sizes), *own.shape)), sizes))
-        held = self.traverses.predict(own[None])
-        return self.traverses.pad((response - held).T, 0.0)
+        fixed = self.traverses.predict(own[None])
+        return self.traverses.pad((response - fixed).T, 0.0)
 
     def log_likelihood(self, sizes: Array) -> Array:
-        """Of other sizes at the likeliest levels, (k, q) -> (k,); -inf where the law stalls."""
+        """Of other sizes at the mode of the hyperparameters, (k, q) -> (k,); -inf where the law stalls."""
         levels = np.broadcast_to(self.mode, (len(sizes), len(self.mode)))
         return _finite_or_excluded(self.marginal.conditional(levels, self.shift(sizes)).log_likelihood)
 
     def sample_sessions(
         self, x: Array, sizes: Array, rng: np.random.Generator
     ) -> tuple[PosteriorDraws, Array]:
-        """Draw the campaign's mean and the sessions at each x, (k, p + 1), and sizes, (k, q).
+        """Draw campaign mean and sessions at each x, (k, p + 1), and sizes, (k, q); and log weights, (k,).
 
-        Returns
-        -------
-        draws : Draws
-            With the causes' parameters after the others; they do not spread between sessions.
-        log_weight : array, shape (k,)
-            Exact likelihood over that by which `x` was walked through.
+        The causes' parameters stand after the others and do not spread between sessions. A weight is the
+        exact likelihood over that by which `x` was sampled.
         """
-        at_a_time = max(NUMBERS_PER_CHUNK // len(self.traverses.y), 1)
-        parts = [
-            self._draw_back(x[first : first + at_a_time], sizes[first : first + at_a_time], rng)
-            for first in range(0, len(x), at_a_time)
-        ]
-        draws, weights = zip(*parts, strict=True)
-        both = [
-            np.concatenate([getattr(part, name) for part in draws]) for name in PosteriorDraws.__annotations__
-        ]
-        return PosteriorDraws(*both), np.concatenate(weights)
+        size = max(NUMBERS_PER_CHUNK // len(self.traverses.y), 1)
+        chunks = [slice(first, first + size) for first in range(0, len(x), size)]
+        draws, weights = zip(*(self._sample_sessions(x[c], sizes[c], rng) for c in chunks), strict=True)
+        return PosteriorDraws.concatenate(draws), np.concatenate(weights)
 
-    def _draw_back(self, x: Array, sizes: Array, rng: np.random.Generator) -> tuple[PosteriorDraws, Array]:
+    def _sample_sessions(
+        self, x: Array, sizes: Array, rng: np.random.Generator
+    ) -> tuple[PosteriorDraws, Array]:
         prior, shift = self.marginal.prior, self.shift(sizes)
-        given = self.marginal.conditional(x, np.nan_to_num(shift))
-        mean = given.draw_mean(rng)
-        z = (given.sessions(mean) + given.draw_departures(rng)).T
+        conditional = self.marginal.conditional(x, np.nan_to_num(shift))
+        mean = conditional.draw_mean(rng)
+        z = (conditional.sessions(mean) + conditional.draw_departures(rng)).T
         spread, repeatability = prior.levels(x)
         values = join_parameters(prior.centre + prior.width * z, sizes)
         draws = PosteriorDraws(
@@ -143,22 +126,16 @@ class LinearizedGroup:
             values,
         )
         exact = log_importance_ratio(self.whole, self.marginal, z, values, repeatability, shift)
-        walked = self.marginal.conditional(x).log_likelihood
-        return draws, _finite_or_excluded(given.log_likelihood - walked + exact)
+        sampled = self.marginal.conditional(x).log_likelihood
+        return draws, _finite_or_excluded(conditional.log_likelihood - sampled + exact)
 
 
 def build_proposal(
     parts: Sequence[LinearizedGroup], priors: CausePriors, start: Array, error: Array, seed: int
 ) -> CauseProposal:
-    """A guess at the posterior of the causes' parameters, at the likeliest levels of each part.
+    """A proposal of the causes' parameters, at the mode of each group's hyperparameters.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-    priors : CausePriors
-    start, error : array, shape (q,)
-        About where they are, and how well known; NaN or 0 where that is not known.
-    seed : int
+    `start` and `error`, shape (q,), are estimates and standard errors; NaN or 0 where these are unknown.
     """
     eta, free = priors.at(start), priors.free
     step = 1e-4
@@ -172,8 +149,8 @@ def build_proposal(
 
     def log_density(xi: Array) -> Array:
         points, sizes = initial.points(xi)
-        found = np.sum([part.log_likelihood(sizes) for part in parts], axis=0)
-        return _finite_or_excluded(found - 0.5 * np.sum(points**2, axis=1))
+        log_likelihood = np.sum([part.log_likelihood(sizes) for part in parts], axis=0)
+        return _finite_or_excluded(log_likelihood - 0.5 * np.sum(points**2, axis=1))
 
     mode, covariance = find_mode(log_density, np.zeros(free.sum()))
     return replace(initial, proposal=fit_proposal(log_density, mode, covariance, np.random.default_rng(seed)))
@@ -181,16 +158,9 @@ def build_proposal(
 
 @dataclass(frozen=True, eq=False)
 class CauseProposal:
-    """Where draws of the causes' parameters come from.
+    """Proposal of the causes' parameters: Student's t in units of `root` about `centre`, both shape (q,).
 
-    Attributes
-    ----------
-    priors : CausePriors
-    centre, root : array, shape (q,)
-        Origin and unit of what the guess knows, where the prior is standard normal.
-    free : array of bool, shape (q,)
-    proposal : Guess
-        Of the free ones.
+    The coordinates are those in which the prior is standard normal; only the `free` parameters move.
     """
 
     priors: CausePriors
@@ -201,11 +171,11 @@ class CauseProposal:
 
     @property
     def middle(self) -> Array:
-        """All the parameters in the middle of the guess, shape (q,)."""
+        """All the parameters at the centre of the proposal, shape (q,)."""
         return self.points(self.proposal.centre[None])[1][0]
 
     def points(self, xi: Array) -> tuple[Array, Array]:
-        """Where the prior is standard normal, of the free ones; and all the parameters, shape (k, q)."""
+        """Standard normal coordinates of the free parameters; and all parameters, shape (k, q)."""
         eta = np.tile(self.centre, (len(xi), 1))
         eta[:, self.free] += self.root[self.free] * xi
         return eta[:, self.free], self.priors.values(eta)
@@ -217,37 +187,6 @@ class CauseProposal:
         return values, -0.5 * np.sum(eta**2, axis=1) - self.proposal.log_density(xi)
 
 
-def draw_all_groups(
-    parts: Mapping[tuple[int, str], LinearizedGroup],
-    levels: Mapping[tuple[int, str], Array],
-    proposal: CauseProposal,
-    rng: np.random.Generator,
-) -> tuple[dict[tuple[int, str], PosteriorDraws], Array]:
-    """Draws of everything.
-
-    Parameters
-    ----------
-    parts : mapping of (int, str) to Part
-    levels : mapping of (int, str) to array, shape (d, p + 1)
-        Walked through with the causes held.
-    proposal : Proposal
-    rng : Generator
-
-    Returns
-    -------
-    draws : dict of (int, str) to Draws
-    log_weight : array, shape (d,)
-        Of each draw of all parts together.
-    """
-    size = len(next(iter(levels.values())))
-    sizes, log_weight = proposal.draw(size, rng)
-    draws = {}
-    for group, part in parts.items():
-        draws[group], more = part.sample_sessions(levels[group], sizes, rng)
-        log_weight = log_weight + more
-    return draws, log_weight
-
-
 def join_parameters(own: Array, sizes: Array) -> Array:
     """Each session's own parameters and those of the causes, (k, S, p) and (k, q) -> (k, S, p + q)."""
     return np.concatenate([own, np.broadcast_to(sizes[:, None], (*own.shape[:2], sizes.shape[1]))], axis=2)
@@ -257,12 +196,9 @@ def _finite_or_excluded(log_density: Array) -> Array:
     return np.where(np.isfinite(log_density), log_density, -np.inf)
 
 
-Group = tuple[int, str]
-
-# The causes are first held where least squares has them, then in the middle of what may be.
-PROPOSAL_ROUNDS = 2
+PROPOSAL_ROUNDS = 2  # the causes are fixed first at the least-squares fit, then at the proposal's centre
 DRAWS_PER_ESS = 4.0  # draws for each effective one that is asked for: uneven weights cost some
-JOINT_SEED = 100_003  # the seed of what is not drawn for any one joint
+JOINT_SEED = 100_003  # of draws that concern all joints
 
 
 def fit_jointly(
@@ -276,9 +212,9 @@ def fit_jointly(
     backend: str | Path | None,
     on_step: Callable[[int], Any],
 ) -> tuple[dict[Group, PosteriorSample], Priors]:
-    """Sample the posterior of every joint and direction, and of the causes' parameters; see `bayes`.
+    """Sample the posterior of every joint and direction, and of the causes' parameters; see `fit_bayes`.
 
-    Least squares chooses the causes' versions, and moments of sudden changes, which are held there.
+    Least squares chooses the causes' versions, and moments of sudden changes, which are fixed there.
     """
     start, error, laws = _least_squares_start(fit_least_squares(log, causes=causes))
     common = priors.causes or weak_cause_priors(next(iter(laws.values())), start, log.usable)
@@ -312,19 +248,19 @@ def sample_groups(
     max_steps: int,
     on_step: Callable[[int], Any],
 ) -> dict[Group, PosteriorSample]:
-    """Sample what belongs together.
+    """Sample all groups and the causes' parameters.
 
     Parameters
     ----------
-    laid_out : mapping of (int, str) to Traverses
-        Under laws that hold the causes at `fixed`.
+    data_by_group : mapping of (int, str) to GroupData
+        Under laws with the causes fixed at `fixed`.
     priors : Priors
         With those of the causes.
     fixed, error : array, shape (q,)
-        About where the causes' parameters are, and how well that is known; 0 where nobody knows.
+        Estimates of the causes' parameters and their standard errors; 0 where these are unknown.
     backends : mapping of (int, str) to list of Backend
     seed, target_ess, max_steps, on_step
-        See `walk`.
+        See `run_ensembles`.
     """
     common = priors.causes
     assert common is not None
@@ -345,8 +281,8 @@ def sample_groups(
         )
         for group, part in parts.items()
     }
-    for longer in LENGTH_FACTORS:
-        wanted = longer * target_ess
+    for factor in LENGTH_FACTORS:
+        wanted = factor * target_ess
         chains = {
             group: run_ensembles(
                 part.marginal.log_density, proposals[group], _group_seed(seed, group), backends[group],
@@ -356,17 +292,23 @@ def sample_groups(
         }  # fmt: skip
         levels, shape = _align_chains(chains, max(int(DRAWS_PER_ESS * wanted), MIN_DRAWS))
         rng = np.random.default_rng((seed, JOINT_SEED))
-        draws, log_weight = draw_all_groups(parts, levels, proposal, rng)
+        sizes, log_weight = proposal.draw(len(next(iter(levels.values()))), rng)
+        draws = {}
+        for group, part in parts.items():
+            draws[group], group_log_weight = part.sample_sessions(levels[group], sizes, rng)
+            log_weight = log_weight + group_log_weight
         samples = _build_samples(parts, draws, log_weight, shape, common, chains, target_ess, rng)
         result = samples.values()
-        enough = all(each.converged for each in result) or not all(each.weights_reliable for each in result)
-        if enough or all(each.steps == max_steps for each in result):
+        reliable = all(sample.weights_reliable for sample in result)
+        if all(sample.converged for sample in result) or not reliable:
+            break
+        if all(sample.steps == max_steps for sample in result):
             break
     return samples
 
 
 def _least_squares_start(result: Result) -> tuple[Array, Array, dict[int, ExtendedLaw]]:
-    """Sizes of the causes by least squares, how well known, and the laws with the causes' versions."""
+    """Sizes of the causes by least squares, their standard errors, and the laws with the causes' versions."""
     laws = {joint: fit.law for joint, fit in result.joints.items() if isinstance(fit.law, ExtendedLaw)}
     last = slice(-len(next(iter(laws.values())).common), None)
     fits = list(result.joints.values())
@@ -380,13 +322,13 @@ def _group_seed(seed: int, group: Group) -> tuple[int, ...]:
 
 
 def _align_chains(chains: dict[Group, Chains], wanted: int) -> tuple[dict[Group, Array], tuple[int, ...]]:
-    """As many draws of each part's levels, and in how many ensembles, steps and walkers."""
-    ensembles, walkers = (min(each.x.shape[k] for each in chains.values()) for k in (0, 2))
+    """As many draws of each group's hyperparameters, and the ensembles, steps and walkers they are from."""
+    ensembles, walkers = (min(chain.x.shape[k] for chain in chains.values()) for k in (0, 2))
     steps = -(-wanted // (ensembles * walkers))
     levels = {}
-    for group, each in chains.items():
-        taken = np.linspace(0, each.x.shape[1] - 1, steps).round().astype(int)
-        levels[group] = each.x[:ensembles, taken, :walkers].reshape(-1, each.x.shape[-1])
+    for group, chain in chains.items():
+        taken = np.linspace(0, chain.x.shape[1] - 1, steps).round().astype(int)
+        levels[group] = chain.x[:ensembles, taken, :walkers].reshape(-1, chain.x.shape[-1])
     return levels, (ensembles, steps, walkers)
 
 
@@ -400,7 +342,7 @@ def _build_samples(
     target_ess: int,
     rng: np.random.Generator,
 ) -> dict[Group, PosteriorSample]:
-    """Draws of equal weight, the same ones of all parts."""
+    """Draws of equal weight, the same ones in all groups."""
     weight, k_hat = psis_smooth(log_weight)
     by_ensemble = weight.reshape(shape[0], -1)
     size = by_ensemble.shape[1]
@@ -418,10 +360,17 @@ def _build_samples(
             assess_labelled_draws(labels, sizes, shape, weight, k_hat),
         ]
         samples[group] = PosteriorSample(
-            part.whole, part.marginal.prior, draws[group].take(taken),
-            log_weight[taken], log_weight[taken], shape[0], chains[group].steps,
-            pd.concat(tables, ignore_index=True), target_ess, common,
-        )  # fmt: skip
+            traverses=part.whole,
+            prior=part.marginal.prior,
+            draws=draws[group].select(taken),
+            log_density=log_weight[taken],
+            log_weight=log_weight[taken],
+            ensembles=shape[0],
+            steps=chains[group].steps,
+            quality=pd.concat(tables, ignore_index=True),
+            target_ess=target_ess,
+            causes=common,
+        )
     return samples
 
 
@@ -453,9 +402,8 @@ def fit_bayes(
     max_steps : int, optional
         Steps of each ensemble after which a joint and direction is given up as not converged.
     backend : path, optional
-        An HDF5 file in which the walks are kept step by step, at about a second for each joint and
-        direction. After an interruption the same call carries on where it was, and ends as if nothing had
-        happened.
+        An HDF5 file in which the chains are kept step by step, at about a second for each joint and
+        direction. After an interruption the same call carries on, with the same outcome.
     progress : bool, optional
         Show a progress bar.
     command : str, optional
@@ -464,33 +412,33 @@ def fit_bayes(
     Returns
     -------
     Posterior
-        What has not converged is NaN and has a remark that says so.
+        What has not converged is NaN and has a flag.
 
     Raises
     ------
     InputError
         If the log has no usable traverse, the priors lack a joint or direction, or `backend` holds the
-        walks of another log, law, prior or seed.
+        chains of another log, law, prior or seed.
 
     Notes
     -----
     A session's parameters are normal about the campaign's; log(steps) is normal about the law, with the
     repeatability's variance and the rounding's. Sessions and campaign means are integrated out in closed
     form, what remains is sampled by ensembles, and the draws are weighted to the exact posterior. Causes'
-    parameters are drawn beside it and weighted with it, all joints at once; see `bayes.with_causes`.
+    parameters are drawn beside it and weighted with it, all joints at once.
     """
     priors = weak_priors(log) if priors is None else priors
     if causes:
-        with progress_bar(progress, desc="all joints", unit=" steps") as shown:
+        settings: dict[str, Any] = {"seed": seed, "target_ess": target_ess, "max_steps": max_steps}
+        with progress_bar(progress, desc="all joints", unit=" steps") as bar:
             samples, priors = fit_jointly(
-                log, causes, priors, seed=seed, target_ess=target_ess, max_steps=max_steps,
-                backend=backend, on_step=shown.update,
-            )  # fmt: skip
+                log, causes, priors, backend=backend, on_step=bar.update, **settings
+            )
     else:
         samples = _fit_separately(log, priors, seed, target_ess, max_steps, backend, progress)
     tables = [
-        found.quality.assign(joint=joint, direction=direction)
-        for (joint, direction), found in samples.items()
+        sample.quality.assign(joint=joint, direction=direction)
+        for (joint, direction), sample in samples.items()
     ]
     diagnostics = pd.concat(tables, ignore_index=True)
     diagnostics = diagnostics[["joint", "direction", *diagnostics.columns.drop(["joint", "direction"])]]
@@ -507,20 +455,22 @@ def _fit_separately(
     backend: str | Path | None,
     progress: bool,
 ) -> dict[tuple[int, str], PosteriorSample]:
-    """Joints and directions that nothing ties together."""
+    """Sample every joint and direction by itself."""
     samples = {}
     for joint, direction, traverses in iterate_groups(log):
         prior, name = priors.prior(joint, direction), group_name(joint, direction)
-        walks = memory_backends() if backend is None else file_backends(backend, name, traverses, prior, seed)
-        # Most walks end long before `max_steps`, so a share of it would mislead.
-        with progress_bar(progress, desc=f"joint {joint}, direction {direction}", unit=" steps") as shown:
+        backends = memory_backends()
+        if backend is not None:
+            backends = file_backends(backend, name, traverses, prior, seed)
+        # Most chains end long before `max_steps`, so a share of it would mislead.
+        with progress_bar(progress, desc=f"joint {joint}, direction {direction}", unit=" steps") as bar:
             samples[joint, direction] = sample_posterior(
                 traverses,
                 prior,
-                walks,
-                seed=(seed, joint, int(direction == "-")),
+                backends,
+                seed=_group_seed(seed, (joint, direction)),
                 target_ess=target_ess,
                 max_steps=max_steps,
-                on_step=shown.update,
+                on_step=bar.update,
             )
     return samples

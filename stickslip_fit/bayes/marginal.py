@@ -9,7 +9,7 @@ al., JMLR 25:72, 2024). The mode and a Student-t proposal serve the sampler.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,14 +31,7 @@ ADAPTATION_DRAWS, ADAPTATION_ROUNDS = 1000, 2
 
 @dataclass(frozen=True, eq=False)
 class StudentTProposal:
-    """A multivariate Student's t that resembles the posterior, with tails that enclose it.
-
-    Attributes
-    ----------
-    centre : array, shape (d,)
-    root : array, shape (d, d)
-        Cholesky factor of the scale matrix.
-    """
+    """A multivariate Student's t: centre, shape (d,), and Cholesky root of the scale matrix, (d, d)."""
 
     centre: Array
     root: Array
@@ -80,17 +73,17 @@ def find_mode(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
 def fit_proposal(
     log_density: LogDensity, mode: Array, covariance: Array, rng: np.random.Generator
 ) -> StudentTProposal:
-    """Adapt a guess to the posterior's mean and covariance, since few posteriors look like their mode."""
+    """A Student's t adapted from the mode to the posterior's mean and covariance."""
     proposal = StudentTProposal(mode, np.linalg.cholesky(covariance))
     for _ in range(ADAPTATION_ROUNDS):
         x = proposal.draw(ADAPTATION_DRAWS, rng)
         log_weight = log_density(x) - proposal.log_density(x)
         weight = np.exp(log_weight - log_weight.max())
-        # No one point may speak for the posterior.
+        # No one point may dominate.
         weight = np.minimum(weight, 10 * weight.mean())
         centre = weight @ x / weight.sum()
         spread = (weight[:, None] * (x - centre)).T @ (x - centre) / weight.sum()
-        # A share of what it was, so that a few heavy points cannot make it flat.
+        # A share of the old scale, so that a few heavy points cannot make it singular.
         proposal = StudentTProposal(
             centre, np.linalg.cholesky(0.9 * spread + 0.1 * proposal.root @ proposal.root.T)
         )
@@ -112,23 +105,14 @@ def _differentiate(log_density: LogDensity, x: Array) -> tuple[Array, Array]:
 
 
 def solve_spd_batched(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Solve small positive definite systems by elimination, the matrices' own axes first.
+    """Solve small positive definite systems, (p, p, ...), (p, k, ...) -> (p, k, ...); and log determinants.
 
     A loop over the p pivots, each for all systems, is several times faster than a call of LAPACK for each.
 
-    Parameters
-    ----------
-    matrix : array, shape (p, p, ...)
-    right : array, shape (p, k, ...)
-
-    Returns
-    -------
-    solution : array, shape (p, k, ...)
-    log_determinant : array, shape (...)
-
     Examples
     --------
-    >>> solution, log_determinant = solve_spd_batched(np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([[3.0], [3.0]]))
+    >>> matrix, right = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([[3.0], [3.0]])
+    >>> solution, log_determinant = solve_spd_batched(matrix, right)
     >>> solution.ravel(), float(np.exp(log_determinant).round(12))
     (array([1., 1.]), 3.0)
     """
@@ -145,7 +129,7 @@ def solve_spd_batched(matrix: Array, right: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class MarginalLikelihood:
-    """The linearised model; sessions S, traverses of a session m, parameters p.
+    """The linearized model; sessions S, traverses of a session m, parameters p.
 
     Attributes
     ----------
@@ -157,7 +141,7 @@ class MarginalLikelihood:
     products : array, shape (S, m, (p + 1)^2)
         Of each row's [J, e] with itself.
     rounding : array, shape (S, m)
-        Infinite, so that the weight is none, where a session has no such traverse.
+        Infinite, i.e. of no weight, where a session has no such traverse.
     z : array, shape (S, p)
         z*.
     """
@@ -180,10 +164,7 @@ class MarginalLikelihood:
         return self.conditional(x).log_likelihood - 0.5 * np.sum(x**2, axis=1)
 
     def conditional(self, x: Array, shift: Array | None = None) -> ConditionalPosterior:
-        """The Gaussians that remain at each x, shape (k, p + 1).
-
-        A `shift`, shape (S, m, k), is what the law's responses are more at each of them.
-        """
+        """The Gaussians that remain at each x, (k, p + 1); `shift`, (S, m, k), adds to the responses."""
         spread, repeatability = self.prior.levels(x)
         tau = (spread / self.prior.width).T[:, None, :]
         weight = 1.0 / (repeatability**2 + self.rounding[:, :, None])
@@ -195,21 +176,23 @@ class MarginalLikelihood:
             weighted = weight * shift
             slopes_response = slopes_response - np.matmul(self.slopes.swapaxes(1, 2), weighted).swapaxes(0, 1)
             cost = cost + np.sum(weighted * (shift - 2 * self.response[:, :, None]), axis=1)
-        form, pull = tau * tau[:, None] * sums[:p, :p], tau * slopes_response
+        form, linear_form = tau * tau[:, None] * sums[:p, :p], tau * slopes_response
         eye = np.eye(p)[:, :, None]
         solution, log_det = solve_spd_batched(
-            eye[..., None] + form, np.concatenate([form, pull[:, None]], axis=1)
+            eye[..., None] + form, np.concatenate([form, linear_form[:, None]], axis=1)
         )
         kept, best = solution[:, :p], solution[:, p]
-        # What the sessions say of m, each blurred by the spread between them.
+        # The sessions' information about m, given the spread between them.
         precision = eye + kept.sum(axis=2) / (tau * tau[:, None])[:, :, 0]
-        drawn = best.sum(axis=1) / tau[:, 0]
-        centre, log_det_mean = solve_spd_batched(precision, drawn[:, None])
+        pull = best.sum(axis=1) / tau[:, 0]
+        centre, log_det_mean = solve_spd_batched(precision, pull[:, None])
         log_weight = np.log(np.where(weight > 0, weight / (2 * np.pi), 1.0)).sum(axis=(0, 1))
-        squares = (cost - np.sum(pull * best, axis=0)).sum(axis=0) - np.sum(drawn * centre[:, 0], axis=0)
+        squares = (cost - np.sum(linear_form * best, axis=0)).sum(axis=0) - np.sum(
+            pull * centre[:, 0], axis=0
+        )
         log_likelihood = 0.5 * (log_weight - log_det.sum(axis=0) - log_det_mean - squares)
         return ConditionalPosterior(
-            tau[:, 0], repeatability, form, pull, precision, centre[:, 0], log_likelihood
+            tau[:, 0], repeatability, form, linear_form, precision, centre[:, 0], log_likelihood
         )
 
 
@@ -230,7 +213,7 @@ class ConditionalPosterior:
     centre : array, shape (p, k)
         Its expectation.
     log_likelihood : array, shape (k,)
-        Of the counts, linearised, with z and m integrated out.
+        Of the counts, linearized, with z and m integrated out.
     """
 
     tau: Array
@@ -258,7 +241,7 @@ class ConditionalPosterior:
 
 
 def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihood:
-    """Linearise each session about its own z, shape (S, p)."""
+    """Linearize each session about its own z, shape (S, p)."""
     values = (prior.centre + prior.width * z)[traverses.groups.of_row]
     predicted, slopes = traverses.law.model(traverses.rows)(values)
     slopes = slopes * prior.width
@@ -282,20 +265,11 @@ def _draw_with_precision(precision: Array, rng: np.random.Generator) -> Array:
     return np.moveaxis(np.linalg.solve(root.swapaxes(-2, -1), noise)[..., 0], -1, 0)
 
 
-# The first round starts from the prior alone and the second from what it finds; then little is left to gain.
-EXPANSION_ROUNDS = 3
+EXPANSION_ROUNDS = 3  # more change next to nothing
 
 
 def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikelihood, Array, Array]:
-    """Linearise a joint and direction.
-
-    Returns
-    -------
-    marginal : Marginal
-    mode : array, shape (p + 1,)
-        Of its density.
-    covariance : array, shape (p + 1, p + 1)
-        There.
+    """Marginal likelihood of a joint and direction; its mode, (p + 1,), and the covariance there.
 
     Raises
     ------
@@ -322,7 +296,7 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
 def _session_modes(
     traverses: GroupData, prior: Prior, start: Array, mean: Array, tau: Array, repeatability: Array
 ) -> Array:
-    """Each session's likeliest z, shape (S, p): least squares with the campaign as p more readings."""
+    """Each session's mode z, shape (S, p): least squares with the campaign mean as p more responses."""
     sessions, p = start.shape
     model = traverses.law.model(traverses.rows)
     owner = np.repeat(np.arange(sessions), p)
@@ -342,23 +316,13 @@ def _session_modes(
     return minimize(with_campaign, y, weight, groups, start, np.ones_like(start)).values
 
 
-# Of rows times draws held at a time.
-NUMBERS_PER_CHUNK = 2_000_000
-# Weights that differ by less are equal but for rounding errors, and have no tail to be examined.
-WEIGHT_TOL = 1e-9
+NUMBERS_PER_CHUNK = 2_000_000  # rows times draws held at a time
+WEIGHT_TOL = 1e-9  # log weights that differ by less are equal but for rounding errors
 
 
 @dataclass(frozen=True, eq=False)
 class PosteriorDraws:
-    """Draws of everything, SI.
-
-    Attributes
-    ----------
-    mean, spread : array, shape (d, p)
-        Of the campaign.
-    repeatability : array, shape (d,)
-    parameters : array, shape (d, S, p)
-    """
+    """Draws, SI: the campaign's mean and spread, (d, p), repeatability, (d,), and parameters, (d, S, p)."""
 
     mean: Array
     spread: Array
@@ -368,14 +332,19 @@ class PosteriorDraws:
     def __len__(self) -> int:
         return len(self.mean)
 
-    def take(self, which: IntArray | slice) -> PosteriorDraws:
+    def select(self, which: IntArray | slice) -> PosteriorDraws:
         """Some of the draws."""
         return PosteriorDraws(
             self.mean[which], self.spread[which], self.repeatability[which], self.parameters[which]
         )
 
+    @classmethod
+    def concatenate(cls, draws: Sequence[PosteriorDraws]) -> PosteriorDraws:
+        """Draws, one after the other."""
+        return cls(*(np.concatenate([getattr(part, name) for part in draws]) for name in cls.__annotations__))
+
     def law_part(self, own: int) -> PosteriorDraws:
-        """Only the first parameters, so many of them."""
+        """Only the first `own` parameters."""
         return PosteriorDraws(
             self.mean[:, :own], self.spread[:, :own], self.repeatability, self.parameters[:, :, :own]
         )
@@ -384,31 +353,23 @@ class PosteriorDraws:
 def sample_sessions(
     traverses: GroupData, marginal: MarginalLikelihood, x: Array, rng: np.random.Generator
 ) -> tuple[PosteriorDraws, Array]:
-    """Draw the campaign's mean and the sessions at each x, shape (d, p + 1).
+    """Draw the campaign's mean and the sessions at each x, (d, p + 1); and log weights, shape (d,).
 
-    Returns
-    -------
-    draws : Draws
-    log_weight : array, shape (d,)
-        Exact over linearised likelihood.
+    A weight is the exact over the linearized likelihood.
     """
-    at_a_time = max(NUMBERS_PER_CHUNK // len(traverses.y), 1)
-    parts = [
-        _sample_sessions(traverses, marginal, x[first : first + at_a_time], rng)
-        for first in range(0, len(x), at_a_time)
-    ]
-    draws, weights = zip(*parts, strict=True)
-    both = [
-        np.concatenate([getattr(part, name) for part in draws]) for name in PosteriorDraws.__annotations__
-    ]
-    return PosteriorDraws(*both), np.concatenate(weights)
+    size = max(NUMBERS_PER_CHUNK // len(traverses.y), 1)
+    chunks = [x[first : first + size] for first in range(0, len(x), size)]
+    draws, weights = zip(
+        *(_sample_sessions(traverses, marginal, chunk, rng) for chunk in chunks), strict=True
+    )
+    return PosteriorDraws.concatenate(draws), np.concatenate(weights)
 
 
 def psis_smooth(log_weight: Array) -> tuple[Array, float]:
     """Pareto-smoothed importance weights, summing to 1, and k-hat (Vehtari et al., JMLR 25:72, 2024)."""
     from arviz_stats.base import array_stats
 
-    # A draw under which some joint stalls has no weight; the fit of the other tail wants a number.
+    # A draw with a stall has no weight; the fit of the tail needs a finite number.
     log_weight = np.maximum(log_weight, log_weight.max() - 700.0)
     if np.ptp(log_weight) < WEIGHT_TOL:
         return np.full(len(log_weight), 1.0 / len(log_weight)), 0.0
@@ -418,19 +379,19 @@ def psis_smooth(log_weight: Array) -> tuple[Array, float]:
 
 
 def resample(weight: Array, rng: np.random.Generator) -> IntArray:
-    """As many draws of equal weight, in order, each taken in proportion to its weight as evenly as can be."""
-    ladder = (np.arange(len(weight)) + rng.uniform()) / len(weight)
-    steps = np.cumsum(weight)
-    return np.minimum(np.searchsorted(steps / steps[-1], ladder), len(weight) - 1)
+    """Systematic resampling: indices, in order, of as many draws of equal weight."""
+    points = (np.arange(len(weight)) + rng.uniform()) / len(weight)
+    total = np.cumsum(weight)
+    return np.minimum(np.searchsorted(total / total[-1], points), len(weight) - 1)
 
 
 def _sample_sessions(
     traverses: GroupData, marginal: MarginalLikelihood, x: Array, rng: np.random.Generator
 ) -> tuple[PosteriorDraws, Array]:
-    prior, given = marginal.prior, marginal.conditional(x)
+    prior, conditional = marginal.prior, marginal.conditional(x)
     spread, repeatability = prior.levels(x)
-    mean = given.draw_mean(rng)
-    z = (given.sessions(mean) + given.draw_departures(rng)).T
+    mean = conditional.draw_mean(rng)
+    z = (conditional.sessions(mean) + conditional.draw_departures(rng)).T
     draws = PosteriorDraws(
         prior.centre + prior.width * mean.T, spread, repeatability, prior.centre + prior.width * z
     )
@@ -445,18 +406,17 @@ def log_importance_ratio(
     repeatability: Array,
     shift: Array | float = 0.0,
 ) -> Array:
-    """Exact over linearised log likelihood, shape (d,); -inf where the law stalls.
+    """Exact less linearized log likelihood, shape (d,); -inf where the law stalls.
 
     Parameters
     ----------
-    traverses : Traverses
-    marginal : Marginal
+    traverses, marginal
     z : array, shape (d, S, p)
     values : array, shape (d, S, p or more)
-        The same as the law's parameters.
+        The law's parameters at z.
     repeatability : array, shape (d,)
     shift : array, shape (S, m, d), optional
-        See `Marginal.conditional`.
+        See `MarginalLikelihood.conditional`.
     """
     exact = traverses.pad((traverses.y - traverses.predict(values)).T, 0.0)
     linear = marginal.response[:, :, None] - np.matmul(marginal.slopes, z.transpose(1, 2, 0)) - shift

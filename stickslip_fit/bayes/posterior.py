@@ -21,9 +21,10 @@ from stickslip_fit._typing import Array
 from stickslip_fit.bayes.priors import Priors, predict_log_steps
 from stickslip_fit.bayes.result import INTERVAL_QUANTILES, group_name
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.estimation import Result, load_result, save_result
-from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation import Flag, JointFit, Result, load_result
+from stickslip_fit.estimation.result import PREDICTION_COLUMNS, AxesArray, Provenance
 from stickslip_fit.laws import traverse_length
+from stickslip_fit.machine import Machine
 
 if TYPE_CHECKING:
     from xarray import Dataset, DataTree
@@ -50,21 +51,66 @@ class Posterior(Summarized):
     diagnostics: pd.DataFrame
 
     def summary(self) -> Summary:
-        """As a result's, with how good the draws are, and the priors."""
-        of_result = self.result.summary()
-        return replace(
-            of_result,
-            headline=(f"{self.quality}.", *of_result.headline),
-            sections=(*of_result.sections, Section(tables=self.priors.tables())),
-        )
+        """The result's, with the convergence of the draws and the priors."""
+        summary = self.result.summary()
+        headline = (f"{self.quality}.", *summary.headline)
+        sections = (*summary.sections, Section(tables=self.priors.tables()))
+        return replace(summary, headline=headline, sections=sections)
+
+    @property
+    def method(self) -> str:
+        """See `Result`."""
+        return self.result.method
+
+    @property
+    def machine(self) -> Machine:
+        """See `Result`."""
+        return self.result.machine
+
+    @property
+    def joints(self) -> dict[int, JointFit]:
+        """See `Result`."""
+        return self.result.joints
+
+    @property
+    def residuals(self) -> pd.DataFrame:
+        """See `Result`; by the posterior means."""
+        return self.result.residuals
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """See `Result`; what has not converged is among them."""
+        return self.result.flags
+
+    @property
+    def provenance(self) -> Provenance:
+        """See `Result`."""
+        return self.result.provenance
 
     @property
     def parameters(self) -> pd.DataFrame:
         """See `Result.parameters`; means of the draws, and intervals between their quantiles."""
         return self.result.parameters
 
+    def save(self, path: str | Path) -> None:
+        """Write ``path``, NetCDF that ArviZ and xarray read, and the result beside it, ending in ``.json``.
+
+        Raises
+        ------
+        InputError
+            If they cannot be written.
+        """
+        tree = self.tree.copy()
+        diagnostics = self.diagnostics.astype({"session": str})
+        tree.attrs = {
+            "priors": json.dumps(self.priors.to_json()),
+            "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
+        }
+        write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+        self.result.save(Path(path).with_suffix(".json"))
+
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
-        """Draws of a session's parameters, the latest session's unless named, two by two; the prior behind.
+        """Draws of a session's parameters, by default the latest session's, in pairs; the prior behind.
 
         Raises
         ------
@@ -95,25 +141,49 @@ class Posterior(Summarized):
 
     @property
     def quality(self) -> str:
-        """How good the draws are, in a line."""
+        """Convergence diagnostics in a line."""
         worst = self.diagnostics
         return (
             f"R-hat up to {worst['r_hat'].max():.4f}, at least {worst['ess_bulk'].min():.0f} "
             f"effective draws, k-hat up to {worst['k_hat'].max():.2f}"
         )
 
-    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """Steps and step size for traverses of fitted sessions and new ones; see `bayes.predict.predict`."""
-        return predict_posterior(self, rows)
+    def predict(self, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+        """Steps and step size for traverses of fitted sessions and of new ones.
 
-    def campaign_means(self) -> pd.DataFrame:
-        """Means that the sessions' parameters scatter about; what is not known is not listed.
+        A session that was not fitted, such as today's, is predicted from what the campaign's sessions have
+        in common and how far they spread.
+
+        Parameters
+        ----------
+        rows : DataFrame
+            A log's columns; steps are not needed.
+        seed : int, optional
 
         Returns
         -------
-        DataFrame
-            name, joint, direction, estimate, low, high (95 %), SI.
+        DataFrame, indexed as `rows`
+            See `Result.predict`. NaN where the fit has not converged or a parameter is not identified.
+
+        Raises
+        ------
+        InputError
+            For a joint or direction that was not fitted, or where the joint may well stall.
         """
+        rng = np.random.default_rng(seed)
+        predictions = []
+        for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):
+            group = (int(joint), str(direction))
+            if group not in self.groups:
+                fitted = ", ".join(f"{joint} {direction}" for joint, direction in self.groups)
+                raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
+            predictions.append(_predict_group(self, group, subset, rng))
+        if not predictions:
+            return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
+        return pd.concat(predictions).loc[rows.index]
+
+    def campaign_means(self) -> pd.DataFrame:
+        """Campaign means of the known parameters: name, joint, direction, estimate, low, high (95 %), SI."""
         tables = []
         for joint, direction in self.groups:
             fit, names = self.result.joints[joint], list(self.priors.prior(joint, direction).names)
@@ -152,27 +222,8 @@ class Posterior(Summarized):
         return [str(each) for each in self.group_tree(joint, direction)["posterior"]["session"].to_numpy()]
 
 
-def save_posterior(posterior: Posterior, path: str | Path) -> None:
-    """Write ``path``, netCDF that ArviZ and xarray read, and the result beside it with the ending ``.json``.
-
-    Raises
-    ------
-    InputError
-        If they cannot be written.
-    """
-    path = Path(path)
-    tree = posterior.tree.copy()
-    quality = posterior.diagnostics.astype({"session": str})
-    tree.attrs = {
-        "priors": json.dumps(posterior.priors.to_json()),
-        "diagnostics": json.dumps(quality.to_dict(orient="list")),
-    }
-    write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
-    save_result(posterior.result, path.with_suffix(".json"))
-
-
 def load_posterior(path: str | Path) -> Posterior:
-    """Read what `save_posterior` wrote.
+    """Read what `Posterior.save` wrote.
 
     Raises
     ------
@@ -193,78 +244,33 @@ def load_posterior(path: str | Path) -> Posterior:
     return Posterior(load_result(path.with_suffix(".json")), tree, priors, diagnostics)
 
 
-PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
-
-
-def predict_posterior(posterior: Posterior, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
-    """Steps and step size for traverses of any session.
-
-    A session that was not fitted, such as today's, is predicted from what the campaign's sessions have in
-    common and how far they spread.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    rows : DataFrame
-        A log's columns; steps are not needed.
-    seed : int, optional
-
-    Returns
-    -------
-    DataFrame, indexed as `rows`
-        steps, step_size (rad or m), relative_error (of the law, from its parameters), and low, high: 95 %
-        interval of the steps that a new traverse takes, repeatability included. NaN where the fit has
-        not converged or a parameter is not identified, see `Posterior.result.remarks`.
-
-    Raises
-    ------
-    InputError
-        For a joint or direction that was not fitted, or where the joint may well stall.
-    """
-    rng = np.random.default_rng(seed)
-    parts = []
-    for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):
-        group = (int(joint), str(direction))
-        if group not in posterior.groups:
-            fitted = ", ".join(f"{joint} {drive_direction}" for joint, drive_direction in posterior.groups)
-            raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
-        parts.append(_predict_group(posterior, group, subset, rng))
-    if not parts:
-        return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
-    return pd.concat(parts).loc[rows.index]
-
-
 def _predict_group(
     posterior: Posterior, group: tuple[int, str], rows: pd.DataFrame, rng: np.random.Generator
 ) -> pd.DataFrame:
-    values, repeatability = (
-        _draw_parameters(posterior, group, rows, rng),
-        posterior.draws(*group, "repeatability"),
-    )
-    response = predict_log_steps(posterior.result.joints[group[0]].law, rows, values)
+    values = _draw_parameters(posterior, group, rows, rng)
+    repeatability = posterior.draws(*group, "repeatability")
+    response = predict_log_steps(posterior.joints[group[0]].law, rows, values)
     if np.any(np.mean(np.isnan(response), axis=0) > INTERVAL_QUANTILES[0]):
         raise InputError(
             f"joint {group[0]}, direction {group[1]} may stall in a traverse that is to be predicted; "
             "log more traverses, or leave this one out"
         )
-    # A draw that stalls takes steps without end.
-    response = np.where(np.isnan(response), np.inf, response)
-    seen = response + repeatability[:, None] * _stratified_noise(response.shape, rng)
+    response = np.where(np.isnan(response), np.inf, response)  # a joint that stalls takes infinitely many
+    total = response + repeatability[:, None] * _stratified_noise(response.shape, rng)
     steps = np.exp(np.median(response, axis=0))
-    low, high = np.exp(np.quantile(seen, INTERVAL_QUANTILES, axis=0))
+    low, high = np.exp(np.quantile(total, INTERVAL_QUANTILES, axis=0))
     spread = np.nanstd(np.where(np.isinf(response), np.nan, response), axis=0)
     columns = (steps, traverse_length(rows) / steps, spread, low, high)
-    known = _has_known_parameters(posterior, group)
-    found = {
-        name: column if known else np.nan for name, column in zip(PREDICTION_COLUMNS, columns, strict=True)
-    }
-    return pd.DataFrame(found, index=rows.index)
+    predicted = pd.DataFrame(dict(zip(PREDICTION_COLUMNS, columns, strict=True)), index=rows.index)
+    fit = posterior.joints[group[0]]
+    known = fit.known[(fit.groups["direction"] == group[1]).to_numpy()].all()
+    return predicted if known else predicted * np.nan
 
 
 def _stratified_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Standard normal noise, (d, n), its d numbers as even as can be: few give good quantiles."""
-    steps = ndtri((np.arange(shape[0]) + 0.5) / shape[0])
-    return rng.permuted(np.broadcast_to(steps[:, None], shape), axis=0)
+    """Standard normal noise, (d, n), stratified over the d draws for good quantiles."""
+    levels = ndtri((np.arange(shape[0]) + 0.5) / shape[0])
+    return rng.permuted(np.broadcast_to(levels[:, None], shape), axis=0)
 
 
 def _draw_parameters(
@@ -273,13 +279,8 @@ def _draw_parameters(
     """Draws of each row's parameters, shape (d, n, p)."""
     fitted, mean, spread = (posterior.draws(*group, name) for name in ("parameters", "mean", "spread"))
     sessions = posterior.sessions(*group)
-    fresh = [each for each in rows["session"].astype(str).unique() if each not in sessions]
-    noise = rng.standard_normal((len(mean), len(fresh), mean.shape[1]))
-    to_come = mean[:, None] + spread[:, None] * noise
-    index = pd.Index([*sessions, *fresh]).get_indexer(rows["session"].astype(str))
-    return np.concatenate([fitted, to_come], axis=1)[:, index]
-
-
-def _has_known_parameters(posterior: Posterior, group: tuple[int, str]) -> bool:
-    fit = posterior.result.joints[group[0]]
-    return bool(fit.known[(fit.groups["direction"] == group[1]).to_numpy()].all())
+    new = [session for session in rows["session"].astype(str).unique() if session not in sessions]
+    noise = rng.standard_normal((len(mean), len(new), mean.shape[1]))
+    of_new = mean[:, None] + spread[:, None] * noise
+    index = pd.Index([*sessions, *new]).get_indexer(rows["session"].astype(str))
+    return np.concatenate([fitted, of_new], axis=1)[:, index]

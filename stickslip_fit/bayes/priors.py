@@ -7,7 +7,7 @@ they know the mean step size of the log and the largest plausible size of each c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from math import e
 from typing import Any
 
@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit._format import format_value
-from stickslip_fit._summary import Column, Table, numbers
+from stickslip_fit._summary import Table, numbers, words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
@@ -25,27 +25,21 @@ from stickslip_fit.estimation._optimize import Groups, group_rows, usable_rows
 from stickslip_fit.laws import Rows, StepLaw, published_law, traverse_length
 from stickslip_fit.logs import Log
 
-# Rows for which the law is evaluated at a time: enough to drown the cost of a call, and in cache.
-ROWS_PER_CHUNK = 20_000
+ROWS_PER_CHUNK = 20_000  # for which the law is evaluated at a time; they fit in the cache
 
 
 @dataclass(frozen=True, eq=False)
 class GroupData:
-    """What is fitted: log steps under a law.
+    """The n rows of a joint and direction in S sessions, with their law.
 
     Attributes
     ----------
-    law : StepLaw
-    rows : DataFrame
-        The n rows.
-    groups : Groups
-        Their S sessions.
     y, rounding : array, shape (n,)
         log(steps) and the variance that the rounding adds; see `StepLaw.response`.
-    place : array of int, shape (S, m)
+    row_index : array of int, shape (S, m)
         Positions of each session's rows, -1 beyond its last.
-    first, like : array of int
-        Rows of which no two are replicates, and for each row the place of its like among them.
+    first, replicate_of : array of int
+        Rows of which no two are replicates, and for each row the position of its replicate among them.
     """
 
     law: StepLaw
@@ -53,19 +47,19 @@ class GroupData:
     groups: Groups
     y: Array
     rounding: Array
-    place: IntArray
+    row_index: IntArray
     first: IntArray
-    like: IntArray
+    replicate_of: IntArray
 
     def pad(self, column: Array, fill: float) -> Array:
         """A column, shape (n, ...), session by session, shape (S, m, ...)."""
-        beyond = (self.place < 0).reshape(*self.place.shape, *[1] * (column.ndim - 1))
-        return np.where(beyond, fill, column[self.place])
+        absent = (self.row_index < 0).reshape(*self.row_index.shape, *[1] * (column.ndim - 1))
+        return np.where(absent, fill, column[self.row_index])
 
     def predict(self, values: Array) -> Array:
         """log(steps) by each draw of the sessions' parameters, shape (d, S, p) -> (d, n); NaN at a stall."""
         distinct = values[:, self.groups.of_row[self.first]]
-        return predict_log_steps(self.law, self.rows.iloc[self.first], distinct)[:, self.like]
+        return predict_log_steps(self.law, self.rows.iloc[self.first], distinct)[:, self.replicate_of]
 
 
 def iterate_groups(log: Log) -> Iterator[tuple[int, str, GroupData]]:
@@ -80,39 +74,38 @@ def iterate_groups(log: Log) -> Iterator[tuple[int, str, GroupData]]:
     for joint in log.joints:
         subset = rows[rows["joint"] == joint]
         for direction in ("+", "-"):
-            these = subset[subset["direction"] == direction]
-            if len(these):
+            own = subset[subset["direction"] == direction]
+            if len(own):
                 # Both directions have one law, whatever reaches each of them covers.
-                yield joint, direction, build_group_data(published_law(joint, subset, log.machine), these)
+                yield joint, direction, build_group_data(published_law(joint, subset, log.machine), own)
 
 
 def build_group_data(law: StepLaw, rows: pd.DataFrame) -> GroupData:
-    """Lay out the rows of one joint and direction."""
+    """The rows of one joint and direction with what their fit needs."""
     groups = group_rows(rows)
     y, rounding = law.response(rows)
     order = np.argsort(groups.of_row, kind="stable")
     ends = np.cumsum(groups.sizes)
-    place = np.full((len(groups), int(groups.sizes.max())), -1)
+    row_index = np.full((len(groups), int(groups.sizes.max())), -1)
     within = np.arange(len(order)) - (ends - groups.sizes)[groups.of_row[order]]
-    place[groups.of_row[order], within] = order
-    alike = list(dict.fromkeys(["session", *law.columns, "start", "stop"]))
-    kind = rows.groupby(alike, dropna=False, observed=True, sort=False).ngroup().to_numpy()
-    _, first, like = np.unique(kind, return_index=True, return_inverse=True)
-    return GroupData(law, rows, groups, y, rounding, place, first, like)
+    row_index[groups.of_row[order], within] = order
+    conditions = list(dict.fromkeys(["session", *law.columns, "start", "stop"]))
+    condition = rows.groupby(conditions, dropna=False, observed=True, sort=False).ngroup().to_numpy()
+    _, first, replicate_of = np.unique(condition, return_index=True, return_inverse=True)
+    return GroupData(law, rows, groups, y, rounding, row_index, first, replicate_of)
 
 
 def predict_log_steps(law: StepLaw, rows: pd.DataFrame, values: Array) -> Array:
     """log(steps) of n rows under d draws of their parameters, shape (d, n, p) -> (d, n)."""
     draws, n, p = values.shape
-    at_a_time = min(max(ROWS_PER_CHUNK // n, 1), draws)
-    predict = _response_function(law, rows.iloc[np.tile(np.arange(n), at_a_time)])
-    found = np.empty((draws, n))
-    for first in range(0, draws, at_a_time):
-        # The last block reaches back, so that one laying out serves all blocks.
-        first = min(first, draws - at_a_time)
-        block = values[first : first + at_a_time].reshape(-1, p)
-        found[first : first + at_a_time] = predict(block).reshape(at_a_time, n)
-    return found
+    size = min(max(ROWS_PER_CHUNK // n, 1), draws)
+    predict = _response_function(law, rows.iloc[np.tile(np.arange(n), size)])
+    log_steps = np.empty((draws, n))
+    for first in range(0, draws, size):
+        # The last chunk overlaps the one before, so that all have one size.
+        chunk = slice(min(first, draws - size), min(first, draws - size) + size)
+        log_steps[chunk] = predict(values[chunk].reshape(-1, p)).reshape(size, n)
+    return log_steps
 
 
 def _response_function(law: StepLaw, rows: pd.DataFrame) -> Callable[[Array], Array]:
@@ -129,21 +122,15 @@ def _response_function(law: StepLaw, rows: pd.DataFrame) -> Callable[[Array], Ar
     return predict
 
 
-MAX_PRIOR_SD = 4.0  # standard deviations of the prior; beyond, a bound is as good as reached
+MAX_PRIOR_SD = 4.0  # standard deviations of the prior; beyond is as good as a bound
 
 
 @dataclass(frozen=True, eq=False)
 class CausePriors:
-    """The prior of q parameters of causes.
+    """The prior of q parameters of causes; arrays of shape (q,), SI.
 
-    A parameter between two bounds is even between them, in its logarithm where both are above 0; any other is
-    normal, as far as its bound lets it. A width of 0 holds a parameter at its centre.
-
-    Attributes
-    ----------
-    names, units : tuple of str
-    centre, width, lower, upper : array, shape (q,)
-        SI.
+    A parameter between two bounds is uniform, in its logarithm where both are above 0; any other is normal,
+    truncated at its bound. A width of 0 fixes a parameter at its centre.
     """
 
     names: tuple[str, ...]
@@ -163,17 +150,17 @@ class CausePriors:
         >>> priors.values(np.array([1.0, 0.0])).tolist()
         [0.1, 600.0]
         """
-        columns = [self._value(j, eta[..., j]) for j in range(len(self.names))]
-        return np.stack(columns, axis=-1) if columns else np.zeros(eta.shape)
+        values = np.zeros(eta.shape)
+        for j in range(len(self.names)):
+            values[..., j] = self._value(j, eta[..., j])
+        return values
 
     def at(self, values: Array) -> Array:
         """Points at which parameters have these values, (..., q) -> (..., q); none beyond the plausible."""
-        places = [self._place(j, values[..., j]) for j in range(len(self.names))]
-        return (
-            np.clip(np.stack(places, axis=-1), -MAX_PRIOR_SD, MAX_PRIOR_SD)
-            if places
-            else np.zeros(values.shape)
-        )
+        eta = np.zeros(values.shape)
+        for j in range(len(self.names)):
+            eta[..., j] = self._standard(j, values[..., j])
+        return np.clip(eta, -MAX_PRIOR_SD, MAX_PRIOR_SD)
 
     def draw(self, size: int, rng: np.random.Generator) -> Array:
         """Parameters from the prior, shape (size, q)."""
@@ -181,19 +168,19 @@ class CausePriors:
 
     @property
     def free(self) -> npt.NDArray[np.bool_]:
-        """Which parameters are not held, shape (q,)."""
+        """Which parameters are not fixed, shape (q,)."""
         return self.width > 0
 
     def lines(self) -> list[list[str]]:
         """Name, and range of 95 %, of each parameter, as people read it."""
-        low, high = (self.values(np.full(len(self.names), sign * 1.96)) for sign in (-1, 1))
-        told = []
+        low, high = (self.values(np.full(len(self.names), sign * NORMAL_QUANTILE)) for sign in (-1, 1))
+        lines = []
         for j, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            text = f"held at {format_value(self.centre[j], unit, 3)}"
             if self.free[j]:
-                told.append([name, f"{format_value(low[j], unit, 3)} to {format_value(high[j], unit, 3)}"])
-            else:
-                told.append([name, f"held at {format_value(self.centre[j], unit, 3)}"])
-        return told
+                text = f"{format_value(low[j], unit, 3)} to {format_value(high[j], unit, 3)}"
+            lines.append([name, text])
+        return lines
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types that `from_json` reads; no bound is null."""
@@ -205,9 +192,11 @@ class CausePriors:
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> CausePriors:
         """The priors that `to_json` wrote."""
-        nothing = {"lower": -np.inf, "upper": np.inf}
+        unbounded = {"lower": -np.inf, "upper": np.inf}
         numbers = {
-            name: np.array([nothing.get(name) if value is None else value for value in content[name]], float)
+            name: np.array(
+                [unbounded.get(name) if value is None else value for value in content[name]], float
+            )
             for name in ("centre", "width", "lower", "upper")
         }
         return cls(tuple(content["names"]), tuple(content["units"]), **numbers)
@@ -217,12 +206,12 @@ class CausePriors:
         if not width or not np.isfinite([low, high]).any():
             return centre + width * eta
         if np.isfinite([low, high]).all():
-            even = ndtr(eta)
-            return low * (high / low) ** even if low > 0 else low + (high - low) * even
+            share = ndtr(eta)
+            return low * (high / low) ** share if low > 0 else low + (high - low) * share
         below, above = ndtr((low - centre) / width), ndtr((high - centre) / width)
         return centre + width * ndtri(below + (above - below) * ndtr(eta))
 
-    def _place(self, j: int, value: Array) -> Array:
+    def _standard(self, j: int, value: Array) -> Array:
         centre, width, low, high = self.centre[j], self.width[j], self.lower[j], self.upper[j]
         if not width:
             return np.zeros_like(value)
@@ -239,23 +228,17 @@ class CausePriors:
 def weak_cause_priors(law: ExtendedLaw, chosen: Array, rows: pd.DataFrame) -> CausePriors:
     """Priors as wide as the largest plausible sizes of a law's causes.
 
-    Parameters
-    ----------
-    law : ExtendedLaw
-    chosen : array, shape (q,)
-        Where parameters that are chosen among trials, such as a moment, are held.
-    rows : DataFrame
-        Of the log.
+    `chosen`, shape (q,), fixes parameters that are chosen among trials, such as a moment.
     """
     width = np.concatenate([_prior_width(cause, rows) for cause in law.causes])
-    sudden = np.array([each.sudden for each in law.common])
+    sudden = np.array([parameter.sudden for parameter in law.common])
     return CausePriors(
-        names=tuple(each.name for each in law.common),
-        units=tuple(each.unit for each in law.common),
+        names=tuple(parameter.name for parameter in law.common),
+        units=tuple(parameter.unit for parameter in law.common),
         centre=np.where(sudden, chosen, law.absent),
         width=np.where(sudden, 0.0, width),
-        lower=np.array([each.lower for each in law.common]),
-        upper=np.array([each.upper for each in law.common]),
+        lower=np.array([parameter.lower for parameter in law.common]),
+        upper=np.array([parameter.upper for parameter in law.common]),
     )
 
 
@@ -271,8 +254,9 @@ def _prior_width(cause: Cause, rows: pd.DataFrame) -> Array:
 
 
 Group = tuple[int, str]
+NORMAL_QUANTILE = 1.96  # of the half-width of 95 %, in standard deviations
 
-# Shares of what changes a step by its own size, see `StepLaw.scales`.
+# In units of `StepLaw.scales`: changes of the parameters that change a step by its own size.
 PRIOR_WIDTH = 0.5
 PRIOR_SPREAD = 0.02
 PRIOR_REPEATABILITY = 0.003
@@ -321,15 +305,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Priors:
-    """The priors of a fit; prints as a table.
-
-    Attributes
-    ----------
-    of : mapping of (int, str) to Prior
-        By joint and direction.
-    causes : CausePriors or None
-        Where the laws have causes in them.
-    """
+    """The priors of a fit by joint and direction, and of its causes; prints as a table."""
 
     of: Mapping[Group, Prior]
     causes: CausePriors | None = None
@@ -338,17 +314,14 @@ class Priors:
         return "\n\n".join(table.as_text() for table in self.tables())
 
     def tables(self) -> tuple[Table, ...]:
-        """Those of sessions, and those of causes where there are some."""
+        """One of sessions, and one of causes where there are some."""
         heads = ("joint", "direction", "parameter")
-        columns = (
-            *(Column(head, text=True) for head in heads),
-            *numbers("campaign mean", "between sessions (95 %)"),
-        )
+        columns = (*words(*heads), *numbers("campaign mean", "between sessions (95 %)"))
         rows = tuple(tuple(line) for group, prior in self.of.items() for line in _prior_lines(group, prior))
         session_values = Table("Priors", columns, rows, stubs=len(heads))
         if self.causes is None:
             return (session_values,)
-        columns = (Column("cause", text=True), Column("for the whole campaign (95 %)"))
+        columns = (*words("cause"), *numbers("for the whole campaign (95 %)"))
         rows = tuple(tuple(line) for line in self.causes.lines())
         return session_values, Table("Priors of causes", columns, rows)
 
@@ -366,31 +339,31 @@ class Priors:
 
     def to_json(self) -> list[dict[str, Any]]:
         """Plain JSON types that `from_json` reads."""
-        of_causes = [] if self.causes is None else [{"causes": self.causes.to_json()}]
-        return of_causes + [
-            {"joint": joint, "direction": direction}
-            | {
-                name: value.tolist() if isinstance(value, np.ndarray) else value
-                for name, value in asdict(prior).items()
-            }
-            for (joint, direction), prior in self.of.items()
-        ]
+        content: list[dict[str, Any]] = [] if self.causes is None else [{"causes": self.causes.to_json()}]
+        for (joint, direction), prior in self.of.items():
+            values = {name: np.asarray(value).tolist() for name, value in asdict(prior).items()}
+            content.append({"joint": joint, "direction": direction} | values)
+        return content
 
     @classmethod
     def from_json(cls, content: list[dict[str, Any]]) -> Priors:
         """The priors that `to_json` wrote."""
         causes = [CausePriors.from_json(item["causes"]) for item in content if "causes" in item]
-        of = {
-            (item["joint"], item["direction"]): _prior_from_json(item) for item in content if "joint" in item
-        }
+        of = {}
+        for item in content:
+            if "joint" in item:
+                values = {field.name: item[field.name] for field in fields(Prior)}
+                values |= {name: tuple(item[name]) for name in ("names", "units")}
+                values |= {name: np.array(item[name]) for name in ("centre", "width", "spread")}
+                of[item["joint"], item["direction"]] = Prior(**values)
         return cls(of, *causes)
 
 
 def weak_prior(law: StepLaw, rows: Rows) -> Prior:
-    """A prior that knows no more than how long a step is in these rows.
+    """A prior that knows only the mean step size of these rows.
 
-    The campaign's mean may be anywhere within the step size or so of a law without effects; sessions
-    differ by 2 % of a step within a factor of 7 either way, and a count repeats to 0.3 %, as widely.
+    The campaign's mean has the step size of a law without effects and a standard deviation of half a step;
+    sessions differ by 2 % of a step, within a factor of 7 either way, and a count repeats to 0.3 %, likewise.
     """
     y, _ = law.response(rows)
     step = np.exp(np.mean(np.log(traverse_length(rows)) - y, keepdims=True))
@@ -424,31 +397,15 @@ def weak_priors(log: Log) -> Priors:
 def _prior_lines(group: Group, prior: Prior) -> list[list[str]]:
     joint, direction = group
     lines = []
-    for name, unit, centre, width, spread in zip(
-        prior.names, prior.units, prior.centre, prior.width, prior.spread, strict=True
-    ):
+    for j, (name, unit) in enumerate(zip(prior.names, prior.units, strict=True)):
         digits = 3 if unit in ("1", "µrad/mm") else 1
-        mean = f"{format_value(centre, unit, digits)} ± {format_value(width, unit, digits)}"
-        lines.append(
-            [str(joint), direction, name, mean, _format_range(spread, prior.spread_factor, unit, digits)]
-        )
+        mean = f"{format_value(prior.centre[j], unit, digits)} ± {format_value(prior.width[j], unit, digits)}"
+        spread = _format_range(prior.spread[j], prior.spread_factor, unit, digits)
+        lines.append([str(joint), direction, name, mean, spread])
     noise = _format_range(prior.repeatability, prior.repeatability_factor, "%", 2)
     return [*lines, [str(joint), direction, "repeatability", "", noise]]
 
 
 def _format_range(median: float, factor: float, unit: str, digits: int) -> str:
-    low, high = median * factor**-1.96, median * factor**1.96
+    low, high = median * factor**-NORMAL_QUANTILE, median * factor**NORMAL_QUANTILE
     return f"{format_value(low, unit, digits)} to {format_value(high, unit, digits)}"
-
-
-def _prior_from_json(item: dict[str, Any]) -> Prior:
-    return Prior(
-        names=tuple(item["names"]),
-        units=tuple(item["units"]),
-        centre=np.array(item["centre"]),
-        width=np.array(item["width"]),
-        spread=np.array(item["spread"]),
-        repeatability=item["repeatability"],
-        spread_factor=item["spread_factor"],
-        repeatability_factor=item["repeatability_factor"],
-    )

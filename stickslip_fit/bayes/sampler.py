@@ -54,20 +54,12 @@ def memory_backends() -> list[Backend]:
 def file_backends(
     path: str | Path, name: str, traverses: GroupData, prior: Prior, seed: int
 ) -> list[HDFBackend]:
-    """Backends in an HDF5 file, one for each ensemble; the file may hold other joints and directions.
-
-    Parameters
-    ----------
-    path : path
-    name : str
-        Of the joint and direction.
-    traverses, prior, seed
-        What is walked: a file that holds the walks of anything else is refused.
+    """Backends in an HDF5 file, one for each ensemble; `name` is of the joint and direction.
 
     Raises
     ------
     InputError
-        If the file cannot be used, or holds other walks.
+        If the file cannot be used, or holds under this name chains of other traverses, prior or seed.
     """
     import h5py
     from emcee.backends import HDFBackend
@@ -75,24 +67,24 @@ def file_backends(
     wanted = _hash_inputs(traverses, prior, seed)
     try:
         with h5py.File(path, "a") as file:
-            found = file.require_group(name).attrs.setdefault("fingerprint", wanted)
+            fingerprint = file.require_group(name).attrs.setdefault("fingerprint", wanted)
     except OSError as error:
         raise InputError(
             InputIssue(f"is no HDF5 file that can be written to ({error}); give another path", str(path))
         ) from None
-    if found != wanted:
+    if fingerprint != wanted:
         message = (
-            f"holds the walks of another log, law, prior or seed for {name}; give another path, or delete it"
+            f"holds the chains of another log, law, prior or seed for {name}; give another path, or delete it"
         )
         raise InputError(InputIssue(message, str(path)))
     return [HDFBackend(str(path), name=f"{name}/ensemble_{number}") for number in range(ENSEMBLE_COUNT)]
 
 
 def _hash_inputs(traverses: GroupData, prior: Prior, seed: int) -> str:
-    """Of all that the walks follow from."""
+    """Hash of all that determines the chains."""
     law = traverses.law
-    said = repr((_describe_law(law), prior.names, list(traverses.groups.table["session"]), seed))
-    digest = hashlib.sha256(said.encode())
+    text = repr((_describe_law(law), prior.names, list(traverses.groups.table["session"]), seed))
+    digest = hashlib.sha256(text.encode())
     columns = [_to_numbers(traverses.rows[name]) for name in dict.fromkeys((*law.columns, "start", "stop"))]
     levels = np.array([prior.repeatability, prior.spread_factor, prior.repeatability_factor])
     numbers = [*columns, traverses.y, traverses.rounding, prior.centre, prior.width, prior.spread, levels]
@@ -108,7 +100,7 @@ def _describe_law(law: StepLaw) -> dict[str, Any]:
 
 
 def _to_numbers(column: pd.Series[Any]) -> npt.NDArray[Any]:
-    """A column as numbers, whatever it holds."""
+    """A column as numbers, text by its hash."""
     if is_numeric_dtype(column):
         return column.to_numpy(float)
     return np.asarray(pd.util.hash_array(column.astype(str).to_numpy(dtype=object)))
@@ -134,29 +126,24 @@ def effective_sample_sizes(draws: Array, kind: Literal["bulk", "tail"] = "bulk")
     """Effective number of draws, (quantities, ensembles, steps, walkers) -> (quantities,)."""
     from arviz_stats.base import array_stats
 
-    walks = draws.swapaxes(2, 3).reshape(len(draws), -1, draws.shape[2])
+    chains = draws.swapaxes(2, 3).reshape(len(draws), -1, draws.shape[2])
     prob = {"tail": (0.05, 0.95)}.get(kind)
-    return np.asarray(array_stats.ess(walks, method=kind, prob=prob))
+    return np.asarray(array_stats.ess(chains, method=kind, prob=prob))
 
 
 WALKERS_PER_ENSEMBLE = 32
-STEPS_PER_CHECK = 50  # steps between looks at the agreement
+STEPS_PER_CHECK = 50  # between tests of convergence
 BURN_IN_FRACTION = 0.2  # share of the steps left out at the beginning
 R_HAT_LIMIT = 1.01
-PROPOSAL_FRACTION = 0.7  # share of steps that propose from the guess
+PROPOSAL_FRACTION = 0.7  # share of steps that draw from the Student-t proposal
 START_OVERDISPERSION = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """What the ensembles walked through, the beginning left out.
+    """Chains without their burn-in: x, shape (ensembles, steps, walkers, d), and its log density.
 
-    Attributes
-    ----------
-    x : array, shape (ensembles, steps, walkers, d)
-    log_density : array, shape (ensembles, steps, walkers)
-    steps : int
-        Taken by each ensemble, the beginning included.
+    `steps` are those of each ensemble, the burn-in included.
     """
 
     x: Array
@@ -173,20 +160,19 @@ def run_ensembles(
     max_steps: int,
     on_step: Callable[[int], Any],
 ) -> Chains:
-    """Walk until the ensembles agree and are worth `target_ess` independent draws.
+    """Sample until R-hat is small enough and the effective sample size is `target_ess`.
 
     Parameters
     ----------
     log_density : callable
-    proposal : Guess
-        Where to begin, twice as far out, and what to propose.
+    proposal : StudentTProposal
+        Of moves, and twice as wide of the first points.
     seed : tuple of int
     backends : list of Backend
-        One for each ensemble; what they already hold is taken up, and the outcome is that of a walk
-        that was never interrupted.
+        One for each ensemble; chains that they already hold are continued, with the same outcome.
     target_ess, max_steps : int
     on_step : callable
-        Told the steps made since it was last told.
+        Called with the number of new steps.
     """
     dimensions = len(proposal.centre)
     walkers = max(WALKERS_PER_ENSEMBLE, 4 * dimensions)
@@ -253,34 +239,32 @@ def _has_converged(chains: Chains, target_ess: int) -> bool:
 
 
 K_HAT_LIMIT = 0.7  # largest k-hat at which importance weights can be smoothed
-# The levels are walked for a little longer than asked, and more draws are kept, since every quantity is to be
-# known well, and R-hat itself scatters where draws are few.
+# More is sampled and kept than asked for, since every quantity must have enough effective draws, and R-hat
+# itself scatters where draws are few.
 STEP_RESERVE, DRAWS_PER_ESS, MIN_DRAWS = 1.5, 2.5, 2500
-# Where uneven weights cost so many draws that too few are left, the walk goes on for so many times as many.
-LENGTH_FACTORS = (1, 2, 4, 8)
+LENGTH_FACTORS = (1, 2, 4, 8)  # of the chains, where uneven weights leave too few effective draws
 
 
 @dataclass(frozen=True, eq=False)
 class PosteriorSample:
-    """Draws of equal weight and what is known of their quality.
+    """Draws of equal weight and their diagnostics.
 
     Attributes
     ----------
-    traverses : Traverses
+    traverses : GroupData
     prior : Prior
-        Of what is each session's own.
-    draws : Draws
+        Of the published law's parameters.
+    draws : PosteriorDraws
         Ensemble after ensemble, each in order of time.
     log_density, log_weight : array, shape (d,)
-        Of each draw's levels, and exact over linearised likelihood.
-    ensembles : int
-    steps : int
-        Taken by each ensemble.
+        Of each draw's hyperparameters, and exact over linearized likelihood.
+    ensembles, steps : int
+        `steps` of each ensemble.
     quality : DataFrame
         Columns parameter, session (empty for the campaign), r_hat, ess_bulk, ess_tail and k_hat.
     target_ess : int
     causes : CausePriors or None
-        Where the law has causes in it.
+        Where the law has causes.
     """
 
     traverses: GroupData
@@ -319,15 +303,14 @@ class PosteriorSample:
         return np.hstack([mean, sizes]), np.hstack([spread, np.zeros_like(sizes)]), repeatability
 
     def without_causes(self) -> PosteriorSample:
-        """What is each session's own, with causes held at the means of their draws."""
+        """The sample of the published law's parameters, with causes fixed at the means of their draws."""
         law = self.traverses.law
         if not isinstance(law, ExtendedLaw):
             return self
         own = len(self.prior.names)
-        held = FixedCauseLaw(law.law, law.causes, self.draws.mean[:, own:].mean(axis=0))
-        return replace(
-            self, traverses=replace(self.traverses, law=held), draws=self.draws.law_part(own), causes=None
-        )
+        fixed = FixedCauseLaw(law.law, law.causes, self.draws.mean[:, own:].mean(axis=0))
+        traverses = replace(self.traverses, law=fixed)
+        return replace(self, traverses=traverses, draws=self.draws.law_part(own), causes=None)
 
 
 def sample_posterior(
@@ -340,19 +323,19 @@ def sample_posterior(
     max_steps: int,
     on_step: Callable[[int], Any],
 ) -> PosteriorSample:
-    """Sample the posterior of one joint and direction; see `walk` for the arguments."""
+    """Sample the posterior of one joint and direction; see `run_ensembles` for the arguments."""
     rng = np.random.default_rng(seed)
     marginal, mode, covariance = linearize_at_mode(traverses, prior)
-    guess = fit_proposal(marginal.log_density, mode, covariance, rng)
-    for longer in LENGTH_FACTORS:
-        wanted = longer * target_ess
+    proposal = fit_proposal(marginal.log_density, mode, covariance, rng)
+    for factor in LENGTH_FACTORS:
+        wanted = factor * target_ess
         chains = run_ensembles(
-            marginal.log_density, guess, seed, backends, int(STEP_RESERVE * wanted), max_steps, on_step
+            marginal.log_density, proposal, seed, backends, int(STEP_RESERVE * wanted), max_steps, on_step
         )
-        found = _weight_draws(traverses, marginal, _thin_chains(chains, wanted), target_ess, rng)
-        if found.converged or not found.weights_reliable or chains.steps == max_steps:
+        sample = _weight_draws(traverses, marginal, _thin_chains(chains, wanted), target_ess, rng)
+        if sample.converged or not sample.weights_reliable or chains.steps == max_steps:
             break
-    return found
+    return sample
 
 
 def _weight_draws(
@@ -362,18 +345,17 @@ def _weight_draws(
     target_ess: int,
     rng: np.random.Generator,
 ) -> PosteriorSample:
-    """Sessions drawn back at the levels walked through, weighted to the exact posterior."""
+    """Sessions sampled at the chains' hyperparameters, weighted to the exact posterior."""
     ensembles, *_, dimensions = chains.x.shape
     draws, log_weight = sample_sessions(traverses, marginal, chains.x.reshape(-1, dimensions), rng)
     weight, k_hat = psis_smooth(log_weight)
-    found = assess_draws(draws, traverses, marginal.prior, chains.x.shape[:3], weight, k_hat)
+    quality = assess_draws(draws, traverses, marginal.prior, chains.x.shape[:3], weight, k_hat)
     by_ensemble = weight.reshape(ensembles, -1)
     size = by_ensemble.shape[1]
     taken = np.concatenate([i * size + resample(own, rng) for i, own in enumerate(by_ensemble)])
-    return PosteriorSample(
-        traverses, marginal.prior, draws.take(taken), chains.log_density.ravel()[taken], log_weight[taken],
-        ensembles, chains.steps, found, target_ess,
-    )  # fmt: skip
+    log_densities = (chains.log_density.ravel()[taken], log_weight[taken])
+    drawn = (draws.select(taken), *log_densities, ensembles, chains.steps)
+    return PosteriorSample(traverses, marginal.prior, *drawn, quality, target_ess)
 
 
 def _thin_chains(chains: Chains, target_ess: int) -> Chains:
@@ -390,7 +372,7 @@ def assess_draws(
     weight: Array,
     k_hat: float,
 ) -> pd.DataFrame:
-    """Diagnostics of every quantity; see `quality_of`."""
+    """Diagnostics of every quantity; see `assess_labelled_draws`."""
     names, sessions = list(prior.names), list(traverses.groups.table["session"])
     labels = [(name, "") for name in names] + [(f"spread of {name}", "") for name in names]
     labels += [("repeatability", "")] + [(name, session) for session in sessions for name in names]

@@ -20,16 +20,16 @@ from stickslip_fit.errors import InputError, InputIssue
 
 SAMPLE_RATE = 48000
 BUFFER_SECONDS = 5.0  # s of sound
-READ_TIMEOUT = 1.0  # s that a sound may be late before the microphone is taken to be gone
+READ_TIMEOUT = 1.0  # s; a longer delay counts as a disconnected microphone
 
 
 class Microphone:
-    """Listens all the time and keeps the last seconds; a `Source`.
+    """An `AudioSource` that records continuously and keeps the last seconds.
 
     Parameters
     ----------
     device : str or int, optional
-        A name, a part of one, or a number of `python -m sounddevice`'s list; without one the system's choice.
+        A name, a part of one, or a number in the list of `python -m sounddevice`; else the system's default.
     rate : int, optional
 
     Raises
@@ -41,22 +41,22 @@ class Microphone:
     def __init__(self, device: str | int | None = None, rate: int = SAMPLE_RATE) -> None:
         self.rate = rate
         self._blocks: deque[Sound] = deque()
-        self._held = 0
+        self._n_buffered = 0
         self._heard_until = 0.0
         self._overflowed = False
-        self._news = Condition()
-        self._stream = _open_stream(device, rate, self._take)
+        self._arrived = Condition()
+        self._stream = _open_stream(device, rate, self._add_block)
         self._stream.start()
 
     def read(self, seconds: float) -> Samples:
-        """The so many seconds up to now, once they have come through; fewer where the microphone is gone."""
+        """Return the so many seconds up to now, fewer where the microphone is disconnected."""
         now = self._stream.time
-        with self._news:
-            come = self._news.wait_for(lambda: self._heard_until >= now, READ_TIMEOUT)
+        with self._arrived:
+            in_time = self._arrived.wait_for(lambda: self._heard_until >= now, READ_TIMEOUT)
             values = np.concatenate(self._blocks) if self._blocks else np.zeros(0, np.float32)
             overflowed, self._overflowed = self._overflowed, False
             newer = round((self._heard_until - now) * self.rate)
-        if not come:
+        if not in_time:
             return Samples(values[:0], overflowed)
         values = values[: len(values) - newer]
         return Samples(values[max(len(values) - round(seconds * self.rate), 0) :], overflowed)
@@ -65,23 +65,21 @@ class Microphone:
         """Stop listening."""
         self._stream.close()
 
-    def _take(self, block: np.ndarray, frames: int, times: Any, status: Any) -> None:
-        """Called from the sound system's own thread with each block of samples."""
-        # Some systems do not say when a block was heard; then the time when it comes must do.
-        ended = (
-            times.inputBufferAdcTime + frames / self.rate if times.inputBufferAdcTime else times.currentTime
-        )
-        with self._news:
+    def _add_block(self, block: np.ndarray, frames: int, times: Any, status: Any) -> None:
+        """Buffer a block of samples; called from the sound system's thread."""
+        recorded = times.inputBufferAdcTime  # 0 where the system does not know it
+        ended = recorded + frames / self.rate if recorded else times.currentTime
+        with self._arrived:
             self._blocks.append(block[:, 0].copy())
-            self._held += frames
-            while self._held - len(self._blocks[0]) > BUFFER_SECONDS * self.rate:
-                self._held -= len(self._blocks.popleft())
+            self._n_buffered += frames
+            while self._n_buffered - len(self._blocks[0]) > BUFFER_SECONDS * self.rate:
+                self._n_buffered -= len(self._blocks.popleft())
             self._heard_until = ended
             self._overflowed |= bool(status.input_overflow)
-            self._news.notify_all()
+            self._arrived.notify_all()
 
 
-def _open_stream(device: str | int | None, rate: int, take: Any) -> Any:
+def _open_stream(device: str | int | None, rate: int, callback: Any) -> Any:
     try:
         import sounddevice
     except ImportError:
@@ -91,22 +89,17 @@ def _open_stream(device: str | int | None, rate: int, take: Any) -> Any:
             "a microphone needs the PortAudio library; install it (Debian, Ubuntu: apt install libportaudio2)"
         ) from None
     try:
-        return sounddevice.InputStream(rate, device=device, channels=1, dtype="float32", callback=take)
+        return sounddevice.InputStream(rate, device=device, channels=1, dtype="float32", callback=callback)
     except (sounddevice.PortAudioError, ValueError) as error:
-        which = "no microphone" if device is None else f"no microphone {device!r}"
+        name = "no microphone" if device is None else f"no microphone {device!r}"
         raise InputError(
-            f"{which} can be listened to at {rate:,} samples per second ({error}); "
+            f"{name} can be listened to at {rate:,} samples per second ({error}); "
             "`python -m sounddevice` lists the devices"
         ) from None
 
 
 class Recording:
-    """Sound that has been recorded, handed out from its beginning; a `Source`.
-
-    Parameters
-    ----------
-    values : array of float32, shape (n,)
-    rate : int
+    """A recording as an `AudioSource`, read from its beginning.
 
     Examples
     --------
@@ -118,25 +111,19 @@ class Recording:
     def __init__(self, values: Sound, rate: int) -> None:
         self.values = values
         self.rate = rate
-        self._place = 0
+        self._position = 0
 
     def read(self, seconds: float) -> Samples:
         """The next so many seconds; fewer where the recording ends."""
-        begin, self._place = self._place, self._place + round(seconds * self.rate)
-        return Samples(self.values[begin : self._place])
+        begin, self._position = self._position, self._position + round(seconds * self.rate)
+        return Samples(self.values[begin : self._position])
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Nothing to release."""
 
 
 def read_wav(path: str | Path) -> Recording:
-    """Read a WAV file, or another that libsndfile knows; its first channel.
-
-    Raises
-    ------
-    InputError
-        If soundfile is not installed, or the file is missing or no sound.
-    """
+    """Read the first channel of a WAV file, or another that libsndfile knows; raises InputError."""
     try:
         import soundfile
     except ImportError:
@@ -154,17 +141,11 @@ def read_wav(path: str | Path) -> Recording:
 
 FULL_SCALE = 0.999
 MIN_CLIPPED_SAMPLES = 4  # samples of a check at full scale
-MAX_DEAD_POWER = 1e-3  # of the power that was tuned to: what a microphone that is unplugged leaves is fainter
+MAX_DEAD_POWER = 1e-3  # over the power in the tuning; that of an unplugged microphone is lower
 
 
 def find_fault(samples: Samples, expected: int) -> str:
-    """A sentence on what is wrong and what to do, or nothing.
-
-    Parameters
-    ----------
-    samples : Samples
-    expected : int
-        How many there should be; half of them will do, since some sources round.
+    """What is wrong with a sound of `expected` samples, or nothing; half of them suffice.
 
     Examples
     --------
@@ -186,15 +167,15 @@ def find_fault(samples: Samples, expected: int) -> str:
 
 
 def is_dead(band: float, reference: float) -> bool:
-    """Whether powers over those that were tuned to are those of no microphone at all."""
+    """Whether powers, over those of the tuning, are too low for any microphone."""
     return band < MAX_DEAD_POWER and reference < MAX_DEAD_POWER
 
 
-TAPER_SHARE = 0.1  # share of a check that is faded in and out, so that hum does not leak into far frequencies
+TAPER_SHARE = 0.1  # of a check is tapered, so that hum does not leak into distant frequencies
 
 
 def bin_frequencies(number: int, rate: int) -> Array:
-    """Of the bins of a check of so many samples, Hz."""
+    """Frequencies of the bins of a check of so many samples, Hz."""
     return np.fft.rfftfreq(number, 1 / rate)
 
 
@@ -223,17 +204,16 @@ def power_densities(values: npt.NDArray[np.floating], rate: int) -> Array:
 
 
 def tukey_window(number: int) -> Array:
-    """A window that is 1 but for a cosine at either end, shape (number,)."""
-    at = (np.arange(number) + 0.5) / number
-    edge = np.minimum(np.minimum(at, 1 - at) * 2 / TAPER_SHARE, 1.0)
+    """Tukey window: 1 with a cosine taper at either end, shape (number,)."""
+    position = (np.arange(number) + 0.5) / number
+    edge = np.minimum(np.minimum(position, 1 - position) * 2 / TAPER_SHARE, 1.0)
     return np.sin(np.pi / 2 * edge) ** 2
 
 
 def power_df(bins: int, number: int) -> float:
     """Degrees of freedom of the summed power of so many neighbouring bins of Gaussian noise.
 
-    Each bin has two; the window takes a twentieth away, since what it fades out counts less:
-    (sum w^2)^2 / (n sum w^4).
+    Each bin has two, times (sum w^2)^2 / (n sum w^4) for the window, about 0.95.
     """
     window = tukey_window(number)
     return float(2 * bins * np.sum(window**2) ** 2 / (number * np.sum(window**4)))

@@ -28,6 +28,7 @@ from stickslip_fit.capture.journal import (
 )
 from stickslip_fit.capture.operator import (
     CountPredictor,
+    ExpectedCount,
     Operator,
     OperatorChoice,
     OperatorReply,
@@ -44,28 +45,25 @@ from stickslip_fit.logs.plan import RANGE_TOL, Plan
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import JOINTS
 
-BACK_OFF_STEPS = (
-    200  # steps away from a stop that a joint may be standing at, so that the ear hears it run free
-)
+BACK_OFF_STEPS = 200  # away from a stop that a joint may be standing at, so that the detector hears it move
 
 
 class Homing:
-    """Knows where the joints stand, as far as stops were heard since.
+    """Brings the joints into place, and knows where they stand.
 
-    A stop is the only place that can be known: a joint is there once it was heard. Any other position is
-    set by the person's hand, or else reached from the nearest stop by as many steps as a law says; it is
-    then only as good as that law on that day: 1 % of 120 degrees are 1.2. Each drive that brings a joint
-    into place is in the log as ``excluded``, with a note: it warms and wears the joint, but is no reading.
+    A joint's position is known once its stop was detected. Any other position is set by hand, or reached
+    from the nearest stop by as many steps as a law says; it is then only as accurate as that law on that
+    day: 1 % of 120 degrees are 1.2. Each drive that brings a joint into place is in the log as
+    ``excluded``, with a note: it warms and wears the joint, but is no reading.
 
     Parameters
     ----------
     machine : Machine
     driver : Driver
     by_hand : callable
-        From a joint and a position to the person's answer, once the joint is there.
-    counting : Predictor, optional
-        Says how many steps a position lies from a stop; what it does not know, and everything without it,
-        is set by hand.
+        From a joint and a position to the operator's reply, once the joint is there.
+    count_predictor : CountPredictor, optional
+        Predicts the steps from a stop to a position; a joint that it has no prediction for is set by hand.
     """
 
     def __init__(
@@ -73,26 +71,26 @@ class Homing:
         machine: Machine,
         driver: Driver,
         by_hand: Callable[[int, float], OperatorReply],
-        counting: CountPredictor | None,
+        count_predictor: CountPredictor | None,
     ) -> None:
-        self.counting = counting
+        self.count_predictor = count_predictor
         self.machine = machine
         self.driver = driver
         self.by_hand = by_hand
         self.known: dict[int, float] = {}
 
     def forget(self, joints: tuple[int, ...] = JOINTS) -> None:
-        """Joints may have been moved: nothing is known of them until a stop is heard."""
+        """Joints may have been moved: their positions are unknown until a stop is detected."""
         for joint in joints:
             self.known.pop(joint, None)
 
     def bring(self, row: Row, setting: RigSetting) -> None:
-        """Bring the other joints to where they belong, and the moving one to its beginning.
+        """Bring the other joints to their positions, and the moving one to its start.
 
         Raises
         ------
-        BrokenOffError
-            If a drive is broken off, or a joint meets a stop where there should be none.
+        DriveInterruptedError
+            If a drive is interrupted, or a joint meets a stop where there should be none.
         """
         moving = int(row["joint"])
         for joint in (*(other for other in JOINTS if other != moving), moving):
@@ -100,115 +98,91 @@ class Homing:
             self._place(joint, target, row, setting)
 
     def _place(self, joint: int, target: float, row: Row, setting: RigSetting) -> None:
-        if joint in self.known and self._alike(joint, self.known[joint], target):
+        if joint in self.known and self._equal(joint, self.known[joint], target):
             return
-        low, high = self.stops(joint, setting)
+        low, high = self._stops(joint, setting)
         for stop in (low, high):
-            if self._alike(joint, stop, target):
-                self._home(joint, stop, row, setting)
+            if self._equal(joint, stop, target):
+                self._home(joint, stop, high if stop == low else low, row)
                 return
         nearest = low if target - low < high - target else high
-        drive_target = self._way(joint, nearest, target, row)
-        predicted = predict_count(self.counting, pd.Series(drive_target))
+        drive_row = self._drive_row(joint, nearest, target, row)
+        predicted = predict_count(self.count_predictor, pd.Series(drive_row))
         if not predicted.known:
             self.by_hand(joint, target)
         else:
             self._place(joint, nearest, row, setting)
-            self._count(joint, target, drive_target, round(predicted.steps))
+            self._count(joint, target, drive_row, predicted)
         self.known[joint] = target
 
-    def stops(self, joint: int, setting: RigSetting) -> tuple[float, float]:
-        """Where a joint is held: by its own stops, or by those that a person has set."""
-        own = {each: (low, high) for each, low, high in setting.stops}
-        return own.get(joint, self.machine.ranges[joint])
+    def _stops(self, joint: int, setting: RigSetting) -> tuple[float, float]:
+        """The joint's own stops, or those that the operator has set."""
+        stops_set = {number: (low, high) for number, low, high in setting.stops}
+        return stops_set.get(joint, self.machine.ranges[joint])
 
-    def _home(self, joint: int, stop: float, row: Row, setting: RigSetting) -> None:
-        low, high = self.stops(joint, setting)
-        other = high if stop == low else low
-        begin = self.known.get(joint, other)
-        there = format_position(joint, stop)
+    def _home(self, joint: int, stop: float, other_stop: float, row: Row) -> None:
+        start = self.known.get(joint, other_stop)
         if joint not in self.known:
-            away = self._way(joint, stop, other, row)
+            away = self._drive_row(joint, stop, other_stop, row)
             self.driver.steps(away, BACK_OFF_STEPS, f"joint {joint} moved off a stop it might stand at")
         self.forget((joint,))
-        self.driver.to_stop(
-            self._way(joint, begin, stop, row), f"joint {joint} brought to its stop at {there}"
-        )
+        purpose = f"joint {joint} brought to its stop at {format_position(joint, stop)}"
+        self.driver.to_stop(self._drive_row(joint, start, stop, row), purpose)
         self.known[joint] = stop
 
-    def _count(self, joint: int, target: float, drive_target: Row, steps: int) -> None:
+    def _count(self, joint: int, target: float, drive_row: Row, predicted: ExpectedCount) -> None:
         self.forget((joint,))
         purpose = f"joint {joint} brought to {format_position(joint, target)} by count"
-        if not self.driver.steps(drive_target, steps, purpose):
-            work = PlannedDrive(
-                pd.Series(dict(drive_target)), purpose, predict_count(self.counting, pd.Series(drive_target))
-            )
-            raise DriveInterruptedError(work, f"joint {joint} met a stop where there should be none")
+        if not self.driver.steps(drive_row, round(predicted.steps), purpose):
+            drive = PlannedDrive(pd.Series(dict(drive_row)), purpose, predicted)
+            raise DriveInterruptedError(drive, f"joint {joint} met a stop where there should be none")
 
-    def _way(self, joint: int, start: float, stop: float, row: Row) -> dict[str, Any]:
-        """A drive of one joint while the others stand where they are, or where they are to be."""
+    def _drive_row(self, joint: int, start: float, stop: float, row: Row) -> dict[str, Any]:
+        """A drive of one joint while the others stand at their known or planned positions."""
         moving = int(row["joint"])
-        there = {
+        positions = {
             f"q{other}": self.known.get(other, row["start"] if other == moving else row[f"q{other}"])
             for other in JOINTS
         }
         direction = "+" if stop > start else "-"
         ends = {"joint": joint, "direction": direction, "start": start, "stop": stop}
-        return {**row, **there, f"q{joint}": float("nan"), **ends}
+        return {**row, **positions, f"q{joint}": float("nan"), **ends}
 
-    def _alike(self, joint: int, position: float, other: float) -> bool:
+    def _equal(self, joint: int, position: float, other: float) -> bool:
         return abs(position - other) <= RANGE_TOL * self.machine.span(joint)
 
 
 class _SkippedError(Exception):
-    """The person leaves this traverse out."""
+    """The operator leaves this traverse out."""
 
 
 class _QuitError(Exception):
-    """The person has had enough for now."""
+    """The operator ends the capture for now."""
 
 
 def journal_path(log: str | Path) -> Path:
-    """Where the journal of a log is kept: beside it.
-
-    Examples
-    --------
-    >>> journal_path("data/monday.csv").name
-    'monday.csv.journal'
-    """
+    """The journal of a log: the file LOG.journal beside it."""
     return Path(f"{log}.journal")
 
 
 def begin_journal(log: str | Path) -> tuple[Journal, JournalReplay]:
-    """Begin the journal of a log to be captured; it holds nothing yet.
-
-    Raises
-    ------
-    InputError
-        If there is such a log or journal already.
-    """
+    """Begin the journal of a log; raises InputError if there is such a log or journal already."""
     path, replay = journal_path(log), JournalReplay()
-    # One that holds nothing was left by a capture that failed before it began.
-    empty = path.exists() and not read_journal(path, replay.take).count
+    # An empty one was left by a capture that failed before it began.
+    empty = path.exists() and not read_journal(path, replay.apply).count
     if Path(log).exists() and (empty or not path.exists()):
         raise InputError(InputIssue("exists and would be written over; name another log", str(log)))
-    return (continue_journal(path, replay.take) if empty else create_journal(path)), replay
+    return (continue_journal(path, replay.apply) if empty else create_journal(path)), replay
 
 
 def resume_journal(log: str | Path) -> tuple[Journal, JournalReplay]:
-    """Go on with the journal of a log, wherever it ended; and what it holds.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it is in use or damaged.
-    """
+    """Continue the journal of a log; raises InputError if there is none, or it is in use or damaged."""
     replay = JournalReplay()
-    return continue_journal(journal_path(log), replay.take), replay
+    return continue_journal(journal_path(log), replay.apply), replay
 
 
 class Campaign:
-    """A plan, the rig that it is made with, and how far it has got.
+    """A plan, the rig it is made with, and its progress.
 
     Parameters
     ----------
@@ -216,20 +190,20 @@ class Campaign:
     machine : Machine
         The one that the plan was made for.
     log : str or Path
-        Rewritten, whole, after every traverse.
+        Rewritten after every traverse.
     journal : Journal
-    ledger : Ledger
-        Both from `begin` or `resume`.
+    replay : JournalReplay
+        Both from `begin_journal` or `resume_journal`.
     rig : Rig
-    person : Person
-    predictor : Predictor, optional
-        Says what counts should be; without it, no reading is doubted.
-    counting : Predictor, optional
-        By which joints are brought to positions where there is no stop; see `Placing`.
-    safety : Safety
+    operator : Operator
+    predictor : CountPredictor, optional
+        Predicts the counts; without it, no reading is doubtful.
+    count_predictor : CountPredictor, optional
+        By which joints are brought to positions where there is no stop; see `Homing`.
+    drive_limits : DriveLimits, optional
     conditions : dict of str to float, optional
-        At the beginning of every session, by the columns of a log, SI; what the person says of one session
-        does not hold in the next.
+        At the beginning of every session, by the columns of a log, SI; what the operator enters holds until
+        the session ends.
     """
 
     def __init__(
@@ -242,42 +216,37 @@ class Campaign:
         rig: Rig,
         operator: Operator,
         predictor: CountPredictor | None = None,
-        counting: CountPredictor | None = None,
-        safety: DriveLimits | None = None,
+        count_predictor: CountPredictor | None = None,
+        drive_limits: DriveLimits | None = None,
         conditions: Mapping[str, float] | None = None,
     ) -> None:
         self.plan = plan
         self.machine = machine
         self.log = log
-        self.ledger = replay
+        self.replay = replay
         self.operator = operator
-        self.driver = Driver(rig, journal, replay, operator, predictor, safety or DriveLimits())
-        self.placing = Homing(machine, self.driver, self._bring_by_hand, counting)
+        self.driver = Driver(rig, journal, replay, operator, predictor, drive_limits or DriveLimits())
+        self.homing = Homing(machine, self.driver, self._bring_by_hand, count_predictor)
         self.conditions = conditions or {}
         self.setting: RigSetting | None = None
 
     def run(self) -> bool:
-        """Make every traverse of the plan that is not made yet.
-
-        Returns
-        -------
-        bool
-            Whether all are made or left out; False where the person wanted to stop before.
+        """Make every traverse of the plan that is not made yet; whether all are made or left out.
 
         Raises
         ------
         InputError
-            If the journal belongs to another plan or cannot be written, or the controller or the ear fails;
-            what was acknowledged is in the log all the same.
+            If the journal belongs to another plan or cannot be written, or the controller or the detector
+            fails; what was acknowledged is in the log all the same.
         """
         self._open()
         try:
-            self._go_through()
+            self._make_traverses()
             complete = True
         except _QuitError:
             complete = False
         except BaseException:
-            # Why the capture ended says more than why the log cannot be written, too.
+            # The reason why the capture ended matters more than a failure to write the log.
             with suppress(InputError):
                 self._save()
             raise
@@ -285,126 +254,124 @@ class Campaign:
         return complete
 
     def _open(self) -> None:
-        """Write down what is captured; of a journal that is gone on with, check that it is the same."""
-        if lost := self.driver.journal.recorded.lost:
-            self.operator.tell(f"the journal ended within a record; its {lost} bytes said nothing yet")
-        same = {"plan": hash_plan(self.plan), "machine": self.machine.sha256}
-        if self.ledger.begun is None:
+        """Record the plan and the machine, or check them in a journal that is continued."""
+        if incomplete := self.driver.journal.recorded.incomplete:
+            self.operator.show(f"the journal ended within a record; its {incomplete} bytes are left out")
+        hashes = {"plan": hash_plan(self.plan), "machine": self.machine.sha256}
+        if self.replay.begin_event is None:
             code_version = {"version": __version__, "controller": self.driver.rig.controller.version()}
-            self.driver.write({"event": "begun", "name": self.plan.name, **code_version, **same})
-        for key, found in same.items():
-            if self.ledger.begun is not None and self.ledger.begun[key] != found:
-                raise InputError(
-                    InputIssue(
-                        f"was begun with another {key}; go on with the same one, or name another log",
-                        str(self.driver.journal.path),
-                    )
-                )
+            self.driver.write({"event": "begun", "name": self.plan.name, **code_version, **hashes})
+        for key, sha256 in hashes.items():
+            if self.replay.begin_event is not None and self.replay.begin_event[key] != sha256:
+                message = f"was begun with another {key}; go on with the same one, or name another log"
+                raise InputError(InputIssue(message, str(self.driver.journal.path)))
         self._keep_edited()
 
-    def _go_through(self) -> None:
+    def _make_traverses(self) -> None:
         rows, session, total = self.plan.rows(), "", self.plan.traverses_per_session * len(self.plan.sessions)
         for number, row in enumerate(rows.to_dict("records")):
-            if number in self.ledger.finished:
+            if number in self.replay.finished:
                 continue
             try:
                 if row["session"] != session:
                     session = str(row["session"])
-                    self.placing.forget()
+                    self.homing.forget()
                     self._note_conditions(self.conditions)
-                    self._heed(self.operator.begin_session(session))
+                    self._handle_reply(self.operator.begin_session(session))
                 self._make(row, number, f"{number + 1} of {total:,}: {row['sweep']}")
             except _SkippedError:
                 self.driver.write({"event": "skipped", "planned": number})
 
     def _make(self, row: Row, number: int, title: str) -> None:
-        """Make one traverse until there is a reading that the person keeps."""
-        again = True
-        while again:
+        """Repeat one traverse until the operator keeps the reading."""
+        repeat = True
+        while repeat:
             try:
-                setting = self._set_up(row)
-                self.placing.bring(row, setting)
-                again = self._measure(row, number, title)
-            except DriveInterruptedError as broken:
+                self.homing.bring(row, self._set_up(row))
+                repeat = self._measure(row, number, title)
+            except DriveInterruptedError as interrupted:
                 self._save()
-                self._heed(self.operator.trouble(broken.work, broken.why))
+                self._handle_reply(self.operator.handle_failure(interrupted.drive, interrupted.reason))
 
     def _measure(self, row: Row, number: int, title: str) -> bool:
-        """Make one traverse; whether the person wants it once more."""
+        """Make one traverse; whether the operator wants it repeated."""
         joint = int(row["joint"])
-        self.placing.forget((joint,))
-        work, steps = self.driver.traverse(row, number, title)
-        self.placing.known[joint] = float(row["stop"])
+        self.homing.forget((joint,))
+        drive, steps = self.driver.traverse(row, number, title)
+        self.homing.known[joint] = float(row["stop"])
         self._save()
-        counted = steps - row["check_every"] / 2 if row["check_every"] > 1 else steps
-        size = abs(row["stop"] - row["start"]) / counted
-        answer = self.operator.reading(TraverseReading(work, steps, size, work.expected.departure(counted)))
-        again = answer.choice is OperatorChoice.REPEAT
-        if again or answer.choice is OperatorChoice.SKIP:
-            why = "doubted, and made again" if again else "doubted"
-            drive = len(self.ledger.drives) - 1
-            self.driver.write({"event": "excluded", "drive": drive, "why": why})
-        self._heed(answer)
-        return again
+        count = steps - row["check_every"] / 2 if row["check_every"] > 1 else steps
+        step_size = abs(row["stop"] - row["start"]) / count
+        reply = self.operator.review(
+            TraverseReading(drive, steps, step_size, drive.expected.deviation(count))
+        )
+        repeat = reply.choice is OperatorChoice.REPEAT
+        if repeat or reply.choice is OperatorChoice.SKIP:
+            why = "doubted, and made again" if repeat else "doubted"
+            self.driver.write({"event": "excluded", "drive": len(self.replay.drives) - 1, "why": why})
+        self._handle_reply(reply)
+        return repeat
 
     def _set_up(self, row: Row) -> RigSetting:
-        wanted = self._wanted(row)
+        wanted = self._required_setting(row)
         if wanted != self.setting:
-            self._heed(self.operator.set_up(wanted, self.setting))
+            self._handle_reply(self.operator.set_up(wanted, self.setting))
             before = self.setting.stops if self.setting else ()
-            self.placing.forget(tuple(joint for joint, _, _ in set(before) ^ set(wanted.stops)))
+            self.homing.forget(tuple(joint for joint, _, _ in set(before) ^ set(wanted.stops)))
             self.setting = wanted
         return wanted
 
-    def _wanted(self, row: Row) -> RigSetting:
+    def _required_setting(self, row: Row) -> RigSetting:
         joint = int(row["joint"])
         low, high = sorted((float(row["start"]), float(row["stop"])))
-        least, most = self.machine.ranges[joint]
+        lowest, highest = self.machine.ranges[joint]
         slack = RANGE_TOL * self.machine.span(joint)
-        whole = abs(low - least) <= slack and abs(high - most) <= slack
+        whole = abs(low - lowest) <= slack and abs(high - highest) <= slack
         return RigSetting(float(row["theta"]), float(row["psi"]), () if whole else ((joint, low, high),))
 
     def _bring_by_hand(self, joint: int, position: float) -> OperatorReply:
-        answer = self.operator.bring(joint, position)
-        self._heed(answer)
-        return answer
+        reply = self.operator.bring_joint(joint, position)
+        self._handle_reply(reply)
+        return reply
 
-    def _heed(self, answer: OperatorReply) -> None:
-        """Keep the person's note with the latest drive, and do what they want."""
-        if answer.note:
-            drive = len(self.ledger.drives) - 1
-            self.driver.write({"event": "noted", "drive": drive, "text": answer.note})
-        self._note_conditions({**self.ledger.conditions, **answer.conditions})
-        if answer.choice is OperatorChoice.QUIT:
+    def _handle_reply(self, reply: OperatorReply) -> None:
+        """Record the operator's note with the last drive, and follow their decision."""
+        if reply.note:
+            drive = len(self.replay.drives) - 1
+            self.driver.write({"event": "noted", "drive": drive, "text": reply.note})
+        self._note_conditions({**self.replay.conditions, **reply.conditions})
+        if reply.choice is OperatorChoice.QUIT:
             raise _QuitError
-        if answer.choice is OperatorChoice.SKIP:
+        if reply.choice is OperatorChoice.SKIP:
             raise _SkippedError
 
     def _note_conditions(self, values: Mapping[str, float]) -> None:
-        if dict(values) != dict(self.ledger.conditions):
+        if dict(values) != dict(self.replay.conditions):
             self.driver.write({"event": "conditions", "values": dict(values)})
 
     def _save(self) -> None:
-        rows = self.ledger.rows()
+        rows = self.replay.rows()
         if len(rows):
             content = format_csv(rows)
             sha256 = hashlib.sha256(content).hexdigest()
-            # Announced first, so that a log which a crash left behind is known for the capture's own.
-            if sha256 not in self.ledger.written[-1:]:
+            # Recorded first, so that the log is recognized as the capture's own after a crash.
+            if sha256 not in self.replay.log_hashes[-1:]:
                 self.driver.write({"event": "writing", "sha256": sha256})
             write_atomically(self.log, content)
 
     def _keep_edited(self) -> None:
-        """Put a log aside that somebody has changed since it was written here."""
+        """Rename a log that was changed since the capture wrote it."""
         log = Path(self.log)
-        if log.exists() and hashlib.sha256(log.read_bytes()).hexdigest() not in self.ledger.written:
-            names = (Path(f"{log}.edited-{number}") for number in itertools.count(1))
-            aside = next(name for name in names if not name.exists())
-            log.rename(aside)
-            self.operator.tell(f"{log} was changed since it was written; what was changed is kept as {aside}")
+        if log.exists() and hashlib.sha256(log.read_bytes()).hexdigest() not in self.replay.log_hashes:
+            copies = (Path(f"{log}.edited-{number}") for number in itertools.count(1))
+            edited = next(copy for copy in copies if not copy.exists())
+            log.rename(edited)
+            self.operator.show(
+                f"{log} was changed since it was written; the changed file is kept as {edited}"
+            )
 
 
 def hash_plan(plan: Plan) -> str:
-    """A hash over the traverses of a plan, in their order; how it is named or simulated is left out."""
+    """A hash of the traverses of a plan in their order, without its name and simulation settings."""
     rows: Any = plan.rows().drop(columns=["sweep", "visit"])
     return hashlib.sha256(pd.DataFrame(rows).to_csv(index=False).encode("utf-8")).hexdigest()

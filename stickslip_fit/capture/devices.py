@@ -31,7 +31,7 @@ DIALECTS = ("new", "old", "anc300")
 def open_controller(
     port: str,
     dialect: str,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
     step_period: float = STEP_PERIOD,
     password: str = "",
 ) -> Controller:
@@ -43,10 +43,10 @@ def open_controller(
         A serial port; for ``anc300`` a VISA resource.
     dialect : {'new', 'old', 'anc300'}
         Of Kleindiek's NanoControl; or attocube's ANC300.
-    tell : callable
-        Is given whatever the controller says of its own accord.
+    notify : callable
+        Called with each unsolicited message of the controller.
     step_period : float
-        s; what the controller is set to. An ANC300 is asked for its own.
+        s; the controller's setting. An ANC300 has its own.
     password : str
         Of an ANC300's console.
 
@@ -59,7 +59,7 @@ def open_controller(
     """
     if dialect == "new":
         line = LineTransport(open_serial(port, NEW_BAUD_RATE), RealClock(), NEW_TERMINATOR)
-        return NanoControl(line, tell, step_period)
+        return NanoControl(line, notify, step_period)
     if dialect == "old":
         line = LineTransport(open_serial(port, OLD_BAUD_RATE), RealClock(), OLD_TERMINATOR)
         return OldNanoControl(line, step_period)
@@ -74,10 +74,7 @@ AXES = {1: "first", 2: "second", 3: "third"}
 class Anc300:
     """A `Controller` whose axes 1, 2 and 3 drive the joints of these numbers.
 
-    Parameters
-    ----------
-    unit : pymeasure.instruments.attocube.ANC300Controller
-        With the axes of `AXES`; its step frequency is set at the unit itself.
+    `unit` is a pymeasure ``ANC300Controller`` with the axes of `AXES`; its step frequency is set at the unit.
     """
 
     def __init__(self, unit: Any) -> None:
@@ -94,7 +91,7 @@ class Anc300:
     def stop(self) -> None:
         """See `Controller.stop`."""
         with _translate_errors("stop"):
-            # The reply of a move that was left waiting would be taken for that of the stop.
+            # An unread reply of a move would be taken for that of the stop.
             self._unit.adapter.flush_read_buffer()
             self._unit.stop_all()
 
@@ -109,14 +106,7 @@ class Anc300:
 
 
 def open_anc300(resource: str, password: str) -> Anc300:
-    """Open the connection to an ANC300.
-
-    Parameters
-    ----------
-    resource : str
-        As VISA names it, e.g. ``TCPIP::192.168.1.2::7230::SOCKET``.
-    password : str
-        Of its console.
+    """Open the connection to an ANC300 at a VISA resource, e.g. ``TCPIP::192.168.1.2::7230::SOCKET``.
 
     Raises
     ------
@@ -142,7 +132,7 @@ def open_anc300(resource: str, password: str) -> Anc300:
 
 @contextmanager
 def _translate_errors(command: str) -> Iterator[None]:
-    """Errors of pymeasure and VISA in our own words."""
+    """Raise errors of pymeasure and VISA as `ControllerError` and `ConnectionLost`."""
     from pyvisa.errors import Error as VisaError
 
     try:

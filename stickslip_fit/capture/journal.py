@@ -1,7 +1,8 @@
 """Journal: an append-only file of events with checksums, and JournalReplay, which makes a log of them.
 
-Every record is one line, a checksum and JSON; the checksum covers all records before it too. A last
-line without its end is what a crash leaves, and is cut off on resuming; any other damage is an error.
+Every record is one line, a checksum (CRC-32) and a numbered JSON object; the checksum covers all records
+before it too, so that a missing or displaced line is noticed. A last line without its end is what a crash
+leaves, and is cut off on resuming; any other damage is an error.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,6 +27,7 @@ from stickslip_fit.logs.schema import CONDITIONS
 Event = dict[str, Any]
 EventHandler = Callable[[Event], object]
 _CHECKSUM_DIGITS = 8  # hexadecimal digits of a checksum
+_LOCKED_BYTE = 0x7FFF_0000  # position of the byte that is locked on Windows
 _DAMAGED_MESSAGE = (
     "does not agree with its checksum, which no crash does to a whole line; put the file back from a copy, "
     "or cut it off before this line and go on with --resume"
@@ -33,40 +36,28 @@ _DAMAGED_MESSAGE = (
 
 @dataclass(frozen=True)
 class JournalState:
-    """A journal as it was found.
+    """The content of a journal file.
 
     Attributes
     ----------
     count : int
         Records.
     length : int
-        Bytes that hold them.
+        Their bytes.
     checksum : int
-        Of the last; the next one's is worked out from it.
-    lost : int
+        Of the last record.
+    incomplete : int
         Bytes of a last record that was never finished.
     """
 
-    count: int
-    length: int
-    checksum: int
-    lost: int
+    count: int = 0
+    length: int = 0
+    checksum: int = 0
+    incomplete: int = 0
 
 
 class Journal:
-    """A journal open for writing; nobody else can write it meanwhile.
-
-    Each line is a checksum and a JSON object that carries its number. A checksum goes over all lines so
-    far, so that a line which is missing or out of place is noticed as one that is damaged.
-
-    Parameters
-    ----------
-    path : Path
-    handle : int
-        Of the file, locked, at its end.
-    recorded : Recorded
-        What the file held when it was opened.
-    """
+    """A journal open for writing, locked against other processes; `recorded` is what the file held."""
 
     def __init__(self, path: Path, handle: int, recorded: JournalState) -> None:
         self.path = path
@@ -84,16 +75,10 @@ class Journal:
         self.close()
 
     def append(self, event: Event) -> None:
-        """Hand an event to the system: it outlives this program from now on, but not yet a power cut.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written, as on a full disk.
-        """
+        """Write an event so that it survives this program; raises InputError, e.g. on a full disk."""
         line, checksum = _format_record({"number": self._count, **event}, self._checksum)
         try:
-            # A full disk takes the beginning of a line first, and refuses the rest the next time.
+            # A full disk accepts the beginning of a line and refuses the rest the next time.
             while line:
                 line = line[os.write(self._handle, line) :]
         except OSError as error:
@@ -101,13 +86,7 @@ class Journal:
         self._count, self._checksum = self._count + 1, checksum
 
     def commit(self, event: Event) -> None:
-        """Write an event so that it outlives a power cut.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written.
-        """
+        """Write an event so that it survives a power cut; raises as `append`."""
         self.append(event)
         try:
             os.fsync(self._handle)
@@ -115,33 +94,31 @@ class Journal:
             raise _make_write_error(error, self.path) from None
 
     def close(self) -> None:
-        """Close the file, which lets go of the lock."""
+        """Close the file, which releases the lock."""
         os.close(self._handle)
 
 
 def create_journal(path: str | Path) -> Journal:
-    """Begin a journal.
-
-    Raises
-    ------
-    InputError
-        If there is one already, or the file cannot be written.
-    """
+    """Begin a journal; raises InputError if there is one already, or the file cannot be written."""
     path = Path(path)
     handle = _open_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND)
-    _lock_file(handle, path)
-    _sync_folder(path)
-    return Journal(path, handle, JournalState(0, 0, 0, 0))
+    try:
+        _lock_file(handle, path)
+        _sync_folder(path.parent)
+    except BaseException:
+        os.close(handle)
+        raise
+    return Journal(path, handle, JournalState())
 
 
-def continue_journal(path: str | Path, take: EventHandler) -> Journal:
-    """Open a journal to go on where it ends; a last record that was never finished is cut off.
+def continue_journal(path: str | Path, apply: EventHandler) -> Journal:
+    """Open a journal to continue it; an unfinished last record is cut off.
 
     Parameters
     ----------
     path : str or Path
-    take : callable
-        Is handed each event that the journal holds, in order.
+    apply : callable
+        Called with each event of the journal, in order.
 
     Raises
     ------
@@ -153,37 +130,24 @@ def continue_journal(path: str | Path, take: EventHandler) -> Journal:
     try:
         _lock_file(handle, path)
         content = path.read_bytes()
-        recorded = _parse_records(content, path, take)
+        recorded = _parse_records(content, path, apply)
         os.ftruncate(handle, recorded.length)
         if recorded.length and content[recorded.length - 1] != ord("\n"):
             os.write(handle, b"\n")
         os.fsync(handle)
-    except OSError as error:
+    except BaseException as error:
         os.close(handle)
-        raise _make_write_error(error, path) from None
-    except BaseException:
-        os.close(handle)
+        if isinstance(error, OSError):
+            raise _make_write_error(error, path) from None
         raise
     return Journal(path, handle, recorded)
 
 
-def read_journal(path: str | Path, take: EventHandler) -> JournalState:
-    """Read a journal, which may be being written.
-
-    Parameters
-    ----------
-    path : str or Path
-    take : callable
-        Is handed each event, in order.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or a whole line of it is damaged.
-    """
+def read_journal(path: str | Path, apply: EventHandler) -> JournalState:
+    """Read a journal, which another process may be writing; raises and calls as `continue_journal`."""
     path = Path(path)
     try:
-        return _parse_records(path.read_bytes(), path, take)
+        return _parse_records(path.read_bytes(), path, apply)
     except OSError as error:
         raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
 
@@ -194,8 +158,8 @@ def _format_record(event: Event, before: int) -> tuple[bytes, int]:
     return b"%0*x %s\n" % (_CHECKSUM_DIGITS, checksum, text), checksum
 
 
-def _parse_records(content: bytes, path: Path, take: EventHandler) -> JournalState:
-    """Hand out whole records; what a crash leaves unfinished is a last line without its end."""
+def _parse_records(content: bytes, path: Path, apply: EventHandler) -> JournalState:
+    """Call `apply` with each whole record."""
     count, checksum, length = 0, 0, 0
     *whole, rest = content.split(b"\n")
     for line in [*whole, rest] if rest else whole:
@@ -205,7 +169,7 @@ def _parse_records(content: bytes, path: Path, take: EventHandler) -> JournalSta
             if count == len(whole):
                 break
             raise InputError(InputIssue(_DAMAGED_MESSAGE, str(path), count + 1))
-        take(json.loads(text))
+        apply(json.loads(text))
         count, checksum, length = count + 1, following, length + len(line) + 1
     length = min(length, len(content))
     return JournalState(count, length, checksum, len(content) - length)
@@ -216,9 +180,9 @@ def _make_write_error(error: OSError, path: Path) -> InputError:
     return InputError(InputIssue(message, str(path)))
 
 
-def _open_file(path: Path, how: int) -> int:
+def _open_file(path: Path, flags: int) -> int:
     try:
-        return os.open(path, how, 0o666)
+        return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)  # Windows would change line ends
     except FileExistsError:
         raise InputError(
             InputIssue("was begun by an earlier capture; go on with --resume, or name another log", str(path))
@@ -231,25 +195,40 @@ def _open_file(path: Path, how: int) -> int:
 
 
 def _lock_file(handle: int, path: Path) -> None:
-    """The system lets go of the lock when the process ends, however it ends."""
+    """Lock a file until its handle is closed or the process ends."""
     try:
-        import fcntl
-    except ImportError:
-        raise InputError("a capture needs file locks, which this system lacks; use Linux or macOS") from None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            import fcntl
+        except ImportError:
+            _lock_file_on_windows(handle)
+        else:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         message = "is being written by another capture; wait for it to end, or name another log"
         raise InputError(InputIssue(message, str(path))) from None
 
 
-def _sync_folder(path: Path) -> None:
-    """A file whose folder does not know it yet is lost with the power."""
-    folder = os.open(path.parent, os.O_RDONLY)
+def _lock_file_on_windows(handle: int) -> None:
+    """Lock one byte far beyond the journal's end: Windows lets nobody read a locked byte."""
+    msvcrt: Any = import_module("msvcrt")
+    position = os.lseek(handle, 0, os.SEEK_CUR)
+    os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
     try:
-        os.fsync(folder)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
     finally:
-        os.close(folder)
+        os.lseek(handle, position, os.SEEK_SET)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new file's entry in its folder survive a power cut, on systems that can open a folder."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except PermissionError:
+        return  # as on Windows, which writes the entry with the file
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 POSITION_COLUMNS = ("q1", "q2", "q3", "theta", "psi", "start", "stop")
@@ -270,9 +249,9 @@ class DriveRecord:
         session, time, joint, direction, positions (SI, None for the moving joint's own), check_every, and the
         conditions under which it began.
     planned : int or None
-        Which traverse of the plan; None for one that only brought a joint into place.
+        Number of the traverse in the plan; None for one that brought a joint into place.
     purpose : str
-        What that was for.
+        Why a joint was brought into place.
     steps : int
         Commanded so far.
     status : str
@@ -292,28 +271,28 @@ class JournalReplay:
     """The drives of a journal, kept up to date event by event."""
 
     def __init__(self) -> None:
-        self.begun: Mapping[str, Any] | None = None
+        self.begin_event: Mapping[str, Any] | None = None
         self.drives: list[DriveRecord] = []
         self.skipped: set[int] = set()
         self.conditions: Mapping[str, float] = {}
-        self.written: tuple[str, ...] = ()  # hashes of the log as it was written last, and before that
+        self.log_hashes: tuple[str, ...] = ()  # of the log as it was written last, and the time before
 
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Enter one more event."""
+    def apply(self, event: Mapping[str, Any]) -> None:
+        """Apply one more event."""
         match event["event"]:
             case "begun":
-                self.begun = event
+                self.begin_event = event
             case "drive":
                 row = {**self.conditions, **event["row"]}
                 self.drives.append(DriveRecord(row, event["planned"], event["purpose"]))
             case "conditions":
                 self.conditions = event["values"]
             case "writing":
-                self.written = (*self.written[-1:], event["sha256"])
+                self.log_hashes = (*self.log_hashes[-1:], event["sha256"])
             case "commanded":
                 self.drives[-1] = replace(self.drives[-1], steps=event["steps"])
             case "ended":
-                self.drives[-1] = _end_drive(self.drives[-1], event)
+                self._end_drive(event)
             case "excluded":
                 self._change(event["drive"], event["why"], status="excluded")
             case "noted":
@@ -323,8 +302,8 @@ class JournalReplay:
 
     @property
     def finished(self) -> set[int]:
-        """Traverses of the plan that need not be made any more."""
-        made = {each.planned for each in self.drives if each.planned is not None and each.status == "ok"}
+        """Traverses of the plan that are made or skipped."""
+        made = {drive.planned for drive in self.drives if drive.planned is not None and drive.status == "ok"}
         return made | self.skipped
 
     @property
@@ -333,33 +312,34 @@ class JournalReplay:
         return datetime.fromisoformat(self.drives[-1].row["time"]) if self.drives else None
 
     def rows(self) -> pd.DataFrame:
-        """The log's rows, in order of time; a drive that never made a step is none."""
-        records = [_make_row(each) for each in self.drives if each.steps > 0]
-        own = dict.fromkeys(name for each in records for name in each if name not in LOG_COLUMNS)
-        rows = pd.DataFrame(records, columns=[*LOG_COLUMNS, *own])
+        """The log's rows, in order of time; a drive without a step has none."""
+        records = [_make_row(drive) for drive in self.drives if drive.steps > 0]
+        covariates = dict.fromkeys(name for record in records for name in record if name not in LOG_COLUMNS)
+        rows = pd.DataFrame(records, columns=[*LOG_COLUMNS, *covariates])
         rows["time"] = pd.to_datetime(rows["time"], utc=True)
-        numbers = [*POSITION_COLUMNS, *CONDITIONS, *own]
+        numbers = [*POSITION_COLUMNS, *CONDITIONS, *covariates]
         return rows.astype(dict.fromkeys(numbers, float) | {"joint": "int64", "steps": "int64"})
 
     def _change(self, drive: int, note: str, **changes: Any) -> None:
         before = self.drives[drive]
         self.drives[drive] = replace(before, notes=(*before.notes, note), **changes)
 
-
-def _end_drive(drive: DriveRecord, event: Mapping[str, Any]) -> DriveRecord:
-    notes = tuple(filter(None, (drive.purpose, event["why"])))
-    brings = drive.planned is None and event["status"] == "ok"
-    return replace(drive, steps=event["steps"], status="excluded" if brings else event["status"], notes=notes)
+    def _end_drive(self, event: Mapping[str, Any]) -> None:
+        drive, status = self.drives[-1], event["status"]
+        if drive.planned is None and status == "ok":
+            status = "excluded"  # it brought a joint into place
+        notes = tuple(filter(None, (drive.purpose, event["why"])))
+        self.drives[-1] = replace(drive, steps=event["steps"], status=status, notes=notes)
 
 
 def _make_row(drive: DriveRecord) -> dict[str, Any]:
-    """A row of the log; a drive that wasn't ended by its stop is known to the step."""
-    heard = drive.steps % drive.row["check_every"] == 0 and drive.status != "interrupted"
-    said = {name: drive.row.get(name, math.nan) for name in CONDITIONS}
-    found = {
+    """A row of the log; the count of a drive that was not ended by its stop is exact."""
+    ended_by_stop = drive.steps % drive.row["check_every"] == 0 and drive.status != "interrupted"
+    return {
+        **dict.fromkeys(CONDITIONS, math.nan),
+        **drive.row,
         "steps": drive.steps,
         "status": drive.status,
-        "check_every": drive.row["check_every"] if heard else 1,
+        "check_every": drive.row["check_every"] if ended_by_stop else 1,
         "note": "; ".join(drive.notes),
     }
-    return {**said, **drive.row, **found}

@@ -26,34 +26,28 @@ WRITE_TIMEOUT = 2.0  # s; a few bytes take a millisecond
 
 
 class SerialTransport:
-    """A wire over pyserial; see `open_serial`."""
+    """A `ByteTransport` over pyserial; see `open_serial`."""
 
     def __init__(self, port: Any) -> None:
         self._port = port
 
     def write(self, data: bytes) -> None:
-        """See `Wire.write`."""
+        """See `ByteTransport.write`."""
         self._port.write(data)
 
     def read(self, seconds: float) -> bytes:
-        """See `Wire.read`."""
+        """See `ByteTransport.read`."""
         self._port.timeout = seconds
         first = self._port.read(1)
         return first + self._port.read(self._port.in_waiting) if first else b""
 
     def close(self) -> None:
-        """See `Wire.close`."""
+        """See `ByteTransport.close`."""
         self._port.close()
 
 
 def open_serial(port: str, baud: int) -> SerialTransport:
-    """Open a serial port, 8N1, for this program alone.
-
-    Parameters
-    ----------
-    port : str
-        Such as ``/dev/ttyUSB0`` or ``COM3``.
-    baud : int
+    """Open a serial port, such as ``/dev/ttyUSB0`` or ``COM3``, 8N1, for this program alone.
 
     Raises
     ------
@@ -71,116 +65,89 @@ def open_serial(port: str, baud: int) -> SerialTransport:
     try:
         opened = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True)
     except (OSError, ValueError) as error:
+        from serial.tools.list_ports import comports
+
+        ports = ", ".join(info.device for info in comports()) or "none"
         raise ControllerError(
             f"cannot open the port {port!r} ({error}); plug the controller in, end other programs that use "
-            f"the port, or choose another; there are {', '.join(_list_ports()) or 'none'}"
+            f"the port, or choose another; there are {ports}"
         ) from error
     return SerialTransport(opened)
 
 
-def _list_ports() -> list[str]:
-    from serial.tools.list_ports import comports
-
-    return [port.device for port in comports()]
-
-
 class ByteTransport(Protocol):
-    """Bytes, there and back. Any OSError means that the connection is lost."""
+    """Bytes in both directions; any OSError means that the connection is lost."""
 
     def write(self, data: bytes) -> None:
-        """Send."""
-        ...
+        """Send bytes."""
 
     def read(self, seconds: float) -> bytes:
-        """What has come, as soon as there is any; nothing if nothing comes within so long."""
-        ...
+        """Return what arrives, as soon as anything does; nothing if nothing arrives within so long."""
 
     def close(self) -> None:
-        """Give the connection back."""
-        ...
+        """Close the connection."""
 
 
 class LineTransport:
-    """Commands sent and lines received over a wire.
+    """Sends commands, each with an `end`, and receives lines; time-outs run by the clock."""
 
-    Parameters
-    ----------
-    wire : Wire
-    clock : Clock
-        By which time-outs run.
-    end : str
-        What ends a command.
-    """
-
-    def __init__(self, wire: ByteTransport, clock: Clock, end: str) -> None:
+    def __init__(self, transport: ByteTransport, clock: Clock, end: str) -> None:
         self.clock = clock
         self.end = end
-        self._wire = wire
-        self._come = ""
+        self._transport = transport
+        self._buffer = ""
 
     @property
-    def begun(self) -> str:
-        """What has come of a line that has not ended yet."""
-        return self._come
+    def partial_line(self) -> str:
+        """What has arrived of a line that has not ended yet."""
+        return self._buffer
 
     def send(self, command: str) -> None:
-        """Send a command.
-
-        Raises
-        ------
-        Unplugged
-            If the connection is lost.
-        """
+        """Send a command; raises ConnectionLost."""
         try:
-            self._wire.write((command + self.end).encode("ascii"))
+            self._transport.write((command + self.end).encode("ascii"))
         except OSError as error:
             raise _make_connection_lost(error) from error
 
     def receive(self, seconds: float) -> str | None:
-        """The next line that is not empty, without its end; None if it isn't whole within so long.
-
-        Raises
-        ------
-        Unplugged
-            If the connection is lost.
-        """
+        """The next non-empty line; None if none is complete in time. Raises ConnectionLost."""
         latest, in_time = self.clock.now() + seconds, True
-        while not (line := self._take()):
+        while not (line := self._pop_line()):
             if line is None:
                 if not in_time:
                     return None
-                left = latest - self.clock.now()
-                in_time = left > 0
-                self._more(max(left, 0.0))
+                remaining = latest - self.clock.now()
+                in_time = remaining > 0
+                self._fill(max(remaining, 0.0))
         return line
 
-    def everything(self, seconds: float) -> str:
-        """All that comes within so long, and all that has come before, ended or not."""
+    def read_all(self, seconds: float) -> str:
+        """Everything that has arrived before or arrives within so long, ended or not."""
         latest = self.clock.now() + seconds
-        while self._more(max(latest - self.clock.now(), 0.0)) or self.clock.now() < latest:
+        while self._fill(max(latest - self.clock.now(), 0.0)) or self.clock.now() < latest:
             pass
-        come, self._come = self._come, ""
-        return come
+        text, self._buffer = self._buffer, ""
+        return text
 
     def close(self) -> None:
-        """Give the connection back."""
-        self._wire.close()
+        """Close the connection."""
+        self._transport.close()
 
-    def _take(self) -> str | None:
-        """A line that has ended, perhaps empty; CR, LF and both together end one."""
-        line, *rest = re.split(r"[\r\n]", self._come, maxsplit=1)
+    def _pop_line(self) -> str | None:
+        """A complete line, perhaps empty; CR, LF and both together end one."""
+        line, *rest = re.split(r"[\r\n]", self._buffer, maxsplit=1)
         if not rest:
             return None
-        self._come = rest[0]
+        self._buffer = rest[0]
         return line
 
-    def _more(self, seconds: float) -> bool:
+    def _fill(self, seconds: float) -> bool:
         try:
-            data = self._wire.read(seconds)
+            data = self._transport.read(seconds)
         except OSError as error:
             raise _make_connection_lost(error) from error
-        # Noise on the wire must show in a message, not break it.
-        self._come += data.decode("ascii", "backslashreplace")
+        # Line noise must show in a message, not break it.
+        self._buffer += data.decode("ascii", "backslashreplace")
         return bool(data)
 
 
@@ -203,61 +170,45 @@ class _NoReply(ControllerError):
 
 
 class NanoControl:
-    """A `Controller` that knows which reply belongs to which command.
+    """NanoControl in its new dialect: a `Controller` that matches every reply to its command.
 
-    A reply is a letter, a TAB and a message: ``o`` done, ``e`` refused. ``i`` informs, at any moment, and
-    answers nothing.
-
-    Parameters
-    ----------
-    line : Line
-        Whose commands end in `END`.
-    tell : callable
-        Is given whatever the controller says of its own accord.
-    step_period : float
-        s; what the controller is set to.
+    A reply is a letter, a TAB and a message: ``o`` done, ``e`` refused. ``i`` informs at any moment and
+    replies to nothing; `notify` is called with its message. `step_period`, s, is the controller's own.
     """
 
     def __init__(
-        self, line: LineTransport, tell: Callable[[str], None], step_period: float = STEP_PERIOD
+        self, line: LineTransport, notify: Callable[[str], None], step_period: float = STEP_PERIOD
     ) -> None:
         self.step_period = step_period
         self._line = line
-        self._tell = tell
-        self._owed: list[str] = []  # commands that have no reply yet
-        self._talking = threading.Lock()
+        self._notify = notify
+        self._pending: list[str] = []  # commands without a reply yet
+        self._exchange = threading.Lock()
         self._sending = threading.Lock()
-        self._stopped = threading.Event()  # by another thread, and not yet noticed
+        self._stopped = threading.Event()  # by another thread, not yet handled
 
     def step(self, joint: int, steps: int) -> None:
-        """See `Controller.step`.
-
-        Raises
-        ------
-        ControllerError
-            Also if another thread stops the move, or if a reply is there that belongs to no command.
-        """
+        """See `Controller.step`; raises ControllerError also if another thread stops the move."""
         channel = channel_of(joint)
         for part in split_move(steps, NEW_MAX_STEPS):
             command = f"coarse {channel} {part}"
-            self._ask(
-                command, abs(part) * self.step_period * MAX_SLOWDOWN, f"joint {joint}, command {command!r}"
-            )
+            seconds = abs(part) * self.step_period * MAX_SLOWDOWN
+            self._ask(command, seconds, f"joint {joint}, command {command!r}")
 
     def stop(self) -> None:
-        """See `Controller.stop`; a move that waits in another thread ends there with an error."""
-        if not self._talking.acquire(blocking=False):
+        """See `Controller.stop`; a move in another thread ends there with an error."""
+        if not self._exchange.acquire(blocking=False):
             self._stopped.set()
             with self._sending:
-                # Replies are the other thread's to read, and this command gets none.
+                # The other thread reads the replies, and this command gets none.
                 self._line.send("stopnack")
             return
         try:
-            self._owed.append("stop")
+            self._pending.append("stop")
             self._line.send("stop")
-            self._settle()
+            self._read_stop_replies()
         finally:
-            self._talking.release()
+            self._exchange.release()
 
     def version(self) -> str:
         """See `Controller.version`."""
@@ -267,29 +218,29 @@ class NanoControl:
         """See `Controller.close`."""
         self._line.close()
 
-    def _settle(self) -> None:
-        """Read what stop is answered: its own reply, and before it that of the move, if one was stopped."""
-        answered = False
-        while self._owed:
+    def _read_stop_replies(self) -> None:
+        """Read the reply to a stop, and before it that of the move, if one was stopped."""
+        replied = False
+        while self._pending:
             try:
                 self._reply(REPLY_TIMEOUT, "command 'stop'")
             except _NoReply:
-                if not answered:
+                if not replied:
                     raise
-                # It stands still and has no more to say: what is owed was lost on the way.
-                self._owed.clear()
-            answered = True
+                # The controller is idle: the missing replies were lost.
+                self._pending.clear()
+            replied = True
 
     def _ask(self, command: str, seconds: float, place: str) -> str:
-        """Send a command and wait for its reply, however long it takes to carry out."""
-        with self._talking:
-            self._refuse_leftovers(place)
+        """Send a command and wait for its reply, `seconds` longer than usual."""
+        with self._exchange:
+            self._check_no_reply_pending(place)
             with self._sending:
-                self._refuse_stopped(place)
-                self._owed.append(command)
+                self._check_not_stopped(place)
+                self._pending.append(command)
                 self._line.send(command)
             letter, message = self._reply(seconds + REPLY_TIMEOUT, place)
-            self._refuse_stopped(place)
+            self._check_not_stopped(place)
         if letter == "e":
             raise ControllerError(
                 f"{place}: the controller refuses: {message!r}; see its manual for what that means, put it "
@@ -297,41 +248,41 @@ class NanoControl:
             )
         return message
 
-    def _refuse_stopped(self, place: str) -> None:
+    def _check_not_stopped(self, place: str) -> None:
         if self._stopped.is_set():
             self._stopped.clear()
             raise ControllerError(f"{place}: stopped before it was done")
 
-    def _refuse_leftovers(self, place: str) -> None:
-        """No command before all replies are in: the next one would be taken for its answer."""
-        while (found := self._line.receive(0.0)) is not None:
-            letter, message = _parse_reply(found, place)
+    def _check_no_reply_pending(self, place: str) -> None:
+        """Refuse a command before all replies have arrived: the next one would be taken for its own."""
+        while (line := self._line.receive(0.0)) is not None:
+            letter, message = _parse_reply(line, place)
             if letter == "i":
-                self._tell(message)
+                self._notify(message)
                 continue
-            late = f"late, to {self._owed.pop(0)!r}" if self._owed else "to nothing that was sent"
+            late = f"late, to {self._pending.pop(0)!r}" if self._pending else "to nothing that was sent"
             raise ControllerError(
-                f"{place}: not sent, for the controller has answered {found!r}, {late}; end other programs "
+                f"{place}: not sent, for the controller has answered {line!r}, {late}; end other programs "
                 "that talk to it, then repeat the traverse"
             )
-        if self._owed:
+        if self._pending:
             raise ControllerError(
-                f"{place}: not sent, for the controller has not yet answered {self._owed[0]!r}; stop it, or "
-                "switch it off and on"
+                f"{place}: not sent, for the controller has not yet answered {self._pending[0]!r}; stop it, "
+                "or switch it off and on"
             )
 
     def _reply(self, seconds: float, place: str) -> tuple[str, str]:
-        """Letter and message of the reply to the oldest command that has none."""
+        """Letter and message of the reply to the oldest pending command."""
         latest = self._line.clock.now() + seconds
-        while (found := self._line.receive(latest - self._line.clock.now())) is not None:
-            letter, message = _parse_reply(found, place)
+        while (line := self._line.receive(latest - self._line.clock.now())) is not None:
+            letter, message = _parse_reply(line, place)
             if letter != "i":
-                self._owed.pop(0)
+                self._pending.pop(0)
                 return letter, message
-            self._tell(message)
-        come = f"only {self._line.begun!r}" if self._line.begun else "nothing"
+            self._notify(message)
+        text = f"only {self._line.partial_line!r}" if self._line.partial_line else "nothing"
         raise _NoReply(
-            f"{place}: {come} came within {seconds:.1f} s; check that the controller is on, that the dialect "
+            f"{place}: {text} came within {seconds:.1f} s; check that the controller is on, that the dialect "
             f"and the step period ({1000 * self.step_period:g} ms) are its own"
         )
 
@@ -348,21 +299,15 @@ def _parse_reply(line: str, place: str) -> tuple[str, str]:
 
 OLD_BAUD_RATE = 19_200
 OLD_TERMINATOR = ";"
-# There is no command to stop a move, so that none is sent that takes longer than a person's reaction.
-OLD_MAX_STEPS = 50
-COMMAND_SECONDS = 0.010  # s; what a command takes to get there at 19200 baud
+OLD_MAX_STEPS = 50  # per command: no command stops a move, so each takes less than a person's reaction time
+COMMAND_SECONDS = 0.010  # transmission of a command at 19200 baud
 VERSION_TIMEOUT = 0.5  # s
 
 
 class OldNanoControl:
-    """A `Controller` that takes the time of a move for its being carried out.
+    """NanoControl in its old dialect: a `Controller` that waits out the time of a move, `step_period` each.
 
-    Parameters
-    ----------
-    line : Line
-        Whose commands end in `END`.
-    step_period : float
-        s; what the controller is set to. A shorter one would send steps faster than they are made.
+    A step period below the controller's own would send steps faster than they are made.
     """
 
     def __init__(self, line: LineTransport, step_period: float = STEP_PERIOD) -> None:
@@ -371,7 +316,7 @@ class OldNanoControl:
         self._free_at = line.clock.now()
 
     def step(self, joint: int, steps: int) -> None:
-        """See `Controller.step`; an error of the controller stays unknown."""
+        """See `Controller.step`; errors of the controller are not reported in this dialect."""
         channel = channel_of(joint)
         for part in split_move(steps, OLD_MAX_STEPS):
             self._wait()
@@ -380,16 +325,15 @@ class OldNanoControl:
             self._wait()
 
     def stop(self) -> None:
-        """Wait for the last command's end, at most `MOST_STEPS` steps: nothing in this dialect stops it."""
+        """Wait for the end of the last command, at most `OLD_MAX_STEPS` steps: no command stops it."""
         self._wait()
 
     def version(self) -> str:
         """See `Controller.version`."""
         self._wait()
-        # Whatever it has said to earlier commands.
-        self._line.everything(0.0)
+        self._line.read_all(0.0)  # discards earlier output
         self._line.send("version")
-        return " ".join(self._line.everything(VERSION_TIMEOUT).split())
+        return " ".join(self._line.read_all(VERSION_TIMEOUT).split())
 
     def close(self) -> None:
         """See `Controller.close`."""

@@ -30,7 +30,7 @@ class Controller(Protocol):
     """An open-loop controller of a few joints."""
 
     def step(self, joint: int, steps: int) -> None:
-        """Make coarse steps, and return when they are made.
+        """Make coarse steps, and return when they are done.
 
         Parameters
         ----------
@@ -43,22 +43,17 @@ class Controller(Protocol):
         ------
         ControllerError
             If the controller refuses, or doesn't answer in time.
-        Unplugged
-            If the connection is lost.
+        ConnectionLost
         """
-        ...
 
     def stop(self) -> None:
         """Stop whatever moves, at once."""
-        ...
 
     def version(self) -> str:
         """The controller's name for itself and its firmware; empty where it has none."""
-        ...
 
     def close(self) -> None:
-        """Give the connection back."""
-        ...
+        """Close the connection."""
 
 
 CHANNELS = {1: "A", 2: "B", 3: "C"}
@@ -66,36 +61,30 @@ STEP_PERIOD = 0.010  # s
 
 
 def channel_of(joint: int) -> str:
-    """The channel that drives a joint.
-
-    Raises
-    ------
-    InputError
-        For a joint that is none of 1, 2, 3.
-    """
+    """The channel that drives a joint; raises InputError for a joint other than 1, 2, 3."""
     if joint not in CHANNELS:
         raise InputError(f"joint {joint} is none of 1, 2, 3; correct the plan")
     return CHANNELS[joint]
 
 
-def split_move(steps: int, most: int) -> Iterator[int]:
-    """A move in parts that a single command can hold.
+def split_move(steps: int, max_steps: int) -> Iterator[int]:
+    """Split a move into parts of at most `max_steps`.
 
     Examples
     --------
     >>> list(split_move(-250, 100))
     [-100, -100, -50]
     """
-    left = abs(steps)
-    while left:
-        part = min(left, most)
-        left -= part
+    remaining = abs(steps)
+    while remaining:
+        part = min(remaining, max_steps)
+        remaining -= part
         yield part if steps > 0 else -part
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What the sound of the steps just made says.
+    """Result of one check for the end stop.
 
     Attributes
     ----------
@@ -104,11 +93,11 @@ class Detection:
     level : float
         Power in the tuned band over the running baseline of this traverse, dB; NaN while there is none.
     fault : str
-        Empty, or a sentence on why nothing can be said, which must end the move: sound was lost, the
-        microphone clips or is dead.
+        Empty, or why nothing can be detected, which must end the drive: sound was lost, the microphone clips
+        or is dead.
     late_checks : int
-        Where `at_stop`: how many checks ago the stop was first heard. A stop is believed once it is heard
-        twice; a count that means the first check after the stop leaves out the steps of so many checks.
+        Where `at_stop`: how many checks ago the stop was first detected, since it takes two; the count leaves
+        out the steps of these checks.
     """
 
     at_stop: bool
@@ -118,16 +107,16 @@ class Detection:
 
 
 class EndStopDetector(Protocol):
-    """Listens to one traverse at a time."""
+    """Detects the end stop in one traverse at a time."""
 
     def begin(self) -> None:
-        """A new traverse: forget the one before."""
+        """Begin a new traverse."""
 
     def check(self, seconds: float) -> Detection:
-        """What the last so many seconds of sound say, those of the steps made since the check before."""
+        """Check the last so many seconds, those of the steps since the check before."""
 
     def close(self) -> None:
-        """Let go of whatever the sound comes from."""
+        """Release the audio source."""
 
 
 Sound = npt.NDArray[np.float32]
@@ -150,7 +139,7 @@ class Samples:
 
 
 class AudioSource(Protocol):
-    """Sound as it comes; each sample is handed out at most once.
+    """A stream of sound; each sample is returned at most once.
 
     Attributes
     ----------
@@ -161,10 +150,10 @@ class AudioSource(Protocol):
     rate: int
 
     def read(self, seconds: float) -> Samples:
-        """The newest so many seconds, waiting for what has not been heard yet; older ones are dropped."""
+        """Wait for and return the newest so many seconds; older samples are dropped."""
 
     def close(self) -> None:
-        """Let go of the device or the file."""
+        """Release the device or the file."""
 
 
 VIRTUAL_START = datetime(2012, 3, 5, 8, 30, tzinfo=UTC)
@@ -174,27 +163,24 @@ class Clock(Protocol):
     """Tells the time and waits."""
 
     def now(self) -> float:
-        """Seconds since some moment; never runs backwards."""
-        ...
+        """Monotonic time, s."""
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
-        ...
 
     def today(self) -> datetime:
         """Date and time of day, UTC."""
-        ...
 
 
 class RealClock:
     """The computer's clock."""
 
     def now(self) -> float:
-        """Seconds since some moment; never runs backwards."""
+        """See `Clock.now`."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """See `Clock.sleep`."""
         time.sleep(max(seconds, 0.0))
 
     def today(self) -> datetime:
@@ -203,12 +189,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """A clock that moves only when somebody waits by it, and then at once.
-
-    Parameters
-    ----------
-    begins : datetime
-        Date and time at its second 0, with a time zone.
+    """A clock that advances only in `sleep`, and then at once; it begins at a date and time with a time zone.
 
     Examples
     --------
@@ -227,7 +208,7 @@ class VirtualClock:
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        """Move on by so much; what is less than 0 is 0."""
+        """Advance by so much; not by less than 0."""
         self._now += max(seconds, 0.0)
 
     def today(self) -> datetime:

@@ -7,7 +7,7 @@ stop is detected.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -34,12 +34,12 @@ from stickslip_fit.capture.protocols import (
     EndStopDetector,
 )
 
-STEPS_PER_COMMAND = 20  # steps in one command; whoever presses a key waits no longer than these take
+STEPS_PER_COMMAND = 20  # a pressed key takes effect after one command
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What drives, what listens, and the time they go by."""
+    """A controller, an end-stop detector, and the clock that both run by."""
 
     controller: Controller
     detector: EndStopDetector
@@ -48,18 +48,18 @@ class Rig:
 
 @dataclass(frozen=True)
 class DriveTarget:
-    """Where a joint is to go, and what it may not exceed.
+    """Where a joint is to go, and the limits of the drive.
 
     Attributes
     ----------
     joint : int
     direction : {'+', '-'}
     check_every : int
-        The stop is listened for after so many steps.
+        Steps between two checks for the stop.
     max_steps : int
-        No more steps than that, whatever is heard.
+        Limit that holds whatever is detected.
     max_seconds : float
-        No longer than that; a command that has been given is waited for.
+        Limit of time; a command that has been given is completed.
     """
 
     joint: int
@@ -71,184 +71,153 @@ class DriveTarget:
 
 @dataclass(frozen=True)
 class DriveOutcome:
-    """What came of a drive.
+    """How a drive ended.
 
     Attributes
     ----------
     steps : int
-        Commanded, up to the check at which the stop was first heard.
+        Commanded, up to the check at which the stop was first detected.
     status : {'ok', 'interrupted'}
-    why : str
-        Why it was broken off.
-    unplugged : bool
-        Nothing can be driven until somebody sees to the controller.
-    pushed : int
-        Steps commanded after that, until the ear was sure: the joint was at its stop already.
+    reason : str
+        Why it was interrupted.
+    connection_lost : bool
+        Nothing can be driven until the controller is reconnected.
+    overrun : int
+        Steps commanded after `steps`, until the detection was certain.
     """
 
     steps: int
     status: Literal["ok", "interrupted"]
-    why: str = ""
-    unplugged: bool = False
-    pushed: int = 0
+    reason: str = ""
+    connection_lost: bool = False
+    overrun: int = 0
 
 
 class DriveObserver(Protocol):
-    """Whoever follows a drive."""
+    """Follows a drive."""
 
-    def commanding(self, steps: int) -> None:
-        """So many steps will have been commanded in all; they are when this returns, and not if it raises."""
+    def before_command(self, steps: int) -> None:
+        """The next command makes it so many steps in all; it is given unless this raises."""
 
-    def heard(self, steps: int, heard: Detection) -> None:
-        """What was heard after so many steps."""
+    def detected(self, steps: int, detection: Detection) -> None:
+        """The check after so many steps."""
 
     def stop_wanted(self) -> bool:
-        """Whether somebody asks for the drive to be broken off, as with a key."""
+        """Whether the drive is to be interrupted, e.g. by a key."""
 
 
 class _InterruptError(Exception):
-    def __init__(self, why: str, unplugged: bool = False) -> None:
-        self.why = why
-        self.unplugged = unplugged
-        super().__init__(why)
+    def __init__(self, reason: str, connection_lost: bool = False) -> None:
+        self.reason = reason
+        self.connection_lost = connection_lost
+        super().__init__(reason)
 
 
-def drive_to_stop(rig: Rig, drive_target: DriveTarget, watch: DriveObserver) -> DriveOutcome:
-    """Drive a joint until its stop is heard: one traverse, where it began at the other stop.
+def drive_to_stop(rig: Rig, drive_target: DriveTarget, observer: DriveObserver) -> DriveOutcome:
+    """Drive a joint until its stop is detected: one traverse, where it began at the other stop.
 
-    What is counted is honest only from stop to stop. A traverse that began elsewhere or ended by count
-    would put the law's own prediction into the log as if it were a reading, so the campaign begins each
-    at a stop, the joint's own or one that a person has set, and ends it at one; see `placing`.
-
-    Parameters
-    ----------
-    rig : Rig
-    drive_target : Way
-    watch : Watch
+    A count is a measurement only from stop to stop. A traverse that began elsewhere or ended by count
+    would put the law's own prediction into the log, so each traverse of a campaign begins and ends at a
+    stop, the joint's own or one that the operator has set; see `campaign.Homing`.
 
     Returns
     -------
-    Outcome
-        ``interrupted`` where the ear is at fault, the controller refuses, a limit is met or `watch` asks
-        for it; the controller has been told to stop then.
+    DriveOutcome
+        ``interrupted`` after a fault of the detector or the controller, at a limit, or on the observer's
+        request; the controller has been stopped then.
 
     Raises
     ------
     InputError
-        From the ear or from `watch`; the controller has been told to stop.
+        From the detector or the observer; the controller has been stopped.
     """
-    return _drive(rig, drive_target, watch, repeat(drive_target.check_every))
+    return _drive(rig, drive_target, observer, repeat(drive_target.check_every))
 
 
-def drive_steps(rig: Rig, drive_target: DriveTarget, steps: int, watch: DriveObserver) -> DriveOutcome:
-    """Drive a joint so many steps, to bring it near a position; fewer where it meets a stop before.
-
-    Parameters
-    ----------
-    rig : Rig
-    drive_target : Way
-    steps : int
-    watch : Watch
-
-    Raises
-    ------
-    InputError
-        As `drive_to_stop`.
-    """
-    whole, rest = divmod(steps, drive_target.check_every)
-    stretches = [drive_target.check_every] * whole + [rest] * (rest > 0)
-    return _drive(rig, drive_target, watch, stretches)
+def drive_steps(rig: Rig, drive_target: DriveTarget, steps: int, observer: DriveObserver) -> DriveOutcome:
+    """Drive a joint so many steps, fewer where it meets a stop before; raises as `drive_to_stop`."""
+    checks, rest = divmod(steps, drive_target.check_every)
+    stretches = [drive_target.check_every] * checks + [rest] * (rest > 0)
+    return _drive(rig, drive_target, observer, stretches)
 
 
 def _drive(
-    rig: Rig, drive_target: DriveTarget, watch: DriveObserver, stretches: Iterable[int]
+    rig: Rig, drive_target: DriveTarget, observer: DriveObserver, stretches: Iterable[int]
 ) -> DriveOutcome:
-    """Make one stretch of steps after another until a stop is heard."""
-    run = _RunningDrive(rig, drive_target, watch)
+    """Make one stretch of steps after another, with a check after each, until a stop is detected."""
+    drive = _RunningDrive(rig, drive_target, observer)
     try:
-        for heard in run.checks(stretches):
-            if heard.fault:
-                raise _InterruptError(heard.fault)
-            if heard.at_stop:
-                pushed = min(heard.late_checks * drive_target.check_every, run.steps)
-                return DriveOutcome(run.steps - pushed, "ok", pushed=pushed)
-        return DriveOutcome(run.steps, "ok")
-    except _InterruptError as broken:
-        _stop(rig)
-        return DriveOutcome(run.steps, "interrupted", broken.why, broken.unplugged)
-    except BaseException:
-        _stop(rig)
+        rig.detector.begin()
+        last_check = drive.began
+        for stretch in stretches:
+            drive.step(stretch)
+            now = rig.clock.now()
+            detection, last_check = rig.detector.check(now - last_check), now
+            observer.detected(drive.steps, detection)
+            if detection.fault:
+                raise _InterruptError(detection.fault)
+            if detection.at_stop:
+                overrun = min(detection.late_checks * drive_target.check_every, drive.steps)
+                return DriveOutcome(drive.steps - overrun, "ok", overrun=overrun)
+        return DriveOutcome(drive.steps, "ok")
+    except BaseException as error:
+        with suppress(ControllerError):
+            rig.controller.stop()
+        if isinstance(error, _InterruptError):
+            return DriveOutcome(drive.steps, "interrupted", error.reason, error.connection_lost)
         raise
 
 
-def _stop(rig: Rig) -> None:
-    with suppress(ControllerError):
-        rig.controller.stop()
-
-
 class _RunningDrive:
-    """A drive under way."""
+    """The commands of a drive in progress."""
 
-    def __init__(self, rig: Rig, drive_target: DriveTarget, watch: DriveObserver) -> None:
+    def __init__(self, rig: Rig, drive_target: DriveTarget, observer: DriveObserver) -> None:
         self.rig = rig
-        self.way = drive_target
-        self.watch = watch
+        self.target = drive_target
+        self.observer = observer
         self.steps = 0
         self.began = rig.clock.now()
 
-    def checks(self, stretches: Iterable[int]) -> Iterator[Detection]:
-        """Make one stretch of steps after another, and listen after each."""
-        self.rig.detector.begin()
-        heard_until = self.began
-        for stretch in stretches:
-            self._make(stretch)
-            now = self.rig.clock.now()
-            heard = self.rig.detector.check(now - heard_until)
-            heard_until = now
-            self.watch.heard(self.steps, heard)
-            yield heard
-
-    def _make(self, steps: int) -> None:
+    def step(self, steps: int) -> None:
+        sign = 1 if self.target.direction == "+" else -1
         for begin in range(0, steps, STEPS_PER_COMMAND):
             command = min(STEPS_PER_COMMAND, steps - begin)
-            self._refuse(command)
-            self.watch.commanding(self.steps + command)
+            self._check_limits(command)
+            self.observer.before_command(self.steps + command)
             self.steps += command
             try:
-                self.rig.controller.step(self.way.joint, command if self.way.direction == "+" else -command)
+                self.rig.controller.step(self.target.joint, sign * command)
             except ControllerError as error:
                 raise _InterruptError(str(error), isinstance(error, ConnectionLost)) from None
 
-    def _refuse(self, command: int) -> None:
-        if self.watch.stop_wanted():
+    def _check_limits(self, command: int) -> None:
+        if self.observer.stop_wanted():
             raise _InterruptError("stopped by a key")
-        if self.steps + command > self.way.max_steps:
-            raise _InterruptError(f"no stop was heard within the limit of {self.way.max_steps:,} steps")
-        if self.rig.clock.now() - self.began > self.way.max_seconds:
-            raise _InterruptError(
-                f"no stop was heard within the limit of {self.way.max_seconds:,.0f} s ({self.steps:,} steps)"
-            )
+        if self.steps + command > self.target.max_steps:
+            raise _InterruptError(f"no stop was heard within the limit of {self.target.max_steps:,} steps")
+        if self.rig.clock.now() - self.began > self.target.max_seconds:
+            limit = f"{self.target.max_seconds:,.0f} s ({self.steps:,} steps)"
+            raise _InterruptError(f"no stop was heard within the limit of {limit}")
 
 
 Row = Mapping[str, Any]
-# Commands between two that are written to outlive a power cut: those take milliseconds, too long for each.
-COMMIT_INTERVAL = 100
+COMMIT_INTERVAL = 100  # commands between two records that survive a power cut: each takes milliseconds
 
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What protects the manipulator from an ear that hears nothing.
+    """Limits that protect the manipulator where no stop is detected.
 
     Attributes
     ----------
     max_steps : int
-        For any drive.
+        Of any drive.
     max_count_ratio : float
-        Where a count was predicted, no more than that times it.
+        Steps over the predicted count, where there is one.
     max_slowdown : float
-        A step takes no longer than that times what the plan says.
+        Time over that of the plan's step period.
     spare_seconds : float
-        On top of that, for each drive.
+        Added to the time limit of each drive.
     """
 
     max_steps: int = 60_000
@@ -256,39 +225,28 @@ class DriveLimits:
     max_slowdown: float = 4.0
     spare_seconds: float = 30.0
 
-    def way(self, row: Row, predicted: ExpectedCount) -> DriveTarget:
+    def target(self, row: Row, predicted: ExpectedCount) -> DriveTarget:
         """A drive with its limits."""
-        every = int(row["check_every"])
+        check_every = int(row["check_every"])
         high = predicted.high if isfinite(predicted.high) else predicted.steps
-        # The stop is heard a few checks after it is met.
-        steps = ceil(self.max_count_ratio * high) + 20 * every if predicted.known else self.max_steps
+        # The stop is detected a few checks after it is met.
+        steps = ceil(self.max_count_ratio * high) + 20 * check_every if predicted.known else self.max_steps
         steps = min(steps, self.max_steps)
         seconds = self.spare_seconds + self.max_slowdown * steps * float(row["step_period"])
-        return DriveTarget(int(row["joint"]), str(row["direction"]), every, steps, seconds)
+        return DriveTarget(int(row["joint"]), str(row["direction"]), check_every, steps, seconds)
 
 
 class DriveInterruptedError(Exception):
-    """A drive that did not end as it should; it is in the journal."""
+    """A drive did not end as it should; it is in the journal."""
 
-    def __init__(self, work: PlannedDrive, why: str) -> None:
-        self.work = work
-        self.why = why
-        super().__init__(why)
+    def __init__(self, drive: PlannedDrive, reason: str) -> None:
+        self.drive = drive
+        self.reason = reason
+        super().__init__(reason)
 
 
 class Driver:
-    """Makes drives and writes them down.
-
-    Parameters
-    ----------
-    rig : Rig
-    journal : Journal
-    ledger : Ledger
-        Of that journal.
-    person : Person
-    predictor : Predictor or None
-    drive_limits : Safety
-    """
+    """Makes drives and records them in a journal, of which `replay` is the content."""
 
     def __init__(
         self,
@@ -301,7 +259,7 @@ class Driver:
     ) -> None:
         self.rig = rig
         self.journal = journal
-        self.ledger = replay
+        self.replay = replay
         self.operator = operator
         self.predictor = predictor
         self.drive_limits = drive_limits
@@ -311,80 +269,71 @@ class Driver:
 
         Returns
         -------
-        work : Work
+        drive : PlannedDrive
         steps : int
-            Written down for good.
+            Recorded in the journal.
 
         Raises
         ------
-        BrokenOffError
-        Unplugged
-            If the connection to the controller is lost.
+        DriveInterruptedError
+        ConnectionLost
         InputError
-            From the ear or the journal.
+            From the detector or the journal.
         """
-        work = self._work(row, title)
-        return work, self._drive(
-            work, planned, "", lambda drive_target, watch: drive_to_stop(self.rig, drive_target, watch)
-        )
+        drive = self.plan_drive(row, title)
+        return drive, self._record(drive, planned, "", drive_to_stop)
 
     def to_stop(self, row: Row, purpose: str) -> None:
-        """Run a joint into its stop; raises as `traverse`."""
-        self._drive(
-            self._work(row, purpose),
-            None,
-            purpose,
-            lambda drive_target, watch: drive_to_stop(self.rig, drive_target, watch),
-        )
+        """Drive a joint to its stop; raises as `traverse`."""
+        self._record(self.plan_drive(row, purpose), None, purpose, drive_to_stop)
 
     def steps(self, row: Row, steps: int, purpose: str) -> bool:
-        """Make so many steps; whether no stop was met on the way. Raises as `traverse`."""
-        work = self._work(row, purpose)
-        made = self._drive(
-            work, None, purpose, lambda drive_target, watch: drive_steps(self.rig, drive_target, steps, watch)
-        )
-        return made == steps
+        """Make so many steps; whether no stop was met. Raises as `traverse`."""
+
+        def run(rig: Rig, drive_target: DriveTarget, observer: DriveObserver) -> DriveOutcome:
+            return drive_steps(rig, drive_target, steps, observer)
+
+        return self._record(self.plan_drive(row, purpose), None, purpose, run) == steps
 
     def write(self, event: Event) -> None:
-        """Write an event so that it outlives a power cut."""
+        """Write an event so that it survives a power cut."""
         self.journal.commit(event)
-        self.ledger.take(event)
+        self.replay.apply(event)
 
-    def _work(self, row: Row, title: str) -> PlannedDrive:
+    def plan_drive(self, row: Row, title: str) -> PlannedDrive:
+        """A drive with its predicted count."""
         series = pd.Series(dict(row))
         return PlannedDrive(series, title, predict_count(self.predictor, series))
 
-    def _drive(
+    def _record(
         self,
-        work: PlannedDrive,
+        drive: PlannedDrive,
         planned: int | None,
         purpose: str,
-        drive: Callable[[DriveTarget, _JournalObserver], DriveOutcome],
+        run: Callable[[Rig, DriveTarget, DriveObserver], DriveOutcome],
     ) -> int:
-        self.operator.begins(work)
-        drive_target = self.drive_limits.way(work.row, work.expected)
-        self.write({"event": "drive", "planned": planned, "purpose": purpose, "row": self._written(work.row)})
-        outcome = drive(drive_target, _JournalObserver(self, work))
-        self.write(
-            {
-                "event": "ended", "steps": outcome.steps, "pushed": outcome.pushed,
-                "status": outcome.status, "why": outcome.why,
-            }
-        )  # fmt: skip
-        if outcome.unplugged:
-            raise ConnectionLost(f"{outcome.why}; see to the controller, then go on with --resume")
+        """Run a drive and return its steps."""
+        self.operator.begin_drive(drive)
+        drive_target = self.drive_limits.target(drive.row, drive.expected)
+        row = self._journal_row(drive.row)
+        self.write({"event": "drive", "planned": planned, "purpose": purpose, "row": row})
+        outcome = run(self.rig, drive_target, _JournalObserver(self, drive))
+        result = {"steps": outcome.steps, "pushed": outcome.overrun, "status": outcome.status}
+        self.write({"event": "ended", **result, "why": outcome.reason})
+        if outcome.connection_lost:
+            raise ConnectionLost(f"{outcome.reason}; see to the controller, then go on with --resume")
         if outcome.status != "ok":
-            raise DriveInterruptedError(work, outcome.why)
+            raise DriveInterruptedError(drive, outcome.reason)
         return outcome.steps
 
-    def _written(self, row: pd.Series) -> dict[str, Any]:
-        places = {name: None if pd.isna(row[name]) else float(row[name]) for name in POSITION_COLUMNS}
+    def _journal_row(self, row: pd.Series) -> dict[str, Any]:
+        positions = {name: None if pd.isna(row[name]) else float(row[name]) for name in POSITION_COLUMNS}
         return {
             "session": str(row["session"]),
             "time": self._now().isoformat(timespec="milliseconds"),
             "joint": int(row["joint"]),
             "direction": str(row["direction"]),
-            **places,
+            **positions,
             "check_every": int(row["check_every"]),
             "step_period": float(row["step_period"]),
         }
@@ -392,29 +341,27 @@ class Driver:
     def _now(self) -> datetime:
         """The time, later than that of the drive before even where the computer's clock was put back."""
         today = self.rig.clock.today()
-        last = self.ledger.last_time
+        last = self.replay.last_time
         return today if last is None else max(today, last + timedelta(milliseconds=1))
 
 
 class _JournalObserver:
-    """Writes a drive's commands down before they are given, and shows how it goes."""
+    """Records each command before it is given, and shows the progress."""
 
-    def __init__(self, driver: Driver, work: PlannedDrive) -> None:
+    def __init__(self, driver: Driver, drive: PlannedDrive) -> None:
         self.driver = driver
-        self.work = work
+        self.drive = drive
         self.commands = 0
 
-    def commanding(self, steps: int) -> None:
+    def before_command(self, steps: int) -> None:
         event = {"event": "commanded", "steps": steps}
         self.commands += 1
-        if self.commands % COMMIT_INTERVAL:
-            self.driver.journal.append(event)
-        else:
-            self.driver.journal.commit(event)
-        self.driver.ledger.take(event)
+        write = self.driver.journal.append if self.commands % COMMIT_INTERVAL else self.driver.journal.commit
+        write(event)
+        self.driver.replay.apply(event)
 
-    def heard(self, steps: int, heard: Detection) -> None:
-        self.driver.operator.progress(self.work, steps, heard)
+    def detected(self, steps: int, detection: Detection) -> None:
+        self.driver.operator.progress(self.drive, steps, detection)
 
     def stop_wanted(self) -> bool:
         return self.driver.operator.stop_wanted()

@@ -22,82 +22,79 @@ from stickslip_fit.capture.audio import bin_frequencies, find_fault, power_densi
 from stickslip_fit.capture.protocols import AudioSource, Clock, Controller, Samples, Sound
 from stickslip_fit.errors import InputError, InputIssue
 
-CHECKS_PER_TRAVERSE = 2400  # of a traverse of 12,000 steps
+CHECKS_PER_TRAVERSE = 2400  # 12,000 steps, 5 each
 FALSE_STOPS_PER_TRAVERSE = 3e-4  # in such a traverse, on average
-SINGLE_CHECK_ALPHA = 0.01  # chance of a check that would make a stop of a bang beside it
-MASKED_ALPHA = 2e-5  # chance of a check that is thought to be drowned by the room
-MISSED_ALPHA = 1e-5  # a check at the stop that stays below the limit, where the limit may be chosen
-COLOUR_MEMORY = 60  # checks over which the tuned band's share of the sound is averaged
-GAIN_MEMORY = 8  # checks over which the reference is: short, to follow a gain that drifts
-NODES = 80  # of Gauss and Legendre
+SINGLE_CHECK_ALPHA = 0.01  # false-alarm rate of each check of a pair, so that one bang makes no stop
+MASKED_ALPHA = 2e-5  # chance that a check counts as masked by room noise
+MISSED_ALPHA = 1e-5  # chance that a check at the stop stays below the highest admissible threshold
+COLOUR_MEMORY = 60  # checks over which the ratio of the band to the reference is averaged
+GAIN_MEMORY = 8  # checks over which the reference is averaged: few, to follow a drifting gain
+NODES = 80  # of Gauss-Legendre quadrature
 TABLE_CHECKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 40, COLOUR_MEMORY)  # checks in a baseline
 
 
 @dataclass(frozen=True, eq=False)
 class DetectionLimits:
-    """What the rises of two running checks must reach to be a stop.
+    """Thresholds of the sequential test, by the number of checks in the baseline, 0 to 60.
 
-    A rise is the power in the tuned band over its baseline, about chi2(n) / n while the joint moves freely.
+    The rise of a check is the power in the tuned band over its baseline, about chi2(df) / df while the joint
+    moves freely.
 
     Attributes
     ----------
     pair_threshold : array, shape (61,)
-        The mean of the two must reach it; by the number of checks in the baseline, 0 to 60.
-    least : array, shape (61,)
-        Either must reach it.
-    drowned : array, shape (61,)
-        The rise of the reference beyond which a check says nothing.
+        Of the mean rise of two consecutive checks.
+    min_rise : array, shape (61,)
+        Of the rise of each of them.
+    masked : array, shape (61,)
+        Rise of the reference beyond which a check is masked by room noise.
     reference_rise : float
-        What the stop itself adds to the reference.
+        Rise of the reference at the stop.
     """
 
     pair_threshold: Array
-    least: Array
+    min_rise: Array
     masked: Array
     reference_rise: float
 
     @property
     def max_rise(self) -> Array:
-        """The most that one check can count, so that it needs another beside it, shape (61,)."""
-        return 2 * self.pair_threshold - self.least
+        """Cap on the rise of one check, so that a stop takes two, shape (61,)."""
+        return 2 * self.pair_threshold - self.min_rise
 
 
 def compute_limits(df: float, reference_df: float, rise: float, reference_rise: float) -> DetectionLimits:
-    """Limits for sounds that have been listened to.
+    """Thresholds for given sounds.
 
     Parameters
     ----------
-    freedom, reference_freedom : float
+    df, reference_df : float
         Degrees of freedom of a check's power in the band and in the reference.
     rise, reference_rise : float
-        By what factor both are louder at the stop.
-
-    Returns
-    -------
-    Limits
+        Factors by which both are louder at the stop.
 
     Notes
     -----
     The two checks of a pair share the baseline's error: with m checks in it the variance of their mean is
     1 + 2 / m times that of the power itself, and the gain, a mean of g checks of a reference with k degrees
-    of freedom, adds 2 n / (g k). While there are few checks the limits are therefore wider. Where the stop is
-    much louder than it need be they lie halfway to it, in dB, and more is forgiven the room.
+    of freedom, adds 2 n / (g k). The thresholds are therefore higher while there are few checks. Where the
+    stop is much louder than necessary, they lie halfway to it, in dB, which tolerates more room noise.
     """
     checks = np.array(TABLE_CHECKS, float)
     gain = np.minimum(checks, 2 * GAIN_MEMORY - 1)
     free = df / (1 + 2 / checks + 2 * df / (gain * reference_df))
-    pair = np.array([pair_limit(float(each)) for each in free])
+    pair = np.array([pair_limit(value) for value in free.tolist()])
     pair = np.maximum(pair, min(np.sqrt(rise), rise * power_quantile(1 - MISSED_ALPHA, df)))
-    least = np.maximum([power_quantile(SINGLE_CHECK_ALPHA, float(each)) for each in free], np.sqrt(pair))
-    reference = reference_df / (1 + 1 / gain)
-    masked = reference_rise * np.array([power_quantile(MASKED_ALPHA, float(each)) for each in reference])
-    every = np.arange(COLOUR_MEMORY + 1)
-    pair, least, masked = (np.interp(every, checks, each) for each in (pair, least, masked))
-    return DetectionLimits(pair, least, masked, reference_rise)
+    single = np.maximum([power_quantile(SINGLE_CHECK_ALPHA, value) for value in free.tolist()], np.sqrt(pair))
+    reference = (reference_df / (1 + 1 / gain)).tolist()
+    masked = reference_rise * np.array([power_quantile(MASKED_ALPHA, value) for value in reference])
+    numbers = np.arange(COLOUR_MEMORY + 1)
+    pair, single, masked = (np.interp(numbers, checks, table) for table in (pair, single, masked))
+    return DetectionLimits(pair, single, masked, reference_rise)
 
 
-def pair_limit(df: float, chance: float = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE) -> float:
-    """What the mean of two running checks exceeds by so small a chance, either counting no more than its cap.
+def pair_limit(df: float, alpha: float = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE) -> float:
+    """Threshold that the mean of two consecutive checks, each capped, exceeds with probability `alpha`.
 
     Examples
     --------
@@ -106,55 +103,51 @@ def pair_limit(df: float, chance: float = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_
     """
     from scipy import optimize
 
-    least = power_quantile(SINGLE_CHECK_ALPHA, df)
+    min_rise = power_quantile(SINGLE_CHECK_ALPHA, df)
 
     def excess(limit: float) -> float:
-        return float(np.log(pair_chance(limit, least, df) / chance))
+        return float(np.log(pair_chance(limit, min_rise, df) / alpha))
 
-    return float(optimize.brentq(excess, least * 1.0001, power_quantile(chance, df), xtol=1e-6))
+    return float(optimize.brentq(excess, min_rise * 1.0001, power_quantile(alpha, df), xtol=1e-6))
 
 
-def pair_chance(limit: float, least: float, df: float, rise: float = 1.0) -> float:
-    """Chance that two running checks make a stop, their powers `rise` times chi2(n) / n each.
+def pair_chance(limit: float, min_rise: float, df: float, rise: float = 1.0) -> float:
+    """Probability that two consecutive checks make a stop, their powers `rise` times chi2(n) / n each.
 
-    P = int_least^cap f(r) S(2 limit - r) dr + S(cap) S(least), f the density of a check's rise, S the chance
-    that another exceeds it and cap = 2 limit - least.
+    P = int_min_rise^cap f(r) S(2 limit - r) dr + S(cap) S(min_rise), f the density of a check's rise, S its
+    survival function and cap = 2 limit - min_rise.
     """
     from scipy import special
 
-    cap, half = 2 * limit - least, df / 2
+    cap, half = 2 * limit - min_rise, df / 2
 
-    def beyond(value: float | Array) -> Array:
+    def survival(value: float | Array) -> Array:
         return np.asarray(special.gammaincc(half, half * value / rise))
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    first = least + (cap - least) * (nodes + 1) / 2
+    first = min_rise + (cap - min_rise) * (nodes + 1) / 2
     scaled = half * first / rise
     density = np.exp(half * np.log(scaled) - scaled - special.gammaln(half)) / first
-    return float(
-        (cap - least) / 2 * weights @ (density * beyond(2 * limit - first)) + beyond(cap) * beyond(least)
-    )
+    integral = (cap - min_rise) / 2 * weights @ (density * survival(2 * limit - first))
+    return float(integral + survival(cap) * survival(min_rise))
 
 
-def power_quantile(chance: float, df: float) -> float:
-    """What chi2(n) / n exceeds by so much chance."""
+def power_quantile(alpha: float, df: float) -> float:
+    """Value that chi2(df) / df exceeds with probability `alpha`."""
     from scipy import special
 
-    return float(special.gammainccinv(df / 2, chance)) * 2 / df
+    return float(special.gammainccinv(df / 2, alpha)) * 2 / df
 
 
-MIN_FREQUENCY, MAX_RELATIVE_FREQUENCY = 500.0, 0.45  # Hz, share of the rate: what is listened to
-REFERENCE_GAP, REFERENCE_WIDTH = (
-    500.0,
-    2000.0,
-)  # Hz; from the band's edges to the reference, and its width either side
+MIN_FREQUENCY, MAX_RELATIVE_FREQUENCY = 500.0, 0.45  # Hz, share of the sample rate
+REFERENCE_GAP, REFERENCE_WIDTH = 500.0, 2000.0  # Hz; between band and reference, and width on either side
 SPECTRUM_FIELDS = ("moving", "at_stop")
-MAX_MISSED_WELL, MAX_MISSED = 1e-3, 5e-2  # share of stops not found at the second check
+MAX_MISSED_WELL, MAX_MISSED = 1e-3, 5e-2  # share of stops missed at the second check
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tuning(Summarized):
-    """How to hear the stop.
+    """Frequency band and spectra by which the end stop is detected.
 
     Attributes
     ----------
@@ -165,10 +158,10 @@ class Tuning(Summarized):
     frequency, width : float
         The tuned band's middle and width, Hz.
     rise, reference_rise : float
-        By what factor the power in the band, and in its neighbours, is greater at the stop.
+        Factors by which the band and its neighbours, the reference, are louder at the stop.
     colour : float
         The band's power over the reference's while moving, both over `moving`: close to 1.
-    freedom, stop_freedom, reference_freedom : float
+    df, stop_df, reference_df : float
         The power in the band scatters from check to check as chi2(n) / n: n while moving and at the stop,
         and n of the reference.
     moving, at_stop : array, shape (bins,)
@@ -200,7 +193,7 @@ class Tuning(Summarized):
 
     @cached_property
     def limits(self) -> DetectionLimits:
-        """What two running checks must reach."""
+        """Thresholds of the sequential test."""
         return compute_limits(self.df, self.reference_df, self.rise, self.reference_rise)
 
     @cached_property
@@ -213,8 +206,8 @@ class Tuning(Summarized):
     def powers(self, values: npt.NDArray[np.floating]) -> Array:
         """Power of each check in the band and in the reference, over those of the moving joint.
 
-        Every frequency counts for how much louder it is than while moving, so that neither a hum nor the
-        clicks of the steps drown the others.
+        Each frequency is weighted by the inverse of its power while moving, so that neither hum nor clicks of
+        the steps dominate.
 
         Parameters
         ----------
@@ -228,7 +221,7 @@ class Tuning(Summarized):
 
     @property
     def missed(self) -> float:
-        """Expected share of stops that are not found at the second check.
+        """Expected share of stops that are missed at the second check.
 
         A check counts for its rise over that of its neighbours, where they rise: with a scatter s of theirs
         that takes the mean of max(1, 1 + s z), 1 + s / sqrt(2 pi), from it, and adds the variance,
@@ -241,47 +234,47 @@ class Tuning(Summarized):
 
     @property
     def false_stops(self) -> float:
-        """Expected number of stops imagined in a traverse of 2,400 checks: 12,000 steps, 5 each."""
+        """Expected number of false stops in a traverse of 2,400 checks: 12,000 steps, 5 each."""
         return CHECKS_PER_TRAVERSE * pair_chance(*self._at_last, self.df)
 
     @property
     def separates(self) -> bool:
-        """Whether the stop can be told from the moving joint."""
+        """Whether the stop can be distinguished from the moving joint."""
         return self.missed <= MAX_MISSED
 
     @property
     def _at_last(self) -> tuple[float, float]:
-        return float(self.limits.pair_threshold[-1]), float(self.limits.least[-1])
+        return float(self.limits.pair_threshold[-1]), float(self.limits.min_rise[-1])
 
     def plot_spectrum(self) -> npt.NDArray[np.object_]:
-        """Both spectra with the tuned band; see `report.figures.spectrum`."""
+        """Both spectra with the tuned band; see `plotting.strategies.plot_spectrum`."""
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.strategies import plot_spectrum
 
         return collect_axes(plot_spectrum(self))
 
     def summary(self) -> Summary:
-        """What to listen for, and how well it is told from other noise."""
-        return Summary("Tuning of the ear", (self.conclusion,))
+        """The tuned band, and how reliably the stop is detected in it."""
+        return Summary("Tuning of the end-stop detector", (self.conclusion,))
 
     @property
     def conclusion(self) -> str:
-        """What was found, in two sentences."""
+        """The tuned band, and how reliably the stop is detected in it, in two sentences."""
         rise, limit = (10 * np.log10(value) for value in (self.rise, self._at_last[0]))
-        found = (
+        band = (
             f"Listen at {self.frequency:,.0f} Hz, {self.width:,.0f} Hz wide: at the stop it is {rise:.1f} dB "
-            f"louder than moving; two checks running that are {limit:.1f} dB louder make a stop."
+            f"louder than moving; two consecutive checks that are {limit:.1f} dB louder make a stop."
         )
         if not self.separates:
             return (
-                f"{found} The two cannot be told apart: {100 * self.missed:.0f} % of the stops would not be "
-                "found at the second check. Put the microphone nearer to the manipulator, or make the room "
-                "quieter, and listen again."
+                f"{band} The two cannot be distinguished: {100 * self.missed:.0f} % of the stops would be "
+                "missed at the second check. Put the microphone nearer to the manipulator, or make the room "
+                "quieter, and tune again."
             )
         how = "well" if self.missed <= MAX_MISSED_WELL else "poorly"
         return (
-            f"{found} They can be told apart {how}: not found at the second check {_format_odds(self.missed)} "
-            f"stops, imagined {_format_odds(self.false_stops)} traverses of 12,000 steps."
+            f"{band} They can be distinguished {how}: {_format_odds(self.missed)} stops is missed at the "
+            f"second check, {_format_odds(self.false_stops)} traverses of 12,000 steps has a false stop."
         )
 
 
@@ -291,46 +284,33 @@ def select_band(frequencies: Array, frequency: float, width: float) -> npt.NDArr
 
 
 def select_reference(frequencies: Array, rate: int, frequency: float, width: float) -> npt.NDArray[np.bool_]:
-    """Bins of the band's neighbours, by which a change of the gain and a noise of the room are known."""
+    """Bins of the band's neighbours, which show changes of the gain and room noise."""
     beside = np.abs(frequencies - frequency) - width / 2
     audible = (frequencies > MIN_FREQUENCY) & (frequencies < MAX_RELATIVE_FREQUENCY * rate)
     return audible & (beside > REFERENCE_GAP) & (beside <= REFERENCE_GAP + REFERENCE_WIDTH)
 
 
 def save_tuning(tuning: Tuning, path: str | Path) -> None:
-    """Write a tuning to a JSON file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write a tuning to a JSON file; raises InputError if it cannot be written."""
     content = {field.name: getattr(tuning, field.name) for field in fields(tuning)}
     content |= {name: [float(f"{value:.5g}") for value in content[name]] for name in SPECTRUM_FIELDS}
     write_atomically(path, json.dumps(content, allow_nan=False) + "\n")
 
 
 def load_tuning(path: str | Path) -> Tuning:
-    """Read a tuning that `save_tuning` wrote.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it holds something else.
-    """
+    """Read a tuning that `save_tuning` wrote; raises InputError if there is none in the file."""
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
         content |= {name: np.array(content[name], float) for name in SPECTRUM_FIELDS}
         tuning = Tuning(**content)
-        whole = _is_complete(tuning)
+        complete = _is_complete(tuning)
     except OSError as error:
-        raise InputError(
-            InputIssue(f"cannot be read ({error.strerror}); tune the ear first", str(path))
-        ) from None
+        message = f"cannot be read ({error.strerror}); tune the detector first"
+        raise InputError(InputIssue(message, str(path))) from None
     except (ValueError, TypeError, AttributeError, KeyError):
-        raise InputError(InputIssue("is no tuning; tune the ear again to write one", str(path))) from None
-    if not whole:
-        raise InputError(InputIssue("is damaged; tune the ear again to write it anew", str(path)))
+        raise InputError(InputIssue("is no tuning; tune the detector again", str(path))) from None
+    if not complete:
+        raise InputError(InputIssue("is damaged; tune the detector again", str(path)))
     return tuning
 
 
@@ -344,20 +324,20 @@ def _is_complete(tuning: Tuning) -> bool:
 
 def _format_odds(share: float) -> str:
     if share < 1e-5:
-        return "in fewer than 1 of 100,000"
+        return "fewer than 1 of 100,000"
     number = 1 / share
     digits = 10 ** max(int(np.log10(number)) - 1, 0)
-    return f"in 1 of {round(number / digits) * digits:,.0f}"
+    return f"1 of {round(number / digits) * digits:,.0f}"
 
 
 BAND_WIDTHS = (500.0, 1000.0, 2000.0)  # Hz
-BAND_SPACING = 1 / 8  # of the width, from the middle of one band that is tried to that of the next
+BAND_SPACING = 1 / 8  # of the width, between the middles of two candidate bands
 MIN_CHECKS = 20  # checks
-SCATTER_ALPHA = 0.01  # chance at which the scatter that was heard is believed rather than the theory
+SCATTER_ALPHA = 0.01  # significance at which the observed scatter replaces the theoretical one
 
 
 def choose_tuning(moving: Sound, at_stop: Sound, rate: int, seconds: float) -> Tuning:
-    """Find the band in which the stop differs most from the moving joint, as seen against the scatter.
+    """Choose the band in which the stop differs most from the moving joint, relative to the scatter.
 
     Parameters
     ----------
@@ -366,21 +346,21 @@ def choose_tuning(moving: Sound, at_stop: Sound, rate: int, seconds: float) -> T
     rate : int
         Samples per second.
     seconds : float
-        Of a check, the steps between two looks for the stop: 5 steps of 10 ms make 0.05 s.
+        Of a check: 5 steps of 10 ms make 0.05 s.
 
     Returns
     -------
     Tuning
-        Also where the two cannot be told apart: see `Tuning.separates`.
+        Also where the two cannot be distinguished: see `Tuning.separates`.
 
     Raises
     ------
     InputError
-        If a listen is too short, clipped or dead.
+        If a recording is too short, clipped or dead.
 
     Notes
     -----
-    The band that is chosen has the largest log(rise) sqrt(n / 2): the rise of its power in units of the
+    The band has the largest log(rise) sqrt(n / 2): the rise of its power in units of the
     scatter, n being its degrees of freedom.
 
     Examples
@@ -401,8 +381,7 @@ def choose_tuning(moving: Sound, at_stop: Sound, rate: int, seconds: float) -> T
     band, reference = select_band(bins, frequency, width), select_reference(bins, rate, frequency, width)
     inside, outside = ((freely / typical)[:, part].mean(axis=1) for part in (band, reference))
     inside_stop, outside_stop = ((pushing / typical)[:, part].mean(axis=1) for part in (band, reference))
-    in_theory = power_df(int(band.sum()), number)
-    outside_in_theory = power_df(int(reference.sum()), number)
+    theory, reference_theory = (power_df(int(part.sum()), number) for part in (band, reference))
     return Tuning(
         rate=rate,
         seconds=seconds,
@@ -411,29 +390,26 @@ def choose_tuning(moving: Sound, at_stop: Sound, rate: int, seconds: float) -> T
         rise=float(np.median(inside_stop) / np.median(inside)),
         reference_rise=max(1.0, float(np.median(outside_stop) / np.median(outside))),
         colour=float(np.median(inside / outside)),
-        df=_estimate_df(inside / outside, in_theory, 2 / outside_in_theory),
-        stop_df=_estimate_df(inside_stop, in_theory),
-        reference_df=_estimate_df(outside, outside_in_theory),
+        df=_estimate_df(inside / outside, theory, 2 / reference_theory),
+        stop_df=_estimate_df(inside_stop, theory),
+        reference_df=_estimate_df(outside, reference_theory),
         moving=typical,
         at_stop=stop,
     )
 
 
-def _split_checks(sound: Sound, number: int, which: str) -> npt.NDArray[np.float32]:
+def _split_checks(sound: Sound, number: int, state: str) -> npt.NDArray[np.float32]:
+    checks = len(sound) // number
     fault = find_fault(Samples(sound), len(sound))
+    if not fault and checks < MIN_CHECKS:
+        fault = f"only {checks} checks, and at least {MIN_CHECKS} are needed; listen for a few seconds"
     if fault:
-        raise InputError(f"listening to the joint {which}: {fault}")
-    whole = len(sound) // number
-    if whole < MIN_CHECKS:
-        raise InputError(
-            f"listening to the joint {which}: {whole} checks were heard and at least {MIN_CHECKS} are needed; "
-            "listen for a few seconds"
-        )
-    return sound[: whole * number].reshape(whole, number)
+        raise InputError(f"listening to the joint {state}: {fault}")
+    return sound[: checks * number].reshape(checks, number)
 
 
 def _median_spectrum(densities: Array) -> Array:
-    """The median over checks, which a bang does not change, scaled to be the mean for noise."""
+    """The median over checks, robust against bangs, scaled to be the mean for noise."""
     return np.maximum(np.median(densities, axis=0) / np.log(2), np.finfo(float).tiny)
 
 
@@ -441,9 +417,8 @@ def _choose_band(ratio: Array, number: int, rate: int) -> tuple[float, float]:
     bins = bin_frequencies(number, rate)
     best, chosen = -np.inf, (0.0, 0.0)
     for width in BAND_WIDTHS:
-        for frequency in np.arange(
-            MIN_FREQUENCY + width / 2, MAX_RELATIVE_FREQUENCY * rate - width / 2, BAND_SPACING * width
-        ):
+        lowest, highest = MIN_FREQUENCY + width / 2, MAX_RELATIVE_FREQUENCY * rate - width / 2
+        for frequency in np.arange(lowest, highest, BAND_SPACING * width):
             band = select_band(bins, frequency, width)
             contrast = np.log(ratio[band].mean()) * np.sqrt(power_df(int(band.sum()), number) / 2)
             if contrast > best:
@@ -451,38 +426,23 @@ def _choose_band(ratio: Array, number: int, rate: int) -> tuple[float, float]:
     return chosen
 
 
-def _estimate_df(powers: Array, in_theory: float, added: float = 0.0) -> float:
-    """Degrees of freedom; the theory's, unless the powers scatter more than chance would let them.
+def _estimate_df(powers: Array, theory: float, added: float = 0.0) -> float:
+    """Degrees of freedom: the theoretical ones, unless the powers scatter significantly more.
 
-    `added` is what else the variance of the logarithms of `powers` holds: that of what they are divided by.
+    `added` is the part of the variance of log(powers) that stems from what they are divided by.
     """
-    scatter, times = float(np.var(np.log(powers), ddof=1)), len(powers) - 1
-    surprising = (2 / in_theory + added) * power_quantile(SCATTER_ALPHA, times)
-    return 2 / (scatter - added) if scatter > surprising else in_theory
+    variance, df = float(np.var(np.log(powers), ddof=1)), len(powers) - 1
+    critical = (2 / theory + added) * power_quantile(SCATTER_ALPHA, df)
+    return 2 / (variance - added) if variance > critical else theory
 
 
 def record_joint(
     controller: Controller, source: AudioSource, clock: Clock, joint: int, checks: int, check_every: int
 ) -> Sound:
-    """What a joint sounds like over so many checks.
-
-    Parameters
-    ----------
-    controller : Controller
-    source : Source
-    clock : Clock
-    joint : int
-    checks : int
-    check_every : int
-        Steps between two checks: more than 0 in direction ``+``, less in ``-``.
-
-    Returns
-    -------
-    array of float32, shape (n,)
-    """
-    heard = []
+    """Record a joint over so many checks of `check_every` steps, negative in direction ``-``; shape (n,)."""
+    sounds = []
     for _ in range(checks):
         began = clock.now()
         controller.step(joint, check_every)
-        heard.append(source.read(clock.now() - began).values)
-    return np.concatenate(heard)
+        sounds.append(source.read(clock.now() - began).values)
+    return np.concatenate(sounds)

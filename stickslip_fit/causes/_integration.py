@@ -1,8 +1,8 @@
 """Steps over traverses under an extended law, and their derivatives.
 
-`AdaptiveCounter` takes the cheapest method that is exact enough: a constant step size along the
-traverse, one sinusoid of a rotary joint's position (closed form), or Gauss-Legendre panels, halved
-until the last Legendre coefficients are negligible. Each method needs the step size at its nodes only.
+`AdaptiveCounter` takes the cheapest method that is accurate: a constant step size along the traverse,
+one sinusoid of a rotary joint's position (closed form), or Gauss-Legendre panels, halved until the last
+Legendre coefficients are negligible. Each method needs the step size at its nodes only.
 """
 
 from __future__ import annotations
@@ -18,22 +18,19 @@ from stickslip_fit.laws import State, state_at
 from stickslip_fit.laws.integration import harmonic_counts
 from stickslip_fit.units import PRISMATIC
 
-SINE_TOL = 1e-9  # relative; a step size that is a sine of the position is one to within rounding
+SINE_TOL = 1e-9  # relative; far above rounding
 GAUSS_ORDER = 10
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_ORDER)
 # The last two Legendre coefficients of a panel, as sums over its nodes.
-TAIL_COEFFICIENTS = (
-    (2 * np.arange(GAUSS_ORDER - 2, GAUSS_ORDER) + 1)
-    / 2
-    * np.polynomial.legendre.legvander(GAUSS_NODES, GAUSS_ORDER - 1)[:, -2:]
-)
+TAIL_COEFFICIENTS = np.arange(GAUSS_ORDER - 2, GAUSS_ORDER) + 0.5
+TAIL_COEFFICIENTS = TAIL_COEFFICIENTS * np.polynomial.legendre.legvander(GAUSS_NODES, GAUSS_ORDER - 1)[:, -2:]
 TAIL_COEFFICIENTS *= GAUSS_WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
 TAIL_TOL = 3e-6
 
 
 class StepCounter(ABC):
-    """A way of counting the steps over n traverses from the step size at k positions of each.
+    """A method that counts the steps over n traverses from the step size at k positions of each.
 
     Attributes
     ----------
@@ -44,51 +41,43 @@ class StepCounter(ABC):
 
     @abstractmethod
     def is_exact(self, gamma: Array) -> BoolArray:
-        """Whether each count will be right, shape (n,), by the step sizes, shape (n, k) or (n, 1)."""
+        """Whether each count is accurate, shape (n,), by the step sizes, shape (n, k) or (n, 1)."""
 
     @abstractmethod
     def counts(self, gamma: Array) -> Array:
         """Steps, shape (n,); NaN where a joint stalls."""
 
     @abstractmethod
-    def slopes(self, gamma: Array) -> Array:
+    def derivatives(self, gamma: Array) -> Array:
         """Derivative of the steps by the step size at each position, shape (n, k)."""
 
 
 class UniformCounter(StepCounter):
-    """The step size is the same all along a traverse: its length over the step size.
-
-    Parameters
-    ----------
-    start, stop : array, shape (n,)
-    """
+    """Length over step size, for traverses with one step size; start and stop of shape (n,)."""
 
     def __init__(self, start: Array, stop: Array) -> None:
         self.length = np.abs(stop - start)
         self.positions = np.stack([start, stop], axis=-1)
 
     def is_exact(self, gamma: Array) -> BoolArray:
-        """See `Counting.fits`: it must not so much as depend on the position."""
+        """See `StepCounter.is_exact`: the step size is given as independent of the position."""
         return np.full(len(gamma), gamma.shape[1] == 1)
 
     def counts(self, gamma: Array) -> Array:
-        """See `Counting.counts`."""
+        """See `StepCounter.counts`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(gamma[:, 0] > 0, self.length / gamma[:, 0], np.nan)
 
-    def slopes(self, gamma: Array) -> Array:
-        """See `Counting.slopes`."""
+    def derivatives(self, gamma: Array) -> Array:
+        """See `StepCounter.derivatives`."""
         return (-self.counts(gamma) / gamma[:, 0])[:, None]
 
 
 class SinusoidalCounter(StepCounter):
-    """The step size swings as one sine of a rotary joint's position; closed form of `harmonic_counts`.
+    """A step size that is a sinusoid of a rotary joint's position; closed form of `harmonic_counts`.
 
-    Three positions, a third of a turn apart, tell mean, cosine and sine; two more whether it is a sine.
-
-    Parameters
-    ----------
-    start, stop : array, shape (n,)
+    Three positions, a third of a turn apart, give mean, cosine and sine; two more check the sinusoid.
+    start and stop have shape (n,).
     """
 
     ANGLES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3, 0.8, 2.9])
@@ -100,66 +89,59 @@ class SinusoidalCounter(StepCounter):
         self.positions = np.broadcast_to(self.ANGLES, (len(start), 5))
 
     def is_exact(self, gamma: Array) -> BoolArray:
-        """See `Counting.fits`."""
-        departure = gamma - self._parts(gamma) @ self.HARMONICS
-        return np.all(np.abs(departure) <= SINE_TOL * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
+        """See `StepCounter.is_exact`."""
+        residual = gamma - self._harmonics(gamma) @ self.HARMONICS
+        return np.all(np.abs(residual) <= SINE_TOL * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
 
     def counts(self, gamma: Array) -> Array:
-        """See `Counting.counts`."""
+        """See `StepCounter.counts`."""
         return harmonic_counts(*self._amplitude_and_phase(gamma), self.start, self.stop)[0]
 
-    def slopes(self, gamma: Array) -> Array:
-        """See `Counting.slopes`."""
+    def derivatives(self, gamma: Array) -> Array:
+        """See `StepCounter.derivatives`."""
         mean, amplitude, phase = self._amplitude_and_phase(gamma)
         _, by_mean, by_amplitude = harmonic_counts(mean, amplitude, phase, self.start, self.stop)
         first, last = self.start - phase, self.stop - phase
         ends = (mean + amplitude * np.cos(first)) * (mean + amplitude * np.cos(last))
-        # The integral of sin(q - phase) / gamma^2, which is that of a derivative.
-        across = -np.sign(self.stop - self.start) * (np.cos(first) - np.cos(last)) / ends
-        by_cosine = by_amplitude * np.cos(phase) - across * np.sin(phase)
-        by_sine = by_amplitude * np.sin(phase) + across * np.cos(phase)
+        # The integral of sin(q - phase) / gamma^2, in closed form.
+        by_phase = -np.sign(self.stop - self.start) * (np.cos(first) - np.cos(last)) / ends
+        by_cosine = by_amplitude * np.cos(phase) - by_phase * np.sin(phase)
+        by_sine = by_amplitude * np.sin(phase) + by_phase * np.cos(phase)
         slopes = np.zeros((len(mean), 5))
         slopes[:, :3] = np.stack([by_mean, by_cosine, by_sine], axis=-1) @ self.HARMONICS_INVERSE
         return slopes
 
-    def _parts(self, gamma: Array) -> Array:
+    def _harmonics(self, gamma: Array) -> Array:
         """Mean, cosine and sine of the step size over a turn, shape (n, 3)."""
         return np.broadcast_to(gamma, self.positions.shape)[:, :3] @ self.HARMONICS_INVERSE.T
 
     def _amplitude_and_phase(self, gamma: Array) -> tuple[Array, Array, Array]:
-        mean, cosine, sine = self._parts(gamma).T
+        mean, cosine, sine = self._harmonics(gamma).T
         return mean, np.hypot(cosine, sine), np.arctan2(sine, cosine)
 
 
 class PanelCounter(StepCounter):
-    """Any step size: Gauss-Legendre panels of equal width along each traverse.
+    """Any step size: `n_panels` Gauss-Legendre panels of equal width on each traverse."""
 
-    Parameters
-    ----------
-    start, stop : array, shape (n,)
-    number : int
-        Of panels on each traverse.
-    """
-
-    def __init__(self, start: Array, stop: Array, number: int) -> None:
-        self.number = number
-        half = (stop - start)[:, None] / (2 * number)
-        middles = start[:, None] + half * (2 * np.arange(number) + 1)
+    def __init__(self, start: Array, stop: Array, n_panels: int) -> None:
+        self.n_panels = n_panels
+        half = (stop - start)[:, None] / (2 * n_panels)
+        middles = start[:, None] + half * (2 * np.arange(n_panels) + 1)
         self.positions = (middles[:, :, None] + half[:, :, None] * GAUSS_NODES).reshape(len(start), -1)
-        self.weights = np.abs(half) * np.tile(GAUSS_WEIGHTS, number)
+        self.weights = np.abs(half) * np.tile(GAUSS_WEIGHTS, n_panels)
 
     def is_exact(self, gamma: Array) -> BoolArray:
-        """See `Counting.fits`: it stalls, or each panel's last Legendre coefficients are next to nothing."""
+        """See `StepCounter.is_exact`: negligible last Legendre coefficients, or a joint that stalls."""
         rate = self._rate(gamma)
-        tail = np.abs(rate.reshape(len(rate), self.number, GAUSS_ORDER) @ TAIL_COEFFICIENTS).max(axis=(1, 2))
-        return ~(tail > TAIL_TOL * rate.mean(axis=1))
+        tail = np.abs(rate.reshape(len(rate), self.n_panels, GAUSS_ORDER) @ TAIL_COEFFICIENTS)
+        return ~(tail.max(axis=(1, 2)) > TAIL_TOL * rate.mean(axis=1))
 
     def counts(self, gamma: Array) -> Array:
-        """See `Counting.counts`."""
+        """See `StepCounter.counts`."""
         return np.sum(self.weights * self._rate(gamma), axis=1)
 
-    def slopes(self, gamma: Array) -> Array:
-        """See `Counting.slopes`."""
+    def derivatives(self, gamma: Array) -> Array:
+        """See `StepCounter.derivatives`."""
         return -self.weights * self._rate(gamma) ** 2
 
     def _rate(self, gamma: Array) -> Array:
@@ -167,20 +149,20 @@ class PanelCounter(StepCounter):
             return np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), self.positions.shape)
 
 
-MAX_PANEL_HALVINGS = 7  # times that panels are halved before a step size counts as no smooth function
+MAX_PANEL_HALVINGS = 7  # a step size that needs more is not smooth
 
 
 class CountableLaw(Protocol):
-    """What a law has to tell."""
+    """A law whose steps `AdaptiveCounter` counts; members as of `ExtendedLaw` and `StepLaw`."""
 
     joint: int
 
     def panel(self, values: Array) -> float:
-        """Widest panel, rad or m, that still sees every feature of the step size along a traverse."""
+        """Widest panel, rad or m, that resolves the step size along a traverse."""
 
     @property
     def along(self) -> bool:
-        """Whether the step size changes along a traverse in a way of its own."""
+        """Whether the step size varies along a traverse beyond what the published law does."""
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
@@ -190,18 +172,18 @@ class CountableLaw(Protocol):
 
 
 class AdaptiveCounter:
-    """Traverses of one joint, counted in the simplest way that is right.
+    """Traverses of one joint, counted in the simplest counter that is right.
 
     Parameters
     ----------
     law : Stepping
-    known : dict of str to array, shape (n,)
+    row_values : dict of str to array, shape (n,)
         start, stop and the columns that the law needs.
     """
 
-    def __init__(self, law: CountableLaw, known: dict[str, Any]) -> None:
+    def __init__(self, law: CountableLaw, row_values: dict[str, Any]) -> None:
         self.law = law
-        self.known = known
+        self.row_values = row_values
         self._prepared: dict[tuple[Any, ...], tuple[StepCounter, State]] = {}
         self._simple_counters: list[type[StepCounter]] = [UniformCounter]
         if law.joint != PRISMATIC and not law.along:
@@ -209,45 +191,48 @@ class AdaptiveCounter:
         self._n_halvings = 0
 
     @cached_property
-    def here(self) -> State:
+    def start_state(self) -> State:
         """Where each traverse begins."""
-        return state_at(self.law.joint, self.known, self.known["start"][:, None])
+        return state_at(self.law.joint, self.row_values, self.row_values["start"][:, None])
 
     def counts(self, values: Array) -> Array:
         """Steps over each traverse, shape (n, p) -> (n,); NaN where the step size is not above 0."""
-        way, _, gamma, right = self._select_counter(values)
-        return np.where(right, way.counts(gamma), np.nan)
+        counter, _, gamma, exact = self._select_counter(values)
+        return np.where(exact, counter.counts(gamma), np.nan)
 
     def counts_and_slopes(self, values: Array) -> tuple[Array, Array]:
         """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
-        way, state, gamma, right = self._select_counter(values)
-        by_place, by_value = way.slopes(gamma), self.law.gamma_slopes(state, values)
+        counter, state, gamma, exact = self._select_counter(values)
+        by_place, by_value = counter.derivatives(gamma), self.law.gamma_slopes(state, values)
         by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
         slopes = np.einsum("nk,nkp->np", by_place, by_value)
-        return np.where(right, way.counts(gamma), np.nan), slopes
+        return np.where(exact, counter.counts(gamma), np.nan), slopes
 
     def _select_counter(self, values: Array) -> tuple[StepCounter, State, Array, BoolArray]:
-        """A way of counting that is right, the step size where it needs it, and for which rows it is."""
+        """An accurate method, its nodes and step sizes there, and the rows for which it is accurate."""
         while self._simple_counters:
-            found = self._try_counter(values, self._simple_counters[0])
-            if found[-1].all():
-                return found
+            counted = self._try_counter(values, self._simple_counters[0])
+            if counted[-1].all():
+                return counted
             self._simple_counters.pop(0)  # Other values are likely to need more, too.
-        longest = np.abs(self.known["stop"] - self.known["start"]).max(initial=0.0)
-        fewest = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
-        for halved in range(self._n_halvings, MAX_PANEL_HALVINGS):
-            found = self._try_counter(values, PanelCounter, 2 ** (fewest + halved))
-            if found[-1].all():
-                self._n_halvings = halved
+        longest = np.abs(self.row_values["stop"] - self.row_values["start"]).max(initial=0.0)
+        doublings = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
+        for halvings in range(self._n_halvings, MAX_PANEL_HALVINGS):
+            counted = self._try_counter(values, PanelCounter, 2 ** (doublings + halvings))
+            if counted[-1].all():
+                self._n_halvings = halvings
                 break
-        return found
+        return counted
 
     def _try_counter(
         self, values: Array, kind: Any, *arguments: int
     ) -> tuple[StepCounter, State, Array, BoolArray]:
         if (kind, *arguments) not in self._prepared:
-            way = kind(self.known["start"], self.known["stop"], *arguments)
-            self._prepared[kind, *arguments] = way, state_at(self.law.joint, self.known, way.positions)
-        way, state = self._prepared[kind, *arguments]
+            counter = kind(self.row_values["start"], self.row_values["stop"], *arguments)
+            self._prepared[kind, *arguments] = (
+                counter,
+                state_at(self.law.joint, self.row_values, counter.positions),
+            )
+        counter, state = self._prepared[kind, *arguments]
         gamma = self.law.gamma(state, values)
-        return way, state, gamma, way.is_exact(gamma)
+        return counter, state, gamma, counter.is_exact(gamma)

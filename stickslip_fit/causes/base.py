@@ -2,8 +2,7 @@
 
 The model of a traverse is evaluated in a fixed order: state (angles, then load and recoil), law, terms
 added to the step size, factors on it, steps over the traverse, steps added to the count. A cause acts
-at exactly one of these stages. A sudden change has its time as a parameter; candidate times lie between
-traverses.
+at exactly one of these stages; `ExtendedLaw` is a published law with causes in it.
 """
 
 from __future__ import annotations
@@ -25,15 +24,14 @@ from stickslip_fit.causes.parameters import (
     Row,
     SizedParameter,
     Sizes,
-    known_of,
+    collect_row_values,
     plain_description,
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
 from stickslip_fit.machine import Machine
 
-# Of the scale of each parameter, for derivatives by central differences: good to some ten digits.
-APART = 1e-5
+DIFFERENCE_STEP = 1e-5  # of each parameter's scale, in central differences: good to about ten digits
 
 
 class Cause(ABC):
@@ -41,43 +39,43 @@ class Cause(ABC):
 
     Attributes
     ----------
-    name : str
-        As code, reports and tests call it.
-    phrase : str
-        What is the matter, to go into a sentence.
+    name, phrase : str
+        In code and reports; what is the matter, as part of a sentence.
     physics : str
         A paragraph on what happens, with its source.
     shows_best : str
         The traverse that would show it best.
     sentence : str
-        What it does in a log, with `quantities` in braces as `SizedParameter` says; no full stop. Empty where
-        its phrase and the numbers say it all.
+        Its effect in a log, with `quantities` in braces as in `SizedParameter`, without a full stop. Empty
+        where the phrase and the parameters are enough.
     remedy : str
-        What a lab can do about it, to begin a sentence with ("waiting until it is warm"); empty where nothing
-        helps but a law that knows of it.
+        What a lab can do about it, as the beginning of a sentence ("waiting until it is warm"); empty where
+        only an extended law helps.
     joints : tuple of int
         On which it acts.
     session : str
-        The only one in which it acts; empty where it acts in all.
+        The only session in which it acts; empty for all.
     columns : tuple of str
-        Quantities of a traverse that it needs, beside where the joints and the base stand.
+        Quantities of a traverse that it needs besides positions and angles.
     parameters : tuple of CauseParameter
-    absent : tuple of float
-        Values under which it does nothing.
-    scale : tuple of float
-        A size of each parameter, or a change of it, that matters.
-    forms : tuple of str
-        Shapes between which it chooses by its field `form`.
-    along : bool
-        Whether it changes along a traverse beyond what the law itself does.
-    joined : bool
-        Whether a version's trials act in any combination, and not one at a time.
-    affects_stop_only : bool
-        Whether it is in hearing the stop, and not in the motion on the way there.
+    absent, scale : tuple of float
+        Of each parameter the value without effect, and a size or a change that matters.
+    trial_values : array_like, shape (m, q)
+        Values that `trials` has in place of `scale`.
+    largest_sizes : tuple of tuple of float
+        The largest plausible values, see `largest`.
     most : float
-        Where `largest` is empty: how many times as large as in its trials the first parameter may be.
+        Without `largest_sizes`: how many times its size in `trials` the first parameter may be.
+    forms : tuple of str
+        Values of its field `form`: equations between which it chooses.
+    along : bool
+        Whether it varies along a traverse beyond what the law itself does.
+    joined : bool
+        Whether the trials of a version act in any combination, not one at a time.
+    affects_stop_only : bool
+        Whether it concerns the detection of the stop, not the motion before it.
     max_panel : float
-        Widest panel, rad or m, that still sees it along a traverse.
+        Widest integration panel that resolves it along a traverse, rad or m.
     """
 
     name: ClassVar[str]
@@ -92,6 +90,8 @@ class Cause(ABC):
     parameters: tuple[CauseParameter, ...]
     absent: tuple[float, ...]
     scale: tuple[float, ...]
+    trial_values: ClassVar[npt.ArrayLike | None] = None
+    largest_sizes: ClassVar[tuple[tuple[float, ...], ...]] = ()
     forms: ClassVar[tuple[str, ...]] = ()
     along: ClassVar[bool] = False
     joined: ClassVar[bool] = False
@@ -100,46 +100,34 @@ class Cause(ABC):
     max_panel: float = np.inf
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """What to look for in a log: `scale` itself, unless a cause has more to it.
+        """Shapes of the effect to look for in a log, of sizes that a lab may meet.
 
         Returns
         -------
         list of (Cause, array of shape (m, q))
-            Versions of the cause that differ by more than numbers (a session, a form), each with values that
-            between them stand for all it may do; sizes are such as a lab may meet.
+            Versions of the cause that differ in a session or a form, each with values whose effects span
+            what it may do: `trial_values` or `scale`, unless overridden.
         """
-        return [(self, np.array([self.scale]))]
+        return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
     def panel(self, values: Array) -> float:
-        """As `widest`, for given values, shape (n, q)."""
+        """`max_panel` for given values, shape (n, q)."""
         return self.max_panel
 
     def largest(self) -> tuple[Array, ...]:
-        """The largest plausible sizes, each shape (q,): if not even they show in a log, it is untestable.
-
-        Empty where they are those of `trials`, `most` times as large.
-        """
-        return ()
+        """The largest plausible sizes, each shape (q,); a cause that shows at none of them is untestable."""
+        return tuple(map(np.array, self.largest_sizes))
 
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
-        """What it does in a log, by the sizes of its parameters, without a full stop.
-
-        Parameters
-        ----------
-        parameters : sequence of SizedParameter
-            Where the sentence takes more than is known, the phrase and what is known.
-        """
+        """Its effect in a log: `sentence`, or the phrase and sizes where it needs more than is known."""
         try:
-            known = self.quantities({each.name: each for each in parameters})
-            return self.sentence.format_map(known) or plain_description(self.phrase, parameters)
+            quantities = self.quantities({parameter.name: parameter for parameter in parameters})
+            return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """What `sentence` may have in braces, by name: the parameters and the session, unless overridden.
-
-        A KeyError says that a size which it takes is not known.
-        """
+        """What `sentence` may have in braces; a KeyError says that a size is not known."""
         return {**sizes, "session": self.session}
 
     def extend(self, law: StepLaw) -> ExtendedLaw:
@@ -157,20 +145,22 @@ class Cause(ABC):
             The law's parameters.
         trials : array, shape (m, q)
         """
-        steps, here = self.extend(law).steps(rows), law.predict(rows, values)
-        both = np.concatenate([values, np.empty((len(values), trials.shape[1]))], axis=1)
-        found = np.zeros((len(values), len(trials)))
-        for k in np.flatnonzero(self._acts_on(law.joint, trials)):
-            both[:, values.shape[1] :] = trials[k]
-            found[:, k] = np.log(steps(both)) - here
-        return found
+        steps, response = self.extend(law).steps(rows), law.predict(rows, values)
+        extended = np.concatenate([values, np.empty((len(values), trials.shape[1]))], axis=1)
+        concerned = [parameter.joint in (None, law.joint) for parameter in self.parameters]
+        acts = np.any((trials != np.array(self.absent)) & concerned, axis=1)
+        changes = np.zeros((len(values), len(trials)))
+        for k in np.flatnonzero(acts):
+            extended[:, values.shape[1] :] = trials[k]
+            changes[:, k] = np.log(steps(extended)) - response
+        return changes
 
-    def known(self, law: StepLaw, rows: Row) -> dict[str, Any]:
-        """What a law with this cause in it has to know of each traverse; see `known_of`."""
-        return known_of(rows, self.extend(law).columns)
+    def row_values(self, law: StepLaw, rows: Row) -> dict[str, Any]:
+        """What a law with this cause needs of each traverse; see `collect_row_values`."""
+        return collect_row_values(rows, self.extend(law).columns)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Cause:
-        """The cause as it acts in a log: with the means and ranges that its equation refers to."""
+        """The cause in a log: with the means and ranges of the log that its equation refers to."""
         return self
 
     def missing(self, rows: pd.DataFrame) -> str | None:
@@ -183,22 +173,16 @@ class Cause(ABC):
         """Log steps by which counts are off by chance, (n, q) and (n, 3) -> (n,); none unless overridden."""
         return np.zeros(len(values))
 
-    def _acts_on(self, joint: int, trials: Array) -> npt.NDArray[np.bool_]:
-        """Which trials give a parameter that concerns a joint another value than that of no effect."""
-        subset = [each.joint in (None, joint) for each in self.parameters]
-        return np.any((trials != np.array(self.absent)) & subset, axis=1)
-
 
 class StateCause(Cause):
-    """A cause by which angles, load or recoil are not what was written down."""
+    """A cause by which angles, load or recoil differ from what was recorded."""
 
-    turn: ClassVar[int] = 3
-    """When: 1 for one that changes angles, 2 that puts a load or a recoil in place of the one that follows
-    from them, 3 that alters those as it finds them."""
+    stage: ClassVar[int] = 3
+    """1 changes angles, 2 replaces the load or recoil that follows from them, 3 alters load or recoil."""
 
     @abstractmethod
     def change(self, state: State, values: list[Array]) -> State:
-        """The state as it truly is; each of `values` has shape (n, 1)."""
+        """The true state; each of `values` has shape (n, 1)."""
 
 
 class TermCause(Cause):
@@ -225,9 +209,9 @@ class FactorCause(Cause):
         """The factor, shape (n, k) or (n, 1); each of `values` has shape (n, 1)."""
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: a factor that stays the same along a traverse divides its steps."""
-        before, known = extend_by(law, ()), self.known(law, rows)
-        ends = state_at(law.joint, known, np.stack([known["start"], known["stop"]], axis=-1))
+        """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
+        before, row = extend_by(law, ()), self.row_values(law, rows)
+        ends = state_at(law.joint, row, np.stack([row["start"], row["stop"]], axis=-1))
         state, one = before.true_state(ends, values), np.ones((len(values), 1))
         factors = [self.factor(state, [size * one for size in trial]) for trial in trials]
         if any(factor.shape[1] > 1 for factor in factors):
@@ -236,8 +220,8 @@ class FactorCause(Cause):
         added = before.steps_added(ends, values)[:, None]
         if not added.any():
             return -np.log(factor)
-        whole = np.exp(law.predict(rows, values))[:, None]
-        return np.log((whole - added) / factor + added) - np.log(whole)
+        steps = np.exp(law.predict(rows, values))[:, None]
+        return np.log((steps - added) / factor + added) - np.log(steps)
 
 
 class CountCause(Cause):
@@ -249,47 +233,55 @@ class CountCause(Cause):
 
 
 class Composition(StepLaw):
-    """What a published law and causes make together of a state.
+    """The step size under a published law and causes.
 
     Parameters
     ----------
     law : StepLaw
     causes : sequence of Cause
-        Bound to a log; see `Cause.bound`.
+        Bound to a log, see `Cause.bind`.
 
     Attributes
     ----------
     common : tuple of CauseParameter
-        The causes' parameters, the last of all: one number each for the whole campaign.
+        The causes' parameters, which follow the law's own: one number each for the whole campaign.
     """
 
     def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
         self.law = law
         self.causes = tuple(causes)
         self.joint = law.joint
-        self.common = tuple(_named(cause, each) for cause in causes for each in cause.parameters)
+        self.common = tuple(_qualify(cause, parameter) for cause in causes for parameter in cause.parameters)
         self.parameters = (*law.parameters, *self.common)
 
     @cached_property
     def active_causes(self) -> tuple[tuple[Cause, range], ...]:
-        """The causes that act on the joint, each with the places of its parameters."""
-        found, first = [], len(self.law.parameters)
+        """The causes that act on the joint, each with the columns of its parameters."""
+        active, first = [], len(self.law.parameters)
         for cause in self.causes:
-            places = range(first, first + len(cause.parameters))
-            first = places.stop
+            columns = range(first, first + len(cause.parameters))
+            first = columns.stop
             if self.joint in cause.joints:
-                found.append((cause, places))
-        return tuple(found)
+                active.append((cause, columns))
+        return tuple(active)
+
+    @cached_property
+    def by_stage(self) -> dict[type[Any], list[tuple[Any, range]]]:
+        """The active causes by kind; state causes in the order of their stages."""
+        causes: dict[type[Any], list[tuple[Any, range]]] = {
+            kind: [(cause, columns) for cause, columns in self.active_causes if isinstance(cause, kind)]
+            for kind in (StateCause, TermCause, FactorCause, CountCause)
+        }
+        causes[StateCause].sort(key=lambda active: active[0].stage)
+        return causes
 
     @property
     def affects_joint(self) -> BoolArray:
-        """Which parameters say anything of this joint, shape (p,)."""
-        places = {k for _, places in self.active_causes for k in places}
-        own = len(self.law.parameters)
-        subset = [
-            each.joint in (None, self.joint) and own + k in places for k, each in enumerate(self.common)
-        ]
-        return np.array([True] * own + subset)
+        """Which parameters have an effect on this joint, shape (p,)."""
+        affects = np.arange(len(self.parameters)) < len(self.law.parameters)
+        for _, columns in self.active_causes:
+            affects[columns] = [self.parameters[k].joint in (None, self.joint) for k in columns]  # type: ignore[attr-defined]
+        return affects
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
@@ -300,74 +292,66 @@ class Composition(StepLaw):
         """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
         true = self.true_state(state, values)
         before, factor = self._before_factors(true, values), self._factor(true, values)
-        own = self._own_slopes(true, values) * factor[..., None]
-        slopes = [*np.moveaxis(own, -1, 0), *np.zeros((len(self.common), len(values), 1))]
-        ways: dict[type[Any], Callable[[Array], Array]] = {
-            StateCause: lambda there: self.gamma(state, there),
-            TermCause: lambda there: self._before_factors(true, there) * factor,
-            FactorCause: lambda there: before * self._factor(true, there),
+        by_law = self._law_slopes(true, values) * factor[..., None]
+        slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.common), len(values), 1))]
+        gamma_by_kind: dict[type[Any], Callable[[Array], Array]] = {
+            StateCause: lambda shifted: self.gamma(state, shifted),
+            TermCause: lambda shifted: self._before_factors(true, shifted) * factor,
+            FactorCause: lambda shifted: before * self._factor(true, shifted),
         }
-        for kind, function in ways.items():
-            for _, places in self.by_stage[kind]:
-                for k in places:
+        for kind, function in gamma_by_kind.items():
+            for _, columns in self.by_stage[kind]:
+                for k in columns:
                     slopes[k] = self.difference(function, values, k)
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
-        """The state as the causes have it: angles, then what follows from them, then what alters that."""
-        for cause, places in self.by_stage[StateCause]:
-            state = cause.change(state, _sizes(values, places))
+        """The state under the causes, stage by stage."""
+        for cause, columns in self.by_stage[StateCause]:
+            state = cause.change(state, _split(values, columns))
         return state
 
     def steps_added(self, state: State, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
-        added = [
-            cause.steps(state, _sizes(values, places))[:, 0] for cause, places in self.by_stage[CountCause]
-        ]
-        return np.sum(added, axis=0) if added else np.zeros(len(values))
-
-    @cached_property
-    def by_stage(self) -> dict[type[Any], list[tuple[Any, range]]]:
-        """The acting causes by the station at which they act; states in the order of their turns."""
-        found: dict[type[Any], list[tuple[Any, range]]] = {
-            kind: [(cause, places) for cause, places in self.active_causes if isinstance(cause, kind)]
-            for kind in (TermCause, FactorCause, CountCause)
-        }
-        states = [(cause, places) for cause, places in self.active_causes if isinstance(cause, StateCause)]
-        return found | {StateCause: sorted(states, key=lambda acting: acting[0].turn)}
+        added = np.zeros(len(values))
+        for cause, columns in self.by_stage[CountCause]:
+            added += cause.steps(state, _split(values, columns))[:, 0]
+        return added
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
-        own = values[:, : len(self.law.parameters)]
-        gamma, terms = self.law.gamma(true, own), self.by_stage[TermCause]
-        free = self.law.gamma(_unloaded(true), own) if terms else gamma
-        return gamma + sum(cause.term(free, true, _sizes(values, places)) for cause, places in terms)
+        law_values = values[:, : len(self.law.parameters)]
+        gamma, terms = self.law.gamma(true, law_values), self.by_stage[TermCause]
+        free = self.law.gamma(_unload(true), law_values) if terms else gamma
+        return gamma + sum(cause.term(free, true, _split(values, columns)) for cause, columns in terms)
 
     def _factor(self, true: State, values: Array) -> Array:
         factor = np.ones((len(values), 1))
-        for cause, places in self.by_stage[FactorCause]:
-            factor = factor * cause.factor(true, _sizes(values, places))
+        for cause, columns in self.by_stage[FactorCause]:
+            factor = factor * cause.factor(true, _split(values, columns))
         return factor
 
-    def _own_slopes(self, true: State, values: Array) -> Array:
+    def _law_slopes(self, true: State, values: Array) -> Array:
         """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
-        own = values[:, : len(self.law.parameters)]
-        slopes, terms = self.law.gamma_slopes(true, own), self.by_stage[TermCause]
+        law_values = values[:, : len(self.law.parameters)]
+        slopes, terms = self.law.gamma_slopes(true, law_values), self.by_stage[TermCause]
         if terms:
-            free, by_free = self.law.gamma(_unloaded(true), own), self.law.gamma_slopes(_unloaded(true), own)
-            for cause, places in terms:
-                sizes, step = _sizes(values, places), APART * free
+            unloaded = _unload(true)
+            free = self.law.gamma(unloaded, law_values)
+            free_slopes = self.law.gamma_slopes(unloaded, law_values)
+            for cause, columns in terms:
+                sizes, step = _split(values, columns), DIFFERENCE_STEP * free
                 rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
-                slopes = slopes + (rise / (2 * step))[..., None] * by_free
+                slopes = slopes + (rise / (2 * step))[..., None] * free_slopes
         return slopes
 
     def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
-        """Derivative of a function of the values by that of one of a cause's parameters."""
-        step = APART * self.sizes[k - len(self.law.parameters)]
-        ahead, behind = values.copy(), values.copy()
-        ahead[:, k] += step
-        behind[:, k] -= step
-        return (function(ahead) - function(behind)) / (2 * step)
+        """Derivative of a function of the values by cause parameter `k`, by central differences."""
+        step = DIFFERENCE_STEP * self.sizes[k - len(self.law.parameters)]
+        upper, lower = values.copy(), values.copy()
+        upper[:, k] += step
+        lower[:, k] -= step
+        return (function(upper) - function(lower)) / (2 * step)
 
     @property
     def sizes(self) -> Array:
@@ -375,24 +359,24 @@ class Composition(StepLaw):
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
 
 
-def _named(cause: Cause, parameter: CauseParameter) -> CauseParameter:
-    only = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
-    name = f"{cause.name}.{parameter.name}" + (f"[{only}]" if only else "")
-    return replace(parameter, name=name)
+def _qualify(cause: Cause, parameter: CauseParameter) -> CauseParameter:
+    """The parameter by its full name, such as ``load-nonlinearity.k[3+]``."""
+    scope = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
+    return replace(parameter, name=f"{cause.name}.{parameter.name}{f'[{scope}]' if scope else ''}")
 
 
-def _sizes(values: Array, places: range) -> list[Array]:
+def _split(values: Array, columns: range) -> list[Array]:
     """A cause's own values, each of shape (n, 1)."""
-    return [values[:, k, None] for k in places]
+    return [values[:, k, None] for k in columns]
 
 
-def _unloaded(state: State) -> State:
-    still = np.zeros((len(state.position), 1))
-    return state.with_changes(override_load=still, override_recoil=still)
+def _unload(state: State) -> State:
+    zero = np.zeros((len(state.position), 1))
+    return state.with_changes(override_load=zero, override_recoil=zero)
 
 
 POSE = ("q1", "q2", "q3", "theta", "psi")
-AT_ONCE = 4096  # rows; with all the positions that a worn spot takes, arrays stay small
+MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
 
 
 class ExtendedLaw(Composition):
@@ -406,27 +390,25 @@ class ExtendedLaw(Composition):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `StepLaw.columns`; rows may lack those for which `known_of` has something to stand in."""
-        needed = [
-            *POSE,
-            *self.law.columns,
-            *(name for cause, _ in self.active_causes for name in cause.columns),
-        ]
-        return tuple(dict.fromkeys(needed))
+        """See `StepLaw.columns`; `collect_row_values` fills in some that rows may lack."""
+        by_causes = [name for cause, _ in self.active_causes for name in cause.columns]
+        return tuple(dict.fromkeys([*POSE, *self.law.columns, *by_causes]))
 
     @property
     def max_panel(self) -> float:  # type: ignore[override]
-        """See `StepLaw.widest`."""
+        """See `StepLaw.max_panel`."""
         return min([self.law.max_panel, *(cause.max_panel for cause, _ in self.active_causes)])
 
     def panel(self, values: Array) -> float:
-        """As `widest`, for given values, shape (n, p)."""
-        seen = (cause.panel(values[:, places.start : places.stop]) for cause, places in self.active_causes)
-        return min([self.law.max_panel, *seen])
+        """`max_panel` for given values, shape (n, p)."""
+        panels = (
+            cause.panel(values[:, columns.start : columns.stop]) for cause, columns in self.active_causes
+        )
+        return min([self.law.max_panel, *panels])
 
     @cached_property
     def along(self) -> bool:
-        """Whether a cause makes the step size change along a traverse otherwise than the law itself does."""
+        """Whether a cause varies along a traverse beyond what the law itself does."""
         return any(cause.along for cause, _ in self.active_causes)
 
     @property
@@ -440,8 +422,7 @@ class ExtendedLaw(Composition):
 
         def count(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(float_column(rows, "start")), len(self.parameters)))
-            found = [self._counted(part, values[subset]) for subset, part in parts]
-            counts, slopes = zip(*found, strict=True)
+            counts, slopes = zip(*(self._count(part, values[subset]) for subset, part in parts), strict=True)
             return np.concatenate(counts), np.concatenate(slopes)
 
         return count
@@ -457,97 +438,89 @@ class ExtendedLaw(Composition):
         parts = self.parts(rows)
 
         def count(values: Array) -> Array:
-            return np.concatenate(
-                [
-                    part.counts(values[subset]) + self.steps_added(part.here, values[subset])
-                    for subset, part in parts
-                ]
-            )
+            counts = [part.counts(values[subset]) for subset, part in parts]
+            return np.concatenate(counts) + self._steps_added(parts, values)
 
         return count
 
     def parts(self, rows: Rows) -> list[tuple[slice, AdaptiveCounter]]:
-        """The traverses, so many at once as keep memory small."""
-        known = known_of(rows, self.columns)
-        ends = range(0, max(len(known["start"]), 1), AT_ONCE)
-        slices = [slice(first, first + AT_ONCE) for first in ends]
+        """The traverses in parts of at most `MAX_ROWS`."""
+        row = collect_row_values(rows, self.columns)
+        starts = range(0, max(len(row["start"]), 1), MAX_ROWS)
+        slices = [slice(first, first + MAX_ROWS) for first in starts]
         return [
-            (subset, AdaptiveCounter(self, {name: of[subset] for name, of in known.items()}))
-            for subset in slices
+            (subset, AdaptiveCounter(self, {name: x[subset] for name, x in row.items()})) for subset in slices
         ]
 
     def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
         """See `StepLaw.step_size`."""
-        return super().step_size(known_of(rows, self.columns), position, values)
+        return super().step_size(collect_row_values(rows, self.columns), position, values)
 
     def in_motion(self, values: Array) -> Array:
-        """Values with all that is in hearing the stop left out, shape (p,) or (n, p)."""
+        """Values without the causes that affect the stop only, shape (p,) or (n, p)."""
         moving = np.array(values, dtype=float)
-        for cause, places in self.active_causes:
+        for cause, columns in self.active_causes:
             if cause.affects_stop_only:
-                moving[..., places.start : places.stop] = cause.absent
+                moving[..., columns.start : columns.stop] = cause.absent
         return moving
 
     def added(self, rows: Rows, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,)."""
-        return np.concatenate(
-            [self.steps_added(part.here, values[subset]) for subset, part in self.parts(rows)]
-        )
+        return self._steps_added(self.parts(rows), values)
+
+    def _steps_added(self, parts: list[tuple[slice, AdaptiveCounter]], values: Array) -> Array:
+        return np.concatenate([self.steps_added(part.start_state, values[subset]) for subset, part in parts])
 
     def misfires(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
-        off = [
-            cause.departures(values[:, places.start : places.stop], misfire_draws)
-            for cause, places in self.active_causes
-        ]
-        return np.sum(off, axis=0) if off else np.zeros(len(values))
+        deviation = np.zeros(len(values))
+        for cause, columns in self.active_causes:
+            deviation += cause.departures(values[:, columns.start : columns.stop], misfire_draws)
+        return deviation
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`: the law's own, with the causes absent."""
-        return _beside(self.law.start_values(mean_step), self.absent)
+        return _append(self.law.start_values(mean_step), self.absent)
 
     def scales(self, mean_step: Array) -> Array:
         """See `StepLaw.scales`."""
-        return _beside(self.law.scales(mean_step), self.sizes)
+        return _append(self.law.scales(mean_step), self.sizes)
 
     def features(self, rows: Rows) -> Array:
-        """See `StepLaw.features`: those of the law, and every number that a cause looks at."""
-        known = known_of(rows, self.columns)
-        seen = [values.astype(float) for values in known.values() if values.dtype.kind in "fiu"]
-        return np.column_stack([self.law.features(rows), *seen])
+        """See `StepLaw.features`: those of the law, and every number that a cause uses."""
+        row = collect_row_values(rows, self.columns)
+        numbers = [values.astype(float) for values in row.values() if values.dtype.kind in "fiu"]
+        return np.column_stack([self.law.features(rows), *numbers])
 
     def calibration(self) -> tuple[Configuration, ...]:
         """See `StepLaw.calibration`: that of the law itself."""
         return self.law.calibration()
 
-    def _counted(self, part: AdaptiveCounter, values: Array) -> tuple[Array, Array]:
+    def _count(self, part: AdaptiveCounter, values: Array) -> tuple[Array, Array]:
         counts, slopes = part.counts_and_slopes(values)
-        for _, places in self.by_stage[CountCause]:
-            for k in places:
-                slopes[:, k] += self.difference(lambda there: self.steps_added(part.here, there), values, k)
-        return counts + self.steps_added(part.here, values), slopes
+
+        def added(shifted: Array) -> Array:
+            return self.steps_added(part.start_state, shifted)
+
+        for _, columns in self.by_stage[CountCause]:
+            for k in columns:
+                slopes[:, k] += self.difference(added, values, k)
+        return counts + added(values), slopes
 
 
 def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
-    """A law with one cause more.
-
-    Parameters
-    ----------
-    law : StepLaw
-        Published or already extended.
-    cause : Cause
-        Bound to a log.
-    """
+    """A law, published or extended, with one more cause, which is bound to a log."""
     return extend_by(law, (cause,))
 
 
 def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
-    """A law with any number of causes more, none included."""
+    """A law with any number of further causes, also none."""
     if isinstance(law, ExtendedLaw):
         return ExtendedLaw(law.law, (*law.causes, *causes))
     return ExtendedLaw(law, causes)
 
 
-def _beside(own: Array, same: Array) -> Array:
-    """Columns of the law's own and, the same for every group, those of the causes."""
-    return np.concatenate([own, np.broadcast_to(same, (len(own), len(same)))], axis=1)
+def _append(law_columns: Array, cause_columns: Array) -> Array:
+    """The law's columns, (g, p), followed by those of the causes, (q,), equal for every group."""
+    shape = len(law_columns), len(cause_columns)
+    return np.concatenate([law_columns, np.broadcast_to(cause_columns, shape)], axis=1)

@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import log
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
-from stickslip_fit.causes.parameters import CauseParameter, Sizes, filled, missing_column
+from stickslip_fit.causes.parameters import CauseParameter, Sizes, fill_empty, missing_column
 from stickslip_fit.laws import State
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
@@ -35,38 +35,28 @@ class ColumnCause(FactorCause):
 
     mean: float = 0.0
 
-    largest_change: ClassVar[float]
     absent = (0.0,)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         return missing_column(rows, self.columns[0])
 
-    @property
-    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (self.largest_change / 10,)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([self.largest_change]),)
-
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return 1.0 + values[0] * self.departure(state)
+        return 1.0 + values[0] * self.deviation(state)
 
-    def departure(self, state: State) -> Array:
-        """How far the column is from its mean, shape (n, 1)."""
-        return filled(state.column(self.columns[0]), self.mean) - self.mean
+    def deviation(self, state: State) -> Array:
+        """The column less its mean, shape (n, 1)."""
+        return fill_empty(state.column(self.columns[0]), self.mean) - self.mean
 
 
-LINEAR_PARAMETERS = (CauseParameter("k", "%/K", "change of the step size per kelvin"),)
-BEND_PARAMETER = CauseParameter(
-    "bend", "1", "share of k gained at half the log's range above its mean", -1.0, 1.0
+TEMPERATURE_PARAMETERS = (
+    CauseParameter("k", "%/K", "change of the step size per kelvin"),
+    CauseParameter("bend", "1", "share of k gained at half the log's range above its mean", -1.0, 1.0),
 )
 
 
@@ -95,13 +85,12 @@ class Temperature(ColumnCause):
     sentence = "Steps {k:grow|shrink} by {k} with the room's temperature"
     remedy = "keeping the room's temperature"
     columns = ("temperature",)
-    largest_change = 0.02
     forms = ("straight", "curved")
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return LINEAR_PARAMETERS if self.form == "straight" else (*LINEAR_PARAMETERS, BEND_PARAMETER)
+        return TEMPERATURE_PARAMETERS[: 1 + (self.form == "curved")]
 
     @property
     def absent(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -111,27 +100,26 @@ class Temperature(ColumnCause):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (self.largest_change / 10, 0.5)[: len(self.parameters)]
+        return (0.002, 0.5)[: len(self.parameters)]
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         return replace(super().bind(rows, machine), half=float(np.ptp(rows["temperature"].dropna()) / 2))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
-        straight, curved = replace(self, form="straight"), replace(self, form="curved")
-        size = self.largest_change / 10
-        return [(straight, np.array([[size]])), (curved, np.array([[size, 0.5], [size, -0.5]]))]
+        straight, curved = (replace(self, form=form) for form in self.forms)
+        return [(straight, np.array([[0.002]])), (curved, np.array([[0.002, 0.5], [0.002, -0.5]]))]
 
     def largest(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.array([self.largest_change, 0.0])[: len(self.parameters)],)
+        return (np.array([0.02, 0.0])[: len(self.parameters)],)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        departure = self.departure(state)
+        deviation = self.deviation(state)
         bend = values[1] if self.form == "curved" else 0.0
-        return 1.0 + values[0] * departure * (1.0 + bend * departure / self.half)
+        return 1.0 + values[0] * deviation * (1.0 + bend * deviation / self.half)
 
 
 @dataclass(frozen=True)
@@ -149,7 +137,8 @@ class Humidity(ColumnCause):
     remedy = "keeping the room's humidity"
     columns = ("humidity",)
     parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
-    largest_change = 0.5
+    scale = (0.05,)
+    largest_sizes = ((0.5,),)
 
 
 @dataclass(frozen=True)
@@ -167,7 +156,8 @@ class SupplyVoltage(ColumnCause):
     remedy = "steadying the supply"
     columns = ("supply",)
     parameters = (CauseParameter("k", "%/V", "change of the step size per volt"),)
-    largest_change = 0.05
+    scale = (0.005,)
+    largest_sizes = ((0.05,),)
 
 
 @dataclass(frozen=True)
@@ -195,18 +185,15 @@ class StepRate(FactorCause):
     parameters = (CauseParameter("k", "%", "change of the step size per e-fold of the step period"),)
     absent = (0.0,)
     scale = (0.02,)
+    largest_sizes = ((0.2,),)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         return replace(self, median=float(np.nanmedian(rows["step_period"].to_numpy(float))))
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         return missing_column(rows, "step_period")
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.2]),)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`: for a doubling of the period."""
@@ -214,7 +201,7 @@ class StepRate(FactorCause):
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return 1.0 + values[0] * np.log(filled(state.column("step_period"), self.median) / self.median)
+        return 1.0 + values[0] * np.log(fill_empty(state.column("step_period"), self.median) / self.median)
 
 
 CHEBYSHEV_ORDER = 3
@@ -248,6 +235,8 @@ class Covariate(FactorCause):
     absent = (0.0,) * CHEBYSHEV_ORDER
     joined = True
     scale = (0.01,) * CHEBYSHEV_ORDER
+    trial_values = 0.01 * np.eye(CHEBYSHEV_ORDER)
+    largest_sizes = ((0.1, 0.0, 0.0),)
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -265,11 +254,11 @@ class Covariate(FactorCause):
         return f"keeping {self.column} steady"
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause.quantities`: the coefficients of a curve tell nobody anything."""
+        """See `Cause.quantities`: the coefficients of a curve are left out."""
         return {"column": self.column}
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         values = rows[self.name].astype(float)
         return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))
 
@@ -277,17 +266,9 @@ class Covariate(FactorCause):
         """See `Cause.missing`."""
         return missing_column(rows, self.name)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, 0.01 * np.eye(CHEBYSHEV_ORDER))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.1, 0.0, 0.0]),)
-
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        column = filled(state.column(self.name), self.mean)
+        column = fill_empty(state.column(self.name), self.mean)
         shape = self._chebyshev(column) - self._chebyshev(np.array(self.mean))
         return 1.0 + np.sum([size * shape[..., k] for k, size in enumerate(values)], axis=0)
 

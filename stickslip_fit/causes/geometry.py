@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, StateCause
+from stickslip_fit.causes.base import StateCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes
 from stickslip_fit.laws import State
 
@@ -26,15 +26,9 @@ class AngleOffset(StateCause):
 
     absent = (0.0,)
     scale = (radians(1.0),)
-    turn = 1
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.radians([[1.0], [-1.0], [4.0], [-4.0]]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return np.array([radians(10.0)]), np.array([radians(-10.0)])
+    trial_values = np.radians([[1.0], [-1.0], [4.0], [-4.0]])
+    largest_sizes = ((radians(10.0),), (radians(-10.0),))
+    stage = 1
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
@@ -110,7 +104,8 @@ class Q1Gravity(StateCause):
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
     absent = (0.0,)
     scale = (0.5,)
-    turn = 2
+    largest_sizes = ((1.0,),)
+    stage = 2
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
@@ -118,10 +113,6 @@ class Q1Gravity(StateCause):
         if len(subset) and not subset["q1"].fillna(0.0).any():
             return "every traverse of joints 2 and 3 was made at q1 = 0"
         return super().missing(rows)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([1.0]),)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`."""
@@ -149,15 +140,9 @@ class RecoilAxis(StateCause):
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
     absent = (0.0,)
     scale = (radians(2.0),)
-    turn = 2
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: both signs, since |cos| has no derivative where it is 0."""
-        return [(self, np.radians([[2.0], [-2.0], [6.0], [-6.0], [15.0], [-15.0]]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return tuple(np.radians([[15.0], [-15.0]]))
+    trial_values = np.radians([[2.0], [-2.0], [6.0], [-6.0], [15.0], [-15.0]])
+    largest_sizes = ((radians(15.0),), (radians(-15.0),))
+    stage = 2
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
@@ -181,14 +166,8 @@ class RecoilShape(StateCause):
     parameters = (CauseParameter("p", "1", "exponent; 1 in the published law", 0.1, 6.0),)
     absent = (1.0,)
     scale = (0.2,)
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.array([[0.6], [0.85], [1.2], [1.8]]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return np.array([0.5]), np.array([2.0])
+    trial_values = np.array([[0.6], [0.85], [1.2], [1.8]])
+    largest_sizes = ((0.5,), (2.0,))
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -17,15 +18,16 @@ from stickslip_fit.causes.parameters import (
     Row,
     SizedParameter,
     Sizes,
+    candidate_moments,
     changes_since,
-    filled,
+    fill_empty,
+    is_since,
     missing_column,
-    moment_of,
-    moments,
-    since,
+    moment_parameter,
 )
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.machine import Machine
+from stickslip_fit.units import JOINTS
 
 __all__ = [  # noqa: RUF022
     "SideLoad",
@@ -54,10 +56,7 @@ class SideLoad(FactorCause):
     parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
     absent = (0.0,)
     scale = (0.02,)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.2]),)
+    largest_sizes = ((0.2,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -69,7 +68,7 @@ BEND_SHAPES: dict[str, Callable[[Array], Array]] = {
     "cube": lambda load: load**3,
     "tanh": lambda load: np.tanh(2.0 * load),
 }
-JOINT_DIRECTIONS = tuple((joint, way) for joint in (1, 2, 3) for way in "+-")
+JOINT_DIRECTIONS = tuple((joint, direction) for joint in JOINTS for direction in "+-")
 
 
 @dataclass(frozen=True)
@@ -104,8 +103,8 @@ class LoadNonlinearity(TermCause):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
         return tuple(
-            CauseParameter("k", "%", f"bend of joint {joint} {way}", joint=joint, direction=way)
-            for joint, way in self.groups
+            CauseParameter("k", "%", f"bend of joint {joint} {direction}", joint=joint, direction=direction)
+            for joint, direction in self.groups
         )
 
     @property
@@ -119,9 +118,9 @@ class LoadNonlinearity(TermCause):
         return (0.02,) * len(self.groups)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
-        there = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
-        return replace(self, groups=tuple(group for group in JOINT_DIRECTIONS if group in there))
+        """See `Cause.bind`."""
+        present = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
+        return replace(self, groups=tuple(group for group in JOINT_DIRECTIONS if group in present))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
@@ -135,14 +134,14 @@ class LoadNonlinearity(TermCause):
         """See `Cause.describe`."""
         if not parameters:
             return super().describe(parameters)
-        bends = [f"{each:+} for {each.joint} {format_direction(each.direction)}" for each in parameters]
+        bends = [f"{k:+} for {k.joint} {format_direction(k.direction)}" for k in parameters]
         return f"The response to load bends, by {join_words(bends)} (joint and direction)"
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        size = dict(zip(self.groups, values, strict=True))
-        up, down = (size.get((state.joint, way), np.zeros_like(state.way)) for way in "+-")
-        return np.where(state.way > 0, up, down) * free * BEND_SHAPES[self.form](state.load)
+        size, zero = dict(zip(self.groups, values, strict=True)), np.zeros_like(state.direction_sign)
+        up, down = (size.get((state.joint, direction), zero) for direction in "+-")
+        return np.where(state.direction_sign > 0, up, down) * free * BEND_SHAPES[self.form](state.load)
 
 
 @dataclass(frozen=True)
@@ -163,10 +162,7 @@ class LoadHysteresis(FactorCause):
     parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
     absent = (0.0,)
     scale = (0.01,)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.1]),)
+    largest_sizes = ((0.1,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -227,40 +223,38 @@ class PayloadChange(StateCause):
             return (CauseParameter("k", "%/g", "change of the load coefficient per gram"),)
         return (
             CauseParameter("k", "%", "change of the load coefficient", session=self.session),
-            moment_of(self.session),
+            moment_parameter(self.session),
         )
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
-        found: list[tuple[Cause, Array]] = [
-            (replace(self, session=session), np.column_stack([np.full(len(when), 0.1), when]))
-            for session, when in moments(rows)
+        versions: list[tuple[Cause, Array]] = [
+            (replace(self, session=session), np.column_stack([np.full(len(moments), 0.1), moments]))
+            for session, moments in candidate_moments(rows)
             if self.session in ("", session)
         ]
         if self.session == "" and missing_column(rows, "payload") is None:
-            found += super().trials(rows)
-        return found
+            versions += super().trials(rows)
+        return versions
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: a traverse is changed by the whole or not at all."""
+        """See `Cause.changes`: a traverse is changed entirely or not at all."""
         if self.session == "":
             return super().changes(law, rows, values, trials)
-        return changes_since(
-            lambda *known: super(PayloadChange, self).changes(law, *known),
-            self.known(law, rows), values, self.session, trials,
-        )  # fmt: skip
+        changes, row = partial(super().changes, law), self.row_values(law, rows)
+        return changes_since(changes, row, values, self.session, trials)
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
         if self.session == "":
-            payload = filled(state.column("payload"), self.mean)
+            payload = fill_empty(state.column("payload"), self.mean)
             return state.with_changes(override_load=state.load * (1.0 + values[0] * payload))
-        size, moment = values
-        return state.with_changes(override_load=state.load * (1.0 + size * since(state, self.session, moment)))
+        changed = values[0] * is_since(state, self.session, values[1])
+        return state.with_changes(override_load=state.load * (1.0 + changed))
 
 
 GUIDE_END = 0.012  # m; with the law linear between 0 and here, only the bend between them is new
@@ -284,6 +278,7 @@ class InertiaQuadratic(TermCause):
     parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
     absent = (0.0,)
     scale = (0.02,)
+    largest_sizes = ((0.3,),)
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
@@ -291,10 +286,6 @@ class InertiaQuadratic(TermCause):
         if len(subset) and subset["q3"].round(6).nunique() < 3:
             return "joint 2 was driven at fewer than three positions of joint 3"
         return super().missing(rows)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.3]),)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`: the bend in the middle, where it is largest."""
@@ -315,7 +306,7 @@ class CableTorque(TermCause):
         Of the ranges of joints 1 and 2, rad.
     """
 
-    middle: tuple[tuple[int, float], ...] = field(default=((1, 0.0), (2, -np.pi / 2)))
+    middle: tuple[tuple[int, float], ...] = ((1, 0.0), (2, -np.pi / 2))
 
     name = "cable-torque"
     phrase = "a cable pulls on a rotary joint like a spring"
@@ -333,16 +324,13 @@ class CableTorque(TermCause):
     parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
     absent = (0.0,)
     scale = (0.01e-6 * 180 / np.pi,)
+    largest_sizes = ((0.1e-6 * 180 / np.pi,),)
     along = True
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bound`."""
+        """See `Cause.bind`."""
         return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in self.joints))
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.1e-6 * 180 / np.pi]),)
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        return state.way * values[0] * (state.position - dict(self.middle)[state.joint])
+        return state.direction_sign * values[0] * (state.position - dict(self.middle)[state.joint])

@@ -1,4 +1,4 @@
-"""Parameters of causes with their sizes, and the quantities of a traverse that causes refer to."""
+"""Parameters of causes and their sizes; the quantities of a traverse; candidate times of sudden changes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CauseParameter(Parameter):
     joint : int or None
     direction, session : str or None
     sudden : bool
-        The response jumps as it changes, so that it is chosen among trials; slopes say nothing of it.
+        The response jumps as it changes, so that it is chosen among trials, not by derivatives.
     """
 
     joint: int | None = None
@@ -40,18 +40,10 @@ class CauseParameter(Parameter):
 
 @dataclass(frozen=True)
 class SizedParameter:
-    """A parameter of a cause that acts in a log, SI, with its interval of 95 %.
+    """A parameter of a cause that acts in a log, SI with the unit for display, with its interval of 95 %.
 
     In ``sentence.format(k=...)`` ``{k}`` is its size with its unit, ``{k:+}`` the same with its sign,
     ``{k:.2f}`` the bare number, and of ``{k:grow|shrink}`` the first word if it is above 0, else the second.
-
-    Attributes
-    ----------
-    name, unit : str
-        The unit is the one people read it in.
-    size : Interval
-    joint : int or None
-    direction, session : str or None
     """
 
     name: str
@@ -62,13 +54,13 @@ class SizedParameter:
     session: str | None = None
 
     def times(self, factor: float, unit: str = "") -> SizedParameter:
-        """The parameter times a factor, read in another unit if one is given."""
+        """The parameter times a factor, displayed in another unit if one is given."""
         return replace(self, size=self.size.times(factor), unit=unit or self.unit)
 
     def __format__(self, form: str) -> str:
-        positive, either, other = form.partition("|")
-        if either:
-            return positive if self.size.estimate > 0 else other
+        positive, bar, negative = form.partition("|")
+        if bar:
+            return positive if self.size.estimate > 0 else negative
         if form.endswith("f"):
             return format_number(self.size.estimate, self.unit, int(form[1:-1]))
         return format_estimate(self.size, self.unit, signed=form == "+")
@@ -86,7 +78,7 @@ def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:
     >>> plain_description("the moon shines", [SizedParameter("k", "%", Interval(0.02, 0.01, 0.03))])
     'The moon shines (k = 2 %)'
     """
-    sizes = ", ".join(f"{each.name} = {each:+}" for each in parameters)
+    sizes = ", ".join(f"{parameter.name} = {parameter:+}" for parameter in parameters)
     return capitalize_first(phrase) + (f" ({sizes})" if sizes else "")
 
 
@@ -102,8 +94,8 @@ def missing_column(rows: pd.DataFrame, name: str) -> str | None:
     return None
 
 
-def filled(values: Array, mean: float) -> Array:
-    """Empty cells count as the mean, and so do nothing."""
+def fill_empty(values: Array, mean: float) -> Array:
+    """Values with the mean in empty cells, which so have no effect."""
     return np.where(np.isnan(values), mean, values)
 
 
@@ -116,91 +108,82 @@ NEEDED = {
 }
 
 
-def known_of(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
+def collect_row_values(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
     """Start, stop and the given columns of each traverse, as arrays of shape (n,).
 
-    A joint that nothing is said of follows no other traverse, under the log's mean conditions (as an empty
-    cell does). How long a session has run and how many steps a joint has made have no such value.
+    A column that is absent has the values of a session's first traverse under mean conditions (as an empty
+    cell has). The time since the session began and the steps made so far have no such value.
 
     Raises
     ------
     InputError
-        For a column that is not there and has none.
+        For an absent column that has no such value.
 
     Examples
     --------
-    >>> known_of({"start": [0.0], "stop": [0.012]}, ["temperature"])["temperature"]
+    >>> collect_row_values({"start": [0.0], "stop": [0.012]}, ["temperature"])["temperature"]
     array([nan])
     """
-    known: dict[str, Any] = {"start": float_column(rows, "start"), "stop": float_column(rows, "stop")}
-    lacking = [name for name in columns if name in NEEDED and name not in rows]
-    if lacking:
+    columns = tuple(columns)
+    absent = [name for name in columns if name in NEEDED and name not in rows]
+    if absent:
         raise InputError(
-            [InputIssue(f"the law needs {NEEDED[name]}: give it", column=name) for name in lacking]
+            [InputIssue(f"the law needs {NEEDED[name]}: give it", column=name) for name in absent]
         )
+    values: dict[str, Any] = {"start": float_column(rows, "start"), "stop": float_column(rows, "stop")}
     for name in columns:
-        stands_in = np.full(len(known["start"]), FIRST.get(name, np.nan))
-        known[name] = np.asarray(rows[name]) if name in rows else stands_in
-    return known
+        default = np.full(len(values["start"]), FIRST.get(name, np.nan))
+        values[name] = np.asarray(rows[name]) if name in rows else default
+    return values
 
 
-# In a session, in a log, and as many as a session has in any case: between two of them a change is seen
-# nearly as well.
-MOST, ABOUT, LEAST = 120, 700, 6
-FEWEST = 3  # traverses on either side
+# Numbers of candidate times: a change between two of them shows nearly as well.
+MAX_PER_SESSION, MIN_PER_SESSION, PER_LOG = 120, 6, 700
+MIN_TRAVERSES = 3  # before and after a change
 
 
-def moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
-    """Halfway between traverses, for each session that has enough of them; s from its first."""
-    found, every = [], len(rows) / ABOUT
+def candidate_moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
+    """Times halfway between traverses, s since the first, of each session that has enough traverses."""
+    times, target_spacing = [], len(rows) / PER_LOG
     for session, subset in rows.groupby(rows["session"].astype(object), sort=False):
         seconds = np.unique(subset["session_seconds"].to_numpy(float))
-        between = ((seconds[1:] + seconds[:-1]) / 2)[FEWEST - 1 : 1 - FEWEST]
+        between = ((seconds[1:] + seconds[:-1]) / 2)[MIN_TRAVERSES - 1 : 1 - MIN_TRAVERSES]
         if len(between):
-            apart = max(len(between) / MOST, min(every, len(between) / LEAST))
-            found.append((str(session), between[:: int(np.ceil(apart))]))
-    return found
+            spacing = min(target_spacing, len(between) / MIN_PER_SESSION)
+            spacing = max(len(between) / MAX_PER_SESSION, spacing)
+            times.append((str(session), between[:: int(np.ceil(spacing))]))
+    return times
 
 
-def moment_of(session: str) -> CauseParameter:
-    """The parameter that says when, in a session, something changed for good."""
+def moment_parameter(session: str) -> CauseParameter:
+    """The parameter for the time of a lasting change in a session."""
     meaning = "when, from the session's first traverse"
     return CauseParameter("moment", "min", meaning, lower=0.0, session=session, sudden=True)
 
 
-def since(state: State, session: str, moment: Array) -> BoolArray:
-    """Whether each traverse is one of a session and begins at its moment or later; (n, 1) -> (n, 1)."""
+def is_since(state: State, session: str, moment: Array) -> BoolArray:
+    """Whether each traverse belongs to a session and begins at a moment or later, shape (n, 1)."""
     subset = np.asarray(state.row["session"], dtype=object) == session
     return subset[:, None] & (state.column("session_seconds") >= moment)
 
 
 def changes_since(
     changes: Callable[[dict[str, Any], Array, Array], Array],
-    known: dict[str, Any],
+    row: dict[str, Any],
     values: Array,
     session: str,
     trials: Array,
 ) -> Array:
-    """Changes by trials (size, moment): those that a size makes at all times, from its moment on.
+    """Changes by trials (size, moment), (m, 2) -> (n, m): those of the whole session, from the moment on.
 
-    Parameters
-    ----------
-    changes : callable
-        As `Cause.changes`, of a cause that changes a traverse by the whole or not at all.
-    known : dict of str to array, shape (n,)
-    values : array, shape (n, p)
-    session : str
-    trials : array, shape (m, 2)
-
-    Returns
-    -------
-    array, shape (n, m)
+    `changes` is `Cause.changes` of a cause that changes a traverse entirely or not at all; `row` has arrays
+    of shape (n,), `values` shape (n, p).
     """
-    found = np.zeros((len(values), len(trials)))
-    subset = np.flatnonzero(np.asarray(known["session"], dtype=object) == session)
+    result = np.zeros((len(values), len(trials)))
+    subset = np.flatnonzero(np.asarray(row["session"], dtype=object) == session)
     sizes, which = np.unique(trials[:, 0], return_inverse=True)
-    at_all_times = np.column_stack([sizes, np.full(len(sizes), -np.inf)])
-    there = {name: of[subset] for name, of in known.items()}
-    after = there["session_seconds"][:, None] >= trials[:, 1]
-    found[subset] = changes(there, values[subset], at_all_times)[:, which] * after
-    return found
+    always = np.column_stack([sizes, np.full(len(sizes), -np.inf)])
+    session_row = {name: column[subset] for name, column in row.items()}
+    after = session_row["session_seconds"][:, None] >= trials[:, 1]
+    result[subset] = changes(session_row, values[subset], always)[:, which] * after
+    return result

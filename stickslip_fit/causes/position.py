@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_percent
-from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, CountCause, FactorCause
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes.base import Cause, CountCause, ExtendedLaw, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.units import PRISMATIC
@@ -47,15 +48,9 @@ class BearingRunout(FactorCause):
     )
     absent = (0.0, 0.0)
     scale = (0.01, 0.5)
+    trial_values = np.column_stack([np.full(4, 0.01), np.radians([0.0, 45.0, 90.0, 135.0])])
+    largest_sizes = ((0.1, 0.0), (0.1, np.pi / 2))
     along = True
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.column_stack([np.full(4, 0.01), np.radians([0.0, 45.0, 90.0, 135.0])]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return np.array([0.1, 0.0]), np.array([0.1, np.pi / 2])
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -63,14 +58,14 @@ class BearingRunout(FactorCause):
 
 
 class GuideProfileCause(FactorCause):
-    """gamma times a factor that depends on the place along the guide alone."""
+    """gamma times a factor that depends on the position along the guide alone."""
 
     joints = (PRISMATIC,)
     along = True
 
     @abstractmethod
     def profile(self, position: Array, values: list[Array]) -> Array:
-        """The factor at places along the guide, m, shape (n, k)."""
+        """The factor at positions along the guide, m, shape (n, k)."""
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -85,16 +80,14 @@ class GuideProfileCause(FactorCause):
         return super().missing(rows)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: where nothing else changes along the guide, each stretch is done once."""
-        from stickslip_fit.causes.base import ExtendedLaw
-
+        """See `Cause.changes`: under a published law, each distinct stretch is integrated once."""
         if isinstance(law, ExtendedLaw):
             return super().changes(law, rows, values, trials)
         ends = np.stack([np.asarray(rows[end], dtype=float) for end in ("start", "stop")], axis=-1)
         stretches, which = np.unique(ends, axis=0, return_inverse=True)
-        even = ConstantStep(PRISMATIC, Configuration("anywhere"))
-        once = dict(zip(("start", "stop"), stretches.T, strict=True))
-        return Cause.changes(self, even, once, np.ones((len(stretches), 1)), trials)[which.ravel()]
+        constant = ConstantStep(PRISMATIC, Configuration("anywhere"))
+        distinct = dict(zip(("start", "stop"), stretches.T, strict=True))
+        return Cause.changes(self, constant, distinct, np.ones((len(stretches), 1)), trials)[which.ravel()]
 
 
 GUIDE_MIDDLE = 0.006  # m
@@ -116,19 +109,16 @@ class GuideGradient(GuideProfileCause):
     parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
     absent = (0.0,)
     scale = (2.0,)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([20.0]),)
+    largest_sizes = ((20.0,),)
 
     def profile(self, position: Array, values: list[Array]) -> Array:
-        """See `AlongGuide.profile`."""
+        """See `GuideProfileCause.profile`."""
         return 1.0 + values[0] * (position - GUIDE_MIDDLE)
 
 
 SPOT_WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
 NARROWEST_SPOT = 0.1e-3
-WIDTHS_IN_PANEL = 4  # widths of a spot that a panel may span
+WIDTHS_IN_PANEL = 4
 
 
 @dataclass(frozen=True)
@@ -151,28 +141,24 @@ class WornSpot(GuideProfileCause):
     )
     absent = (0.0, 6e-3, 1e-3)
     scale = (0.05, 1e-3, 1e-3)
+    largest_sizes = tuple((0.5, x0, 1e-3) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
     max_panel = WIDTHS_IN_PANEL * NARROWEST_SPOT
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: spots of three widths, side by side along the guide."""
-        ends = rows.loc[rows["joint"] == 3, ["start", "stop"]].to_numpy(float)
+        ends = rows.loc[rows["joint"] == PRISMATIC, ["start", "stop"]].to_numpy(float)
+        middles = [np.arange(ends.min() + width / 2, ends.max(), width) for width in SPOT_WIDTHS]
         spots = [
-            (0.05, x0, width)
-            for width in SPOT_WIDTHS
-            for x0 in np.arange(ends.min() + width / 2, ends.max(), width)
+            (0.05, x0, width) for width, places in zip(SPOT_WIDTHS, middles, strict=True) for x0 in places
         ]
         return [(self, np.array(spots))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return tuple(np.array([0.5, x0, 1e-3]) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
 
     def panel(self, values: Array) -> float:
         """See `Cause.panel`."""
         return WIDTHS_IN_PANEL * max(float(values[:, 2].min()), NARROWEST_SPOT)
 
     def profile(self, position: Array, values: list[Array]) -> Array:
-        """See `AlongGuide.profile`."""
+        """See `GuideProfileCause.profile`."""
         size, middle, width = values
         return 1.0 + size * np.exp(-0.5 * ((position - middle) / width) ** 2)
 
@@ -194,11 +180,8 @@ class EndStopLatency(CountCause):
     parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
     absent = (0.0,)
     scale = (20.0,)
+    largest_sizes = ((300.0,),)
     affects_stop_only = True
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([300.0]),)
 
     def steps(self, state: State, values: list[Array]) -> Array:
         """See `CountCause.steps`."""
@@ -222,29 +205,25 @@ class ReversalLoss(CountCause):
     parameters = (CauseParameter("L", "steps", "steps lost at a reversal"),)
     absent = (0.0,)
     scale = (20.0,)
+    largest_sizes = ((300.0,),)
 
     def missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
-        turned = is_reversed(rows["before_direction"], rows["direction"])
-        if not turned.any():
+        reversals = is_reversed(rows["before_direction"], rows["direction"])
+        if not reversals.any():
             return "no traverse follows one in the other direction"
-        return "every traverse follows one in the other direction" if turned.all() else None
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([300.0]),)
+        return "every traverse follows one in the other direction" if reversals.all() else None
 
     def steps(self, state: State, values: list[Array]) -> Array:
         """See `CountCause.steps`."""
-        before = np.asarray(state.row["before_direction"], dtype=object)
-        own = np.where(state.way[:, 0] > 0, "+", "-")
-        return values[0] * is_reversed(before, own)[:, None]
+        direction = np.where(state.direction_sign[:, 0] > 0, "+", "-")
+        return values[0] * is_reversed(state.row["before_direction"], direction)[:, None]
 
 
-def is_reversed(before: object, own: object) -> np.ndarray:
-    """Whether each traverse follows one in the other direction."""
-    before, own = np.asarray(before, dtype=object), np.asarray(own, dtype=object)
-    return (before != "") & (before != own)
+def is_reversed(before: npt.ArrayLike, direction: npt.ArrayLike) -> BoolArray:
+    """Whether each traverse follows one in the other direction, shape (n,)."""
+    before, direction = np.asarray(before, dtype=object), np.asarray(direction, dtype=object)
+    return (before != "") & (before != direction)
 
 
 @dataclass(frozen=True)
@@ -269,7 +248,7 @@ class EndStopMisfire(Cause):
     affects_stop_only = True
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: no direction in which counts depart together."""
+        """See `Cause.trials`: none, as such counts deviate independently."""
         return []
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
@@ -278,14 +257,10 @@ class EndStopMisfire(Cause):
         return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
 
     def departures(self, values: Array, misfire_draws: Array) -> Array:
-        """Log steps that misfires add to counts, shape (n,).
+        """Log steps that misfires add to counts, (n, 2) -> (n,).
 
-        Parameters
-        ----------
-        values : array, shape (n, 2)
-        luck : array, shape (n, 3)
-            Uniform between 0 and 1: whether there is one, how large it is, and which way.
+        `misfire_draws`, shape (n, 3), are uniform in [0, 1]: for its occurrence, its size and its sign.
         """
-        hit, spread, way = misfire_draws.T
-        size = values[:, 1] * (0.7 + 0.6 * spread) * np.where(way < 0.5, -1.0, 1.0)
-        return np.where(hit < values[:, 0], size, 0.0)
+        occurrence, spread, sign_draw = misfire_draws.T
+        size = values[:, 1] * (0.7 + 0.6 * spread) * np.where(sign_draw < 0.5, -1.0, 1.0)
+        return np.where(occurrence < values[:, 0], size, 0.0)

@@ -1,11 +1,11 @@
-"""Causes that act over time or use: warm-up, drift, a jump within a session, wear, a payload change."""
+"""Causes that act over time or use: warm-up, drift, a jump within a session, wear."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import log, log10
-from typing import Self
 
 import numpy as np
 import pandas as pd
@@ -16,10 +16,10 @@ from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
     Sizes,
+    candidate_moments,
     changes_since,
-    moment_of,
-    moments,
-    since,
+    is_since,
+    moment_parameter,
 )
 from stickslip_fit.laws import State, StepLaw
 
@@ -51,14 +51,8 @@ class ThermalWarmUp(FactorCause):
     )
     absent = (0.0, 600.0)
     scale = (0.01, 600.0)
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.column_stack([np.full(len(TIME_CONSTANTS), 0.01), TIME_CONSTANTS]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return tuple(np.array([0.1, tau]) for tau in TIME_CONSTANTS)
+    trial_values = np.column_stack([np.full(len(TIME_CONSTANTS), 0.01), TIME_CONSTANTS])
+    largest_sizes = tuple((0.1, tau) for tau in TIME_CONSTANTS)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -86,10 +80,7 @@ class Drift(FactorCause):
     parameters = (CauseParameter("k", "%/h", "change of the step size per hour"),)
     absent = (0.0,)
     scale = (0.01 / SECONDS_PER_HOUR,)
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return (np.array([0.1 / SECONDS_PER_HOUR]),)
+    largest_sizes = ((0.1 / SECONDS_PER_HOUR,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -98,12 +89,7 @@ class Drift(FactorCause):
 
 @dataclass(frozen=True)
 class SessionJump(FactorCause):
-    """gamma times 1 + A from one moment of one session on.
-
-    Attributes
-    ----------
-    session : str
-    """
+    """gamma times 1 + A from one moment of one session on."""
 
     session: str = ""
 
@@ -125,32 +111,26 @@ class SessionJump(FactorCause):
         """See `Cause`."""
         return (
             CauseParameter("A", "%", "change of the step size", session=self.session),
-            moment_of(self.session),
+            moment_parameter(self.session),
         )
-
-    def within(self, session: str) -> Self:
-        """The jump of one session."""
-        return replace(self, session=session)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
         return [
-            (self.within(session), np.column_stack([np.full(len(when), 0.01), when]))
-            for session, when in moments(rows)
+            (replace(self, session=session), np.column_stack([np.full(len(moments), 0.01), moments]))
+            for session, moments in candidate_moments(rows)
             if self.session in ("", session)
         ]
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`."""
-        return changes_since(
-            lambda *known: super(SessionJump, self).changes(law, *known),
-            self.known(law, rows), values, self.session, trials,
-        )  # fmt: skip
+        changes, row = partial(super().changes, law), self.row_values(law, rows)
+        return changes_since(changes, row, values, self.session, trials)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
         size, moment = values
-        return 1.0 + size * since(state, self.session, moment)
+        return 1.0 + size * is_since(state, self.session, moment)
 
 
 WEAR_SCALES = np.array([1e4, 1e5, 1e6])
@@ -181,14 +161,8 @@ class Wear(FactorCause):
     )
     absent = (0.0, 1e5)
     scale = (0.005, 1e5)
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.column_stack([np.full(len(WEAR_SCALES), 0.005), WEAR_SCALES]))]
-
-    def largest(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
-        return tuple(np.array([0.05, scale]) for scale in WEAR_SCALES)
+    trial_values = np.column_stack([np.full(len(WEAR_SCALES), 0.005), WEAR_SCALES])
+    largest_sizes = tuple((0.05, scale) for scale in WEAR_SCALES)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`: for a tenfold of steps, and where it began to the order of magnitude."""

@@ -1,4 +1,4 @@
-"""The command line: one verb a question."""
+"""The command line: one verb for each question."""
 
 from stickslip_fit.cli._app import app, main
 

@@ -1,4 +1,4 @@
-"""The command line: one verb a question."""
+"""The command line: one verb for each question."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import typer
 from stickslip_fit import __version__
 from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.diagnose import anova, diagnose, plan
-from stickslip_fit.cli.fit import calibrate, fit, predict, steps, where
+from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
 from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
 from stickslip_fit.errors import InputError
 
 VERBS = (
-    check, calibrate, fit, predict, anova, diagnose, report, compare, study, simulate, plan, sheet, steps,
-    where, demo,
-)  # fmt: skip
-
-INTERRUPTED = 130  # the status that typer gives a run that was interrupted by a person
+    *(check, calibrate, fit, predict, anova, diagnose, report, compare, study, simulate, plan, sheet),
+    *(plan_move, dead_reckon, demo),
+)
+INTERRUPTED = 130  # typer's status of a run that was interrupted by a person
 
 app = typer.Typer(
     help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
@@ -50,7 +49,7 @@ def _main_options(
 
 def main() -> None:
     """Run the command line; bad input ends with one clear message and status 2."""
-    # The matrices are many and small: threads within one product cost more than they bring.
+    # The matrices are many and small: threads within one product cost more than they gain.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
@@ -62,7 +61,7 @@ def main() -> None:
             print("interrupted; nothing was left half-written", file=sys.stderr)
         raise
     except BrokenPipeError:
-        # The reader of our output has gone; closing quietly is what other tools do.
+        # The reader of the output has gone; other tools end quietly, too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stickslip_fit._io import check_folder
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ Condition = Annotated[
     typer.Option(
         "--condition",
         metavar="NAME=VALUE",
-        help="What a law with causes looks at, e.g. session_min=30 or temperature_C=23; repeatable.",
+        help="Condition for a law with causes, e.g. session_min=30 or temperature_C=23; repeatable.",
     ),
 ]
 CauseNames = Annotated[
@@ -67,13 +68,13 @@ CausesFrom = Annotated[
     typer.Option(
         "--causes-from",
         metavar="RESULT",
-        help="Closed form: take the causes of this saved result for known, with its error bars.",
+        help="Closed form: take the causes of this saved result as known, with its uncertainties.",
     ),
 ]
 
 
 class Method(StrEnum):
-    """How to fit."""
+    """Estimation method."""
 
     closed_form = "closed-form"
     least_squares = "least-squares"
@@ -81,7 +82,7 @@ class Method(StrEnum):
 
 
 class Dialect(StrEnum):
-    """What the controller speaks."""
+    """Dialect of the controller."""
 
     new = "new"
     old = "old"
@@ -89,30 +90,29 @@ class Dialect(StrEnum):
 
 
 Port = Annotated[str | None, typer.Option(help="Serial port of the controller; VISA resource of an ANC300.")]
-DialectOption = Annotated[Dialect, typer.Option(help="What the controller speaks.")]
+DialectOption = Annotated[Dialect, typer.Option(help="Dialect of the controller.")]
 Device = Annotated[str | None, typer.Option(help="Microphone: its name, a part of it, or its number.")]
-Ratio = Annotated[float, typer.Option(help="Emulated: how loud the stop is, dB over the room.")]
+Ratio = Annotated[float, typer.Option(help="Emulated: signal-to-noise ratio of the stop, dB.")]
+
+
+def check_chart(path: Path | None) -> None:
+    """Refuse a figure that could not be written, before any work; raises InputError."""
+    if path is not None:
+        from stickslip_fit.plotting._style import check_suffix
+
+        check_folder(path)
+        check_suffix(path)
 
 
 def reject_options(options: Mapping[str, object], where: str) -> None:
-    """Refuse options that mean nothing where they are given.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse options that have no meaning where they are given; raises InputError."""
     for option, value in options.items():
         if value:
             raise InputError(f"{option} means nothing {where}; leave it out")
 
 
 def require_option[Value](value: Value | None, option: str) -> Value:
-    """Ask for an option that is needed.
-
-    Raises
-    ------
-    InputError
-    """
+    """The value of an option that is needed; raises InputError without one."""
     if value is None:
         raise InputError(f"give {option}")
     return value
@@ -150,7 +150,7 @@ def load_or_fit_result(paths: list[Path], machine: Path | None) -> Result:
 
 
 def load_fit(paths: list[Path], machine: Path | None) -> tuple[Result | Posterior, Result]:
-    """What to predict with: draws saved with `fit --tree`, or a result; and the result in any case."""
+    """What to predict with: draws saved with `fit --tree`, or a result; and always the result."""
     if len(paths) == 1 and paths[0].suffix == ".nc":
         from stickslip_fit.bayes import load_posterior
 
@@ -163,14 +163,9 @@ def load_fit(paths: list[Path], machine: Path | None) -> tuple[Result | Posterio
 
 
 def load_law_values(path: Path, machine: Machine, plan: Plan) -> LawValues:
-    """What is to be true in a simulated plan: a law file, or a saved result.
+    """True laws of a simulated plan, from a law file or a saved result for the same machine.
 
-    Sessions that a saved result does not know get the parameters of its latest.
-
-    Raises
-    ------
-    InputError
-        If a saved result was fitted for another machine.
+    Sessions that the saved result lacks get the parameters of its latest.
     """
     from stickslip_fit.estimation import load_result
     from stickslip_fit.simulation import LawValues, read_law_values
@@ -178,12 +173,7 @@ def load_law_values(path: Path, machine: Machine, plan: Plan) -> LawValues:
     if path.suffix != ".json":
         return read_law_values(path, machine)
     result = load_result(path)
-    if result.machine.sha256 != machine.sha256:
-        raise InputError(
-            InputIssue(
-                f"was fitted for the machine {result.machine.name!r}; pass that with --machine", str(path)
-            )
-        )
+    check_same_machine(result, machine, path)
     values: dict[tuple[int, str, str | None], Array] = {}
     planned = {session.label for session in plan.sessions}
     for joint, fit in result.joints.items():
@@ -195,6 +185,13 @@ def load_law_values(path: Path, machine: Machine, plan: Plan) -> LawValues:
                 if session in planned:
                     values[joint, direction, session] = row
     return LawValues({joint: fit.law for joint, fit in result.joints.items()}, values)
+
+
+def check_same_machine(result: Result, machine: Machine, path: Path) -> None:
+    """Refuse a saved result for another machine; raises InputError."""
+    if result.machine.sha256 != machine.sha256:
+        message = f"was fitted for the machine {result.machine.name!r}; pass that with --machine"
+        raise InputError(InputIssue(message, str(path)))
 
 
 def load_arm(
@@ -211,20 +208,19 @@ def load_arm(
     from stickslip_fit.units import to_si
 
     result = load_or_fit_result(paths, machine)
-    known = parse_conditions(conditions or (), result, "--condition")
-    check_conditions(result, known, "--condition")
-    return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), known)
+    values = parse_conditions(conditions or (), result, "--condition")
+    check_conditions(result, values, "--condition")
+    return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), values)
 
 
 def parse_plan_conditions(conditions: list[str] | None, result: Result) -> dict[str, float]:
-    """What the laws of a result look at, where the traverses of a plan do not say it themselves."""
+    """Conditions for the laws of a result that a plan does not give itself."""
     from stickslip_fit.moves.arm import check_conditions, parse_conditions
 
     known = parse_conditions(conditions or (), result, "--condition")
     for name in {"session_seconds", "step_period"} & known.keys():
-        raise InputError(
-            InputIssue("a plan says that itself: leave it out", column="--condition", value=name)
-        )
+        message = "a plan says that itself: leave it out"
+        raise InputError(InputIssue(message, column="--condition", value=name))
     check_conditions(result, {**known, "session_seconds": math.nan}, "--condition")
     return known
 
@@ -263,11 +259,8 @@ def parse_drive(text: str, option: str) -> DriveCommand:
 
     match = _DRIVE_PATTERN.fullmatch(text.strip())
     if match is None:
-        raise InputError(
-            InputIssue(
-                "give joint, direction and 1 or more steps, e.g. 3+5000 or 2-1200", column=option, value=text
-            )
-        )
+        message = "give joint, direction and 1 or more steps, e.g. 3+5000 or 2-1200"
+        raise InputError(InputIssue(message, column=option, value=text))
     return DriveCommand(int(match[1]), match[2], int(match[3]))
 
 
@@ -278,16 +271,14 @@ def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
     from stickslip_fit.units import to_si
 
     laws = (Base, Elbow, Prismatic)
-    own = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
-    units = own | {each.name: each.unit for each in ExtendedLaw(Prismatic(), library()).common}
+    law_units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
+    cause_parameters = ExtendedLaw(Prismatic(), library()).common
+    units = law_units | {parameter.name: parameter.unit for parameter in cause_parameters}
     match = _BOUND_PATTERN.fullmatch(text.strip())
     if match is None or match[1] not in units or not (match[2] or match[3]):
-        names = ", ".join([*own, "CAUSE.PARAMETER"])
-        raise InputError(
-            InputIssue(
-                f"give NAME=LOW:HIGH, e.g. b=0.2:0.4 or c=0:; names: {names}", column=option, value=text
-            )
-        )
+        names = ", ".join([*law_units, "CAUSE.PARAMETER"])
+        message = f"give NAME=LOW:HIGH, e.g. b=0.2:0.4 or c=0:; names: {names}"
+        raise InputError(InputIssue(message, column=option, value=text))
     try:
         low, high = float(match[2] or "-inf"), float(match[3] or "inf")
     except ValueError:
@@ -297,63 +288,47 @@ def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
 
 def parse_repeatabilities(texts: tuple[str, ...], option: str) -> dict[tuple[int, str], float]:
     """Repeatabilities such as "0.3" (of every joint and direction) or "3+=0.25", in per cent."""
-    found: dict[tuple[int, str], float] = {}
+    values: dict[tuple[int, str], float] = {}
     for text in texts:
         match = _REPEATABILITY_PATTERN.fullmatch(text.strip())
         if match is None:
-            raise InputError(
-                InputIssue("give per cent, e.g. 0.3, or for one drive 3+=0.3", column=option, value=text)
-            )
-        drives = (
-            [(int(match[1]), match[2])]
-            if match[1]
-            else [(j, direction) for j in (1, 2, 3) for direction in "+-"]
-        )
-        found |= dict.fromkeys(drives, float(match[3]) / 100)
-    return found
+            message = "give per cent, e.g. 0.3, or for one drive 3+=0.3"
+            raise InputError(InputIssue(message, column=option, value=text))
+        drives = [(joint, direction) for joint in (1, 2, 3) for direction in "+-"]
+        if match[1]:
+            drives = [(int(match[1]), match[2])]
+        values |= dict.fromkeys(drives, float(match[3]) / 100)
+    return values
 
 
 def default_output(paths: list[Path]) -> Path:
-    """Where a report of these paths goes: reports/, named after the log."""
+    """The file in reports/ named after the log."""
     folder = Path("reports")
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise InputError(
-            InputIssue(f"cannot be made here ({error.strerror}); name a file with -o", str(folder))
-        ) from None
+        message = f"cannot be made here ({error.strerror}); name a file with -o"
+        raise InputError(InputIssue(message, str(folder))) from None
     return folder / f"{paths[0].resolve().stem}.html"
 
 
 def reference_campaign() -> Path:
-    """The simulated campaign that the demo runs on, in a checkout or in an installed package.
-
-    Raises
-    ------
-    InputError
-        If it is in neither.
-    """
+    """The simulated campaign of the demo, in a checkout or in an installed package."""
     package = Path(__file__).parents[1]
     for folder in (package.parent / "data", package / "data"):
-        found = folder / "reference" / "campaign.csv"
-        if found.exists():
-            return found
+        path = folder / "reference" / "campaign.csv"
+        if path.exists():
+            return path
     raise InputError("the reference campaign is not installed; give a log of your own")
 
 
 def reference_law() -> Path:
-    """The laws that are true in the simulated campaign: about right where nobody knows better.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """The true laws of the simulated campaign, used as typical values."""
     return reference_campaign().with_name("law.toml")
 
 
 def has_browser() -> bool:
-    """Whether a person sits in front of a screen that can show a page."""
+    """Whether there is a terminal and a screen that can show a page."""
     screen = (
         sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     )

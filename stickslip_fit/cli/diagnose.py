@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from stickslip_fit.cli._options import (
     MachinePath,
     Since,
     Until,
+    check_chart,
     command_line,
     load_law_values,
     load_log,
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 def anova(
     log: LogPath,
-    joint: Annotated[int | None, typer.Option(min=1, max=3, help="Of this joint only.")] = None,
-    session: Annotated[str | None, typer.Option(help="Within this session only.")] = None,
+    joint: Annotated[int | None, typer.Option(min=1, max=3, help="This joint only.")] = None,
+    session: Annotated[str | None, typer.Option(help="This session only.")] = None,
     formula: Annotated[
-        str | None, typer.Option(help="A model of one's own, e.g. 'step_size ~ C(session) * direction'.")
+        str | None, typer.Option(help="A model formula, e.g. 'step_size ~ C(session) * direction'.")
     ] = None,
     kind: Annotated[
         int, typer.Option("--type", min=1, max=3, help="Formula: type of the sums of squares.")
@@ -50,18 +50,17 @@ def anova(
     until: Until = None,
     json: Json = None,
 ) -> None:
-    """Say which factors matter: day, direction, normal force; or those of a formula."""
-    from stickslip_fit.anova import analyze_formula as by_formula
-    from stickslip_fit.anova import analyze_variance, save_records
+    """Analyse the variance: day, direction, normal force; or the terms of a formula."""
+    from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
     if json is not None:
         check_folder(json)
     campaign = load_log(log, machine, since, until)
     if formula is None:
-        found = analyze_variance(campaign, joint=joint, session=session)
-        text, records = found.summary().as_text(full=True), found.to_json()
+        result = analyze_variance(campaign, joint=joint, session=session)
+        text, records = result.summary().as_text(full=True), result.to_json()
     else:
-        tables = by_formula(campaign, formula, joint=joint, session=session, kind=kind)
+        tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
         text = "\n\n".join(map(str, tables))
         records = [record for table in tables for record in table.to_json()]
     if json is not None:
@@ -78,22 +77,22 @@ def diagnose(
     ] = None,
     save_law: Annotated[
         Path | None,
-        typer.Option("--save-law", help="Also fit the law with what was named in it, and save that here."),
+        typer.Option("--save-law", help="Also fit the law extended by the causes found, and save it here."),
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
-    seed: Annotated[int, typer.Option(min=0, help="Of the logs in which nothing is wrong.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
 ) -> None:
-    """Say what the laws get wrong in a log, why, and what knowing it gains."""
+    """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     check_diagnosis_outputs(json, report, save_law)
     campaign = load_log(log, machine, since, until)
-    found = diagnose_with_progress(campaign, alpha, seed)
-    # Saved before anything is said: whoever reads the answer may stop reading.
-    saved = save_diagnosis_outputs(found, json, report)
-    law = save_extended_law(found.extended_law(command=command_line()), save_law) if save_law else ""
-    print("\n\n".join(filter(None, [str(found), "\n".join(saved), law])))
+    result = diagnose_with_progress(campaign, alpha, seed)
+    # Saved before anything is printed: the reader of the output may close it.
+    saved = save_diagnosis_outputs(result, json, report)
+    law = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
+    print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
 
 
 def plan(
@@ -103,80 +102,76 @@ def plan(
     ],
     law: Annotated[
         Path | None,
-        typer.Option(help="Of a plan: law file (TOML), or a result saved with `fit --json`; else ours."),
+        typer.Option(help="Of a plan: law file (TOML) or saved result; typical values without it."),
     ] = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
-    seed: Annotated[int, typer.Option(min=0, help="Of the logs in which nothing is wrong.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     json: Json = None,
     chart: Annotated[
         Path | None,
         typer.Option("--chart", help="Of a plan: also draw which causes are confused: .png, .svg or .pdf."),
     ] = None,
 ) -> None:
-    """Say which traverses to make next; of a plan, which causes it could separate."""
+    """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
-    check_plan_outputs(json, chart)
+    if json is not None:
+        check_folder(json)
+    check_chart(chart)
     if is_plan(source):
         from stickslip_fit.logs.plan_reader import read_plan
         from stickslip_fit.machine import load_machine
 
-        chosen = load_machine(machine)
-        planned = read_plan(source[0], chosen)
-        truth = load_law_values(law or reference_law(), chosen, planned)
-        found = advise_before_data(planned, truth, chosen, alpha, seed)
+        geometry = load_machine(machine)
+        planned = read_plan(source[0], geometry)
+        truth = load_law_values(law or reference_law(), geometry, planned)
+        advice = advise_before_data(planned, truth, geometry, alpha, seed)
     else:
-        found = advise_after_log(load_log(source, machine, since, until), alpha, seed)
-    saved = save_plan_outputs(found, json, chart)
-    print("\n\n".join(filter(None, [found.text, "\n".join(saved)])))
+        advice = advise_after_log(load_log(source, machine, since, until), alpha, seed)
+    saved = save_plan_outputs(advice, json, chart)
+    print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
 
 
 CLEAR_LINE = "\r\x1b[K"
 
 
 def check_diagnosis_outputs(json_path: Path | None, report: Path | None, law: Path | None = None) -> None:
-    """Refuse files that could not be written, before any work.
-
-    Raises
-    ------
-    InputError
-    """
-    given = {"--json": json_path, "--report": report, "--save-law": law}
-    for option, path in given.items():
+    """Refuse files that could not be written, before any work; raises InputError."""
+    outputs = {"--json": json_path, "--report": report, "--save-law": law}
+    for option, path in outputs.items():
         if path is None:
             continue
         check_folder(path)
-        for other, taken in given.items():
-            if other < option and taken == path:
+        for other, other_path in outputs.items():
+            if other < option and other_path == path:
                 raise InputError(f"{other} and {option} both name {path}: give two files")
 
 
 def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
-    """Diagnose a log, telling how far that is where somebody watches."""
+    """Diagnose a log, with a progress bar at a terminal."""
     from stickslip_fit._io import show_progress
     from stickslip_fit.diagnosis import diagnose
 
-    with show_progress() as tell:
-        return diagnose(log, alpha=alpha, seed=seed, progress=tell)
+    with show_progress() as progress:
+        return diagnose(log, alpha=alpha, seed=seed, progress=progress)
 
 
 def save_extended_law(law: Result, path: Path) -> str:
-    """Write a law; a line on what is in it."""
+    """Write a law; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
-    from stickslip_fit.estimation import save_result
 
-    save_result(law, path)
+    law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)
-    what = f"extended by {names}" if names else "published, since no cause was named"
-    return f"law ({what}) saved to {path}"
+    kind = f"extended by {names}" if names else "published, since no cause was named"
+    return f"law ({kind}) saved to {path}"
 
 
 def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report: Path | None) -> list[str]:
-    """Write what was asked for; a line for each file."""
+    """Write the requested files; a line for each."""
     saved = []
     if json_path is not None:
         from stickslip_fit.diagnosis import save_diagnosis
@@ -184,7 +179,7 @@ def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report:
         save_diagnosis(diagnosis, json_path)
         saved.append(f"saved to {json_path}")
     if report is not None:
-        from stickslip_fit.reporting.diagnosis import diagnosis_page
+        from stickslip_fit.reporting.sections import diagnosis_page
 
         write_atomically(report, diagnosis_page(diagnosis, command=command_line()))
         saved.append(f"report written to {report}")
@@ -196,7 +191,7 @@ NEXT_SCHEMA = "stickslip-fit/next/1"
 
 @dataclass(frozen=True, eq=False)
 class PlanAdvice:
-    """What is printed, what is saved, and how to draw it where there is anything to draw."""
+    """Printed text, JSON content, and the figure of a plan."""
 
     text: str
     content: dict[str, Any]
@@ -209,42 +204,15 @@ def is_plan(paths: list[Path]) -> bool:
 
 
 def check_plan_options(paths: list[Path], of_plan: dict[str, object], of_log: dict[str, object]) -> None:
-    """Refuse options that belong to the other kind of file.
-
-    Parameters
-    ----------
-    paths : list of Path
-    of_plan, of_log : dict of str to object
-        Options and their values; None where they were not given.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse options that belong to the other kind of file; raises InputError."""
     other, kind = (of_log, "a log") if is_plan(paths) else (of_plan, "a plan")
     for option, value in other.items():
         if value is not None:
             raise InputError(f"{option} belongs to {kind}; leave it out here")
 
 
-def check_plan_outputs(json_path: Path | None, chart: Path | None) -> None:
-    """Refuse files that could not be written, before any work.
-
-    Raises
-    ------
-    InputError
-    """
-    for path in (json_path, chart):
-        if path is not None:
-            check_folder(path)
-    if chart is not None:
-        from stickslip_fit.plotting._style import check_suffix
-
-        check_suffix(chart)
-
-
 def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
-    """The traverses worth making next."""
+    """The most informative next traverses."""
     from stickslip_fit.diagnosis import diagnose, next_experiment
     from stickslip_fit.diagnosis._design_summary import summarize_next
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
@@ -252,29 +220,29 @@ def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
 
     diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
     traverses = next_experiment(diagnosis)
-    beyond = find_inseparable_pairs(diagnosis.findings, traverses)
-    missed = suggest_traverses(diagnosis)
+    inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
+    suggestions = suggest_traverses(diagnosis)
     content = {
         "schema": NEXT_SCHEMA,
         "log": {"file": Path(diagnosis.log_file).name, "sha256": diagnosis.log_sha256},
         "verdict": diagnosis.verdict,
-        "next_experiment": [traverse_to_json(each) for each in traverses],
-        "out_of_reach": [list(pair) for pair in beyond],
+        "next_experiment": [traverse_to_json(traverse) for traverse in traverses],
+        "out_of_reach": [list(pair) for pair in inseparable],
         "untestable": [
             {
-                "cause": each.cause,
-                "reason": each.reason,
-                "shows_best": each.shows_best,
-                "traverse": each.traverse and traverse_to_json(each.traverse),
+                "cause": suggestion.cause,
+                "reason": suggestion.reason,
+                "shows_best": suggestion.shows_best,
+                "traverse": suggestion.traverse and traverse_to_json(suggestion.traverse),
             }
-            for each in missed
+            for suggestion in suggestions
         ],
     }
-    return PlanAdvice(str(summarize_next(diagnosis, traverses, beyond, missed)), content)
+    return PlanAdvice(str(summarize_next(diagnosis, traverses, inseparable, suggestions)), content)
 
 
 def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, seed: int) -> PlanAdvice:
-    """What a plan could tell."""
+    """Which causes a plan could detect and distinguish."""
     import numpy as np
 
     from stickslip_fit.diagnosis._design_summary import SHOWN_AT, summarize_plan
@@ -282,28 +250,31 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
     from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan, separability_to_json
 
     problem, untestable = problem_from_plan(plan, truth, machine)
-    found = assess_design(problem, untestable, alpha, bootstrap_size(alpha), np.random.default_rng(seed))
+    separability = assess_design(
+        problem, untestable, alpha, bootstrap_size(alpha), np.random.default_rng(seed)
+    )
 
     def draw() -> Figure:
         from stickslip_fit.plotting.diagnosis import plot_separability
 
-        return plot_separability(found, SHOWN_AT)
+        return plot_separability(separability, SHOWN_AT)
 
-    summary = summarize_plan(found, plan.name, len(problem), len(plan.sessions))
-    return PlanAdvice(str(summary), {"plan": plan.name} | separability_to_json(found, SHOWN_AT), draw)
+    summary = summarize_plan(separability, plan.name, len(problem), len(plan.sessions))
+    return PlanAdvice(str(summary), {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
 
 
-def save_plan_outputs(found: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:
-    """Write the files that were asked for; a line for each."""
+def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:
+    """Write the requested files; a line for each."""
     lines = []
     if json_path is not None:
-        write_atomically(
-            json_path, json.dumps(found.content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        )
+        import json
+
+        content = json.dumps(advice.content, indent=1, ensure_ascii=False, allow_nan=False)
+        write_atomically(json_path, content + "\n")
         lines.append(f"saved to {json_path}")
-    if chart is not None and found.draw is not None:
+    if chart is not None and advice.draw is not None:
         from stickslip_fit.plotting._style import write_figure
 
-        write_figure(found.draw(), chart, "separability")
+        write_figure(advice.draw(), chart, "separability")
         lines.append(f"chart written to {chart}")
     return lines

@@ -1,4 +1,4 @@
-"""Commands that fit laws and use them: calibrate, fit, predict, steps, where."""
+"""Commands that fit laws and use them: calibrate, fit, predict, plan-move, dead-reckon."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from stickslip_fit.cli._options import (
     Since,
     Theta,
     Until,
+    check_chart,
     command_line,
     load_arm,
     load_fit,
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EstimatorOptions:
-    """How to fit, as the options say it.
+    """Options of `fit`, as typed.
 
     Attributes
     ----------
@@ -61,9 +62,9 @@ class EstimatorOptions:
     campaign_wide : tuple of str
         Parameters that all sessions share.
     bounds : tuple of str
-        As typed: NAME=LOW:HIGH.
+        NAME=LOW:HIGH.
     repeatability : tuple of str
-        As typed: PERCENT or JOINT±=PERCENT.
+        PERCENT or JOINT±=PERCENT.
     seed : int
     walks : Path or None
         Of Bayes.
@@ -96,73 +97,65 @@ class FitOutputs:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A result, what is printed of it, and by Bayes the posterior behind it."""
+    """A result, its printed text, and by Bayes the posterior."""
 
     result: Result
     text: str
     posterior: Posterior | None = None
 
 
-def check_fit_options(how: EstimatorOptions, outputs: FitOutputs) -> None:
-    """Refuse options that do not go together and files that could not be written, before any work.
-
-    Raises
-    ------
-    InputError
-    """
-    least_squares = how.method is Method.least_squares
-    if (not least_squares and (how.heavy_tails or how.profile)) or (how.heavy_tails and how.profile):
-        raise InputError("--profile and --heavy-tails are two ways of --method least-squares; choose one")
-    for option, texts in (
-        ("--campaign-wide", how.campaign_wide),
-        ("--bound", how.bounds),
-        ("--repeatability", how.repeatability),
+def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
+    """Refuse options that exclude each other and files that could not be written; raises InputError."""
+    least_squares = options.method is Method.least_squares
+    if (not least_squares and (options.heavy_tails or options.profile)) or (
+        options.heavy_tails and options.profile
     ):
-        if texts and not least_squares:
-            raise InputError(f"{option} belongs to --method least-squares")
-    for option, given in (("--walks", how.walks), ("--tree", outputs.tree)):
-        if how.method is not Method.bayes and given is not None:
-            raise InputError(f"{option} belongs to --method bayes")
-    if how.causes and how.method is Method.closed_form:
+        raise InputError("--profile and --heavy-tails are alternatives of --method least-squares; choose one")
+    for option, method, value in (
+        ("--campaign-wide", Method.least_squares, options.campaign_wide),
+        ("--bound", Method.least_squares, options.bounds),
+        ("--repeatability", Method.least_squares, options.repeatability),
+        ("--walks", Method.bayes, options.walks),
+        ("--tree", Method.bayes, outputs.tree),
+    ):
+        if value and options.method is not method:
+            raise InputError(f"{option} belongs to --method {method.value}")
+    if options.causes and options.method is Method.closed_form:
         raise InputError("the closed form fits no cause; take those of a saved result by --causes-from")
-    if how.causes_from is not None and how.method is not Method.closed_form:
+    if options.causes_from is not None and options.method is not Method.closed_form:
         raise InputError("--causes-from belongs to the closed form; fit causes by --cause")
-    for path in (outputs.json, outputs.chart, outputs.tree):
+    for path in (outputs.json, outputs.tree):
         if path is not None:
             check_folder(path)
-    if outputs.chart is not None:
-        from stickslip_fit.plotting._style import check_suffix
-
-        check_suffix(outputs.chart)
+    check_chart(outputs.chart)
     if outputs.tree is not None and outputs.tree.suffix != ".nc":
-        raise InputError(
-            InputIssue("is netCDF: end its name in .nc", column="--tree", value=str(outputs.tree))
-        )
+        message = "is netCDF: end its name in .nc"
+        raise InputError(InputIssue(message, column="--tree", value=str(outputs.tree)))
 
 
-def estimate_laws(log: Log, how: EstimatorOptions) -> Estimate:
-    """Fit a log and put the result into words."""
+def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
+    """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
 
-    if how.method is Method.bayes:
-        return _fit_bayes(log, how)
-    if how.method is Method.closed_form:
-        known = load_result(how.causes_from) if how.causes_from else None
+    if options.method is Method.bayes:
+        return _fit_bayes(log, options)
+    if options.method is Method.closed_form:
+        known = load_result(options.causes_from) if options.causes_from else None
         result = fit_closed_form(log, causes_from=known, command=command_line())
     else:
-        likelihood = StudentT() if how.heavy_tails else Gaussian()
+        likelihood = StudentT() if options.heavy_tails else Gaussian()
         result = fit_least_squares(
             log,
-            causes=select_named_causes(how.causes, log),
+            causes=select_named_causes(options.causes, log),
             likelihood=likelihood,
-            shared=how.campaign_wide,
-            bounds=dict(parse_bound(text, "--bound") for text in how.bounds),
-            repeatability=parse_repeatabilities(how.repeatability, "--repeatability"),
+            shared=options.campaign_wide,
+            bounds=dict(parse_bound(text, "--bound") for text in options.bounds),
+            repeatability=parse_repeatabilities(options.repeatability, "--repeatability"),
             command=command_line(),
         )
     summary = result.summary()
-    if how.profile:
+    if options.profile:
         from stickslip_fit.estimation._summary import profile_section
         from stickslip_fit.estimation.least_squares import profile_intervals
 
@@ -172,87 +165,83 @@ def estimate_laws(log: Log, how: EstimatorOptions) -> Estimate:
 
 
 def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
-    """The causes of the library, and the log's own columns, that are named.
+    """The causes of the library, and the log's own columns, with these names.
 
     Raises
     ------
     InputError
-        For a name that is none, and for a cause that the log cannot show; with those that it can.
+        For an unknown name and for a cause that the log cannot show, with those that it can.
     """
     from stickslip_fit.causes import covariates, library
 
     rows = log.usable
     known = {cause.name: cause for cause in (*library(), *covariates(rows))}
-    missing = {name: why for name, cause in known.items() if (why := cause.missing(rows)) is not None}
+    missing = {name: reason for name, cause in known.items() if (reason := cause.missing(rows)) is not None}
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
-    faults = [
+    issues = [
         InputIssue(missing.get(name, "is no cause that is known"), column="--cause", value=name)
         for name in names
         if name not in known or name in missing
     ]
-    if faults:
-        there = ", ".join(name for name in known if name not in missing)
-        raise InputError([*faults, InputIssue(f"this log can show {there}")])
+    if issues:
+        possible = ", ".join(name for name in known if name not in missing)
+        raise InputError([*issues, InputIssue(f"this log can show {possible}")])
     return tuple(known[name] for name in names)
 
 
-def save_fit_outputs(found: Estimate, outputs: FitOutputs) -> list[str]:
-    """Write the files that were asked for; a line for each."""
+def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
+    """Write the requested files; a line for each."""
     lines = []
     if outputs.json is not None:
-        from stickslip_fit.estimation import save_result
-
-        save_result(found.result, outputs.json)
+        estimate.result.save(outputs.json)
         lines.append(f"saved to {outputs.json}")
-    if outputs.tree is not None and found.posterior is not None:
-        from stickslip_fit.bayes import save_posterior
-
-        save_posterior(found.posterior, outputs.tree)
+    if outputs.tree is not None and estimate.posterior is not None:
+        estimate.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
     if outputs.chart is not None:
         from stickslip_fit.plotting._style import write_chart
 
-        write_chart(found.result, outputs.chart)
+        write_chart(estimate.result, outputs.chart)
         lines.append(f"control chart written to {outputs.chart}")
     return lines
 
 
-def _fit_bayes(log: Log, how: EstimatorOptions) -> Estimate:
+def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     import sys
 
     from stickslip_fit.bayes import fit_bayes
     from stickslip_fit.bayes.checks import checks_section
 
     watched = sys.stderr.isatty()
-    causes = select_named_causes(how.causes, log)
+    causes = select_named_causes(options.causes, log)
     posterior = fit_bayes(
-        log, causes=causes, seed=how.seed, backend=how.walks, progress=watched, command=command_line()
+        log, causes=causes, seed=options.seed, backend=options.walks, progress=watched, command=command_line()
     )
     summary = posterior.summary()
     summary = replace(summary, sections=(*summary.sections, checks_section(posterior)))
     return Estimate(posterior.result, str(summary), posterior)
 
 
-def steps(
+def plan_move(
     calibration: Calibration,
     at: At,
     tip: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Where the tip is to go, base frame, mm.")
+        str | None, typer.Option(metavar="X,Y,Z", help="Tip position to reach, base frame, mm.")
     ] = None,
     joints: Annotated[
-        str | None, typer.Option(metavar="Q1,Q2,Q3", help="Or where the joints are to go: deg,deg,mm.")
+        str | None, typer.Option(metavar="Q1,Q2,Q3", help="Or the joint positions to reach: deg,deg,mm.")
     ] = None,
-    order: Annotated[str, typer.Option(help="Which joint moves first.")] = "1,2,3",
+    order: Annotated[str, typer.Option(help="Order in which the joints move.")] = "1,2,3",
     session: Session = None,
     theta: Theta = 0.0,
     psi: Psi = 0.0,
     condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
-    """Say how many steps take the tip from here to there."""
+    """Compute the steps that take the tip to a position, or the joints."""
+    from stickslip_fit import moves
     from stickslip_fit.machine import nearest_solution
-    from stickslip_fit.moves import plan_move
     from stickslip_fit.reporting.moves import format_move
 
     arm = load_arm(calibration, machine, session, theta, psi, condition)
@@ -263,19 +252,19 @@ def steps(
         target = nearest_solution(arm.machine, parse_tip_position(tip, "--tip"), start)
     else:
         target = parse_positions(str(joints), "--joints")
-    print(format_move(arm, plan_move(arm, start, target, parse_joint_order(order, "--order"))))
+    print(format_move(arm, moves.plan_move(arm, start, target, parse_joint_order(order, "--order"))))
     print_conditions(arm.result, arm.conditions)
 
 
-def where(
+def dead_reckon(
     calibration: Calibration,
     at: At,
     drive: Annotated[
         list[str],
-        typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeat for a run."),
+        typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeatable."),
     ],
     tolerance: Annotated[
-        float, typer.Option(help="Say when the tip is no longer known to within this many µm (95 %).")
+        float, typer.Option(help="Uncertainty of the tip, µm (95 %), at which to re-home.")
     ] = 10.0,
     session: Session = None,
     theta: Theta = 0.0,
@@ -283,23 +272,24 @@ def where(
     condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
-    """Say where the tip is after N steps, and when to re-home."""
-    from stickslip_fit.moves import dead_reckon
+    """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
+    from stickslip_fit import moves
     from stickslip_fit.reporting.moves import format_pose
     from stickslip_fit.units import to_si
 
     arm = load_arm(calibration, machine, session, theta, psi, condition)
-    found = dead_reckon(arm, parse_positions(at, "--at"), [parse_drive(text, "--drive") for text in drive])
-    print(format_pose(arm, found, to_si(tolerance, "µm")))
+    drives = [parse_drive(text, "--drive") for text in drive]
+    pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
+    print(format_pose(arm, pose, to_si(tolerance, "µm")))
     print_conditions(arm.result, arm.conditions)
 
 
 def print_conditions(result: Result, conditions: Mapping[str, float]) -> None:
-    """Say under which conditions an extended law was taken, where it looks at any."""
+    """Print the conditions that an extended law was evaluated at, if any."""
     from stickslip_fit.moves.arm import describe_conditions
 
-    if told := describe_conditions(result, conditions, "--condition"):
-        print("\n" + told)
+    if text := describe_conditions(result, conditions, "--condition"):
+        print("\n" + text)
 
 
 def calibrate(
@@ -312,8 +302,8 @@ def calibrate(
     chart: Chart = None,
 ) -> None:
     """Calibrate each session from its first few traverses."""
-    how = EstimatorOptions(Method.closed_form, causes_from=causes_from)
-    _fit_and_print(log, machine, since, until, how, FitOutputs(json, chart))
+    options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
+    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart))
 
 
 def fit(
@@ -328,7 +318,7 @@ def fit(
     causes_from: CausesFrom = None,
     heavy_tails: Annotated[
         bool,
-        typer.Option("--heavy-tails", help="Least squares: Student's t, so that misheard stops pull little."),
+        typer.Option("--heavy-tails", help="Least squares: Student's t, robust against misdetected stops."),
     ] = False,
     profile: Annotated[
         bool, typer.Option("--profile", help="Least squares: show profile-likelihood intervals too.")
@@ -350,7 +340,7 @@ def fit(
     seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
     walks: Annotated[
         Path | None,
-        typer.Option(help="Bayes: HDF5 file that keeps the walks; the same call carries on there."),
+        typer.Option(help="Bayes: HDF5 file of the walks; the same call continues them."),
     ] = None,
     tree: Annotated[
         Path | None, typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads.")
@@ -358,8 +348,9 @@ def fit(
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
-    how = EstimatorOptions(method, heavy_tails, profile, *terms, seed, walks, tuple(cause or ()), causes_from)
-    _fit_and_print(log, machine, since, until, how, FitOutputs(json, chart, tree))
+    causes = (tuple(cause or ()), causes_from)
+    options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, walks, *causes)
+    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart, tree))
 
 
 def predict(
@@ -372,7 +363,7 @@ def predict(
     condition: Condition = None,
     machine: MachinePath = None,
 ) -> None:
-    """Say what counts the traverses of a plan will give, with 95 % intervals."""
+    """Predict the counts of a plan's traverses, with 95 % intervals."""
     from stickslip_fit._io import write_atomically
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.moves.prediction import predict_plan
@@ -393,14 +384,11 @@ def predict(
 
 
 def _fit_and_print(
-    paths: list[Path],
-    machine: Path | None,
-    since: str | None,
-    until: str | None,
-    how: EstimatorOptions,
+    source: tuple[list[Path], Path | None, str | None, str | None],
+    options: EstimatorOptions,
     outputs: FitOutputs,
 ) -> None:
-    check_fit_options(how, outputs)
-    found = estimate_laws(load_log(paths, machine, since, until), how)
-    saved = save_fit_outputs(found, outputs)
-    print("\n\n".join(filter(None, [found.text, "\n".join(saved)])))
+    check_fit_options(options, outputs)
+    estimate = estimate_laws(load_log(*source), options)
+    saved = save_fit_outputs(estimate, outputs)
+    print("\n\n".join(filter(None, [estimate.text, "\n".join(saved)])))

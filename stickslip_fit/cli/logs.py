@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder
+from stickslip_fit._io import check_folder, show_progress
 from stickslip_fit.cli._options import (
     CauseNames,
     LogPath,
@@ -26,21 +23,12 @@ from stickslip_fit.cli._options import (
     load_log,
     reference_campaign,
 )
-from stickslip_fit.cli.diagnose import CLEAR_LINE, diagnose_with_progress
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from stickslip_fit.causes import Cause
-    from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.logs import Log
-    from stickslip_fit.strategies import Comparison
-
 
 def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
-    """Read a log, report every fault in it, and say what it holds."""
+    """Check a log for faults and summarize it."""
     print(load_log(log, machine, since, until).summary())
 
 
@@ -54,25 +42,22 @@ def simulate(
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
 ) -> None:
     """Simulate a plan under a law; the same seed, the same log."""
+    from stickslip_fit import simulation
     from stickslip_fit.logs import write_log
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.machine import load_machine
     from stickslip_fit.moves.arm import column_key, required_columns
-    from stickslip_fit.simulation import simulate as run
 
-    chosen = load_machine(machine)
-    planned = read_plan(plan, chosen)
-    truth = load_law_values(law, chosen, planned)
-    log = run(planned, truth, chosen, seed)
+    geometry = load_machine(machine)
+    planned = read_plan(plan, geometry)
+    truth = load_law_values(law, geometry, planned)
+    log = simulation.simulate(planned, truth, geometry, seed)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
-    unsaid = [
-        name
-        for name in required_columns(truth.laws.values())
-        if name not in log.rows.dropna(axis=1, how="all")
-    ]
-    if unsaid:
-        print(f"the plan does not say {', '.join(map(column_key, unsaid))}: the law was taken at its mean")
+    known = log.rows.dropna(axis=1, how="all")
+    missing = [column_key(name) for name in required_columns(truth.laws.values()) if name not in known]
+    if missing:
+        print(f"the plan does not say {', '.join(missing)}: the law was taken at its mean")
 
 
 def sheet(
@@ -97,33 +82,30 @@ def sheet(
     print(f"sheet to fill in: {output}\npage to print: {page}")
 
 
-MAX_COMPARED_SESSIONS = 12
-
-
 def report(
     log: LogPath,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
-    diagnosis: Annotated[bool, typer.Option(help="With what the laws get wrong, and why.")] = True,
-    strategies: Annotated[
-        bool, typer.Option(help="With what each way to calibrate costs and reaches.")
-    ] = True,
+    diagnosis: Annotated[bool, typer.Option(help="With the diagnosis.")] = True,
+    strategies: Annotated[bool, typer.Option(help="With the comparison of strategies.")] = True,
     cause: CauseNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
 ) -> None:
     """Write the whole report of a log: one HTML page."""
+    from stickslip_fit.reporting import report as make_report
+
     wanted = output or default_output(log)
     check_folder(wanted)
     campaign = load_log(log, machine, since, until)
     causes = select_named_causes(cause or (), campaign)
-    with _show_progress() as tell:
-        found = _try_section(lambda: diagnose_with_progress(campaign)) if diagnosis else None
-        tell("comparing ways to calibrate" if strategies else "")
-        comparison = _try_section(lambda: _compare_strategies(campaign, causes)) if strategies else None
-        tell("fitting and drawing")
-        written = _write_report(campaign, wanted, causes, found, comparison)
-    print(f"report written to {written}")
+    sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
+    with show_progress() as progress:
+        page = make_report(
+            campaign, causes=causes, sections=sections, command=command_line(), progress=progress
+        )
+    page.save(wanted)
+    print(f"report written to {wanted}")
 
 
 def demo(
@@ -133,82 +115,25 @@ def demo(
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
 ) -> None:
-    """Go the whole way on the reference campaign, or on a log."""
+    """Check, calibrate and report the reference campaign, or a log."""
     from stickslip_fit.estimation import fit_closed_form
+    from stickslip_fit.reporting import report as make_report
 
     chosen = log or [reference_campaign()]
     campaign = load_log(chosen, machine)
     print(campaign.summary())
-    print(f"\n{fit_closed_form(campaign, command=command_line())}")
-    with _show_progress() as tell:
-        tell("fitting and drawing")
-        written = _write_report(campaign, default_output(chosen)).resolve()
+    calibration = fit_closed_form(campaign, command=command_line())
+    print(f"\n{calibration}")
+    written = default_output(chosen).resolve()
+    with show_progress() as progress:
+        page = make_report(
+            campaign, calibration=calibration, sections=(), command=command_line(), progress=progress
+        )
+    page.save(written)
     print(f"\nreport written to {written}")
-    print(f"what the law gets wrong, and which calibration to choose: {_make_whole_report(chosen)}")
+    whole = shlex.join(["stickslip-fit", "report", *map(str, chosen)])
+    print(f"with diagnosis and comparison of strategies: {whole}")
     if browse and has_browser():
         import webbrowser
 
         webbrowser.open(written.as_uri())
-
-
-def _make_whole_report(paths: list[Path]) -> str:
-    return shlex.join(["stickslip-fit", "report", *map(str, paths)])
-
-
-@contextmanager
-def _show_progress() -> Iterator[Callable[[str], None]]:
-    """Where somebody watches, tells what is being done; wiped in the end."""
-
-    def tell(step: str) -> None:
-        if sys.stderr.isatty():
-            print(f"{CLEAR_LINE}{step}", end="", file=sys.stderr, flush=True)
-
-    try:
-        yield tell
-    finally:
-        tell("")
-
-
-def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
-    """A section of the report, or why this log has none: that must not cost the rest of the page."""
-    try:
-        return make()
-    except InputError as error:
-        return error
-
-
-def _compare_strategies(log: Log, causes: Sequence[Cause]) -> Comparison:
-    """The usual strategies on the latest sessions: each looks back on all others, so that many take hours."""
-    from stickslip_fit.strategies import (
-        causes_from_other_sessions,
-        compare_strategies,
-        default_strategies,
-        default_strategies_with_causes,
-    )
-
-    log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
-    compared = default_strategies()
-    if causes:
-        compared += default_strategies_with_causes(causes_from_other_sessions(log, causes))
-    return compare_strategies(log, compared, command=command_line())
-
-
-def _write_report(
-    log: Log,
-    output: Path,
-    causes: Sequence[Cause] = (),
-    diagnosis: Diagnosis | InputError | None = None,
-    comparison: Comparison | InputError | None = None,
-) -> Path:
-    from stickslip_fit._io import write_atomically
-    from stickslip_fit.estimation import fit_closed_form, fit_constant_step, fit_least_squares
-    from stickslip_fit.reporting import report_html
-
-    best = fit_least_squares(log, causes=causes, command=command_line())
-    calibration = fit_closed_form(log, causes_from=best if causes else None, command=command_line())
-    constant = fit_constant_step(log, calibration)
-    page = report_html(
-        log, calibration, constant, best, diagnosis=diagnosis, comparison=comparison, command=command_line()
-    )
-    write_atomically(output, page)
-    return output

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stickslip_fit._io import check_folder
-from stickslip_fit.cli._options import LogPath, MachinePath, Since, Until, command_line, load_log
+from stickslip_fit.cli._options import LogPath, MachinePath, Since, Until, check_chart, command_line, load_log
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
@@ -17,7 +17,7 @@ from stickslip_fit.errors import InputError
 def compare(
     log: LogPath,
     earlier: Annotated[
-        bool, typer.Option("--earlier", help="Look back on earlier sessions only, not on all others.")
+        bool, typer.Option("--earlier", help="Use earlier sessions only, not all others.")
     ] = False,
     more: Annotated[
         int, typer.Option(min=1, help="Traverses beyond the parameters, where least squares takes more.")
@@ -43,9 +43,9 @@ def compare(
     since: Since = None,
     until: Until = None,
 ) -> None:
-    """Say which way to calibrate buys how much accuracy, and in how many minutes."""
+    """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
-    from stickslip_fit.plotting._style import check_suffix, write_figure
+    from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_pareto
     from stickslip_fit.strategies import (
         causes_from_other_sessions,
@@ -58,31 +58,30 @@ def compare(
         save_comparison,
     )
 
-    for path in (numbers, chart):
-        if path is not None:
-            check_folder(path)
-    if chart is not None:
-        check_suffix(chart)
+    if numbers is not None:
+        check_folder(numbers)
+    check_chart(chart)
     if cause and causes_from is not None:
         raise InputError("--cause and --causes-from exclude each other: give one of them")
     campaign = load_log(log, machine, since, until)
     session_selector = earlier_sessions if earlier else other_sessions
-    compared = default_strategies(more, seed)
+    strategies = default_strategies(more, seed)
     if cause:
         known = causes_from_other_sessions(campaign, select_named_causes(cause, campaign), session_selector)
-        compared += default_strategies_with_causes(known, more)
+        strategies += default_strategies_with_causes(known, more)
     if causes_from is not None:
         known = causes_from_result(campaign, load_result(causes_from))
-        compared += default_strategies_with_causes(known, more)
-    found = compare_strategies(campaign, compared, session_selector=session_selector, command=command_line())
-    told = [found.summary().as_text(full=True)]
+        strategies += default_strategies_with_causes(known, more)
+    comparison = compare_strategies(
+        campaign, strategies, session_selector=session_selector, command=command_line()
+    )
+    texts = [comparison.summary().as_text(full=True)]
     if numbers is not None:
-        written = save_comparison(found, numbers)
-        told.append(f"{len(written)} tables saved in {numbers}")
+        texts.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
     if chart is not None:
-        write_figure(plot_pareto(found), chart, "pareto")
-        told.append(f"chart written to {chart}")
-    print("\n\n".join(told))
+        write_figure(plot_pareto(comparison), chart, "pareto")
+        texts.append(f"chart written to {chart}")
+    print("\n\n".join(texts))
 
 
 def study(
@@ -102,18 +101,18 @@ def study(
     ] = None,
     machine: MachinePath = None,
 ) -> None:
-    """Simulate campaigns in which something is hidden, and say which calibration survives what.
+    """Simulate campaigns with hidden causes, and compare how strategies cope with them.
 
-    What is finished is kept in the folder (by default named after the plan, in reports/): the same command
-    carries on where it was interrupted.
+    Finished campaigns are kept in the folder (by default named after the plan, in reports/): the same
+    command continues an interrupted study.
     """
     from dataclasses import replace
 
     from stickslip_fit.machine import load_machine
     from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_study_errors, plot_study_tips
+    from stickslip_fit.strategies.compare import make_folder
     from stickslip_fit.studies import Cluster, Cores, read_study, run_study, save_study
-    from stickslip_fit.studies.study import make_folder
 
     if cluster is not None and workers is not None:
         raise InputError("--cluster and --workers exclude each other: a cluster has its own workers")
@@ -126,13 +125,13 @@ def study(
     make_folder(folder)
     backend = Cores(workers or -1) if cluster is None else Cluster(cluster)
     try:
-        found = run_study(planned, folder, backend, progress=True, command=command_line())
+        result = run_study(planned, folder, backend, progress=True, command=command_line())
     except KeyboardInterrupt:
-        print(f"\ninterrupted; the same command carries on from what {folder} keeps", file=sys.stderr)
+        print(f"\ninterrupted; the same command continues from {folder}", file=sys.stderr)
         raise
-    written = save_study(found, folder)
+    written = save_study(result, folder)
     charts = {"errors": plot_study_errors} | ({"tips": plot_study_tips} if planned.moves else {})
     for name, plot in charts.items():
-        write_figure(plot(found), folder / f"{name}.png", name)
+        write_figure(plot(result), folder / f"{name}.png", name)
     saved = f"{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}"
-    print(f"{found}\n\n{saved}")
+    print(f"{result}\n\n{saved}")

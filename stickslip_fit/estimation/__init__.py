@@ -2,7 +2,6 @@
 
 from stickslip_fit.estimation import _summary as _summary  # registers how results are summarized
 from stickslip_fit.estimation.closed_form import fit_closed_form, solve_calibration
-from stickslip_fit.estimation.io import load_result, save_result
 from stickslip_fit.estimation.least_squares import fit_least_squares
 from stickslip_fit.estimation.load_coefficient import (
     iterate_load_coefficient,
@@ -11,7 +10,7 @@ from stickslip_fit.estimation.load_coefficient import (
 )
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.prediction import fit_constant_step, held_out_errors, summarize_errors
-from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.estimation.result import JointFit, Result, load_result
 
 __all__ = [
     "Flag",
@@ -25,7 +24,6 @@ __all__ = [
     "iterate_load_coefficient",
     "load_coefficient_from_quadratic",
     "load_result",
-    "save_result",
     "solve_calibration",
     "solve_load_coefficient",
     "summarize_errors",

@@ -1,10 +1,9 @@
 """Least squares with parameters shared by many groups: the normal equations are block-arrow-shaped.
 
 Each group's own parameters are a block, the shared ones the border; eliminating the blocks leaves a
-small system, so that time and memory grow linearly with the groups. `minimize_shared` minimizes over
-the blocks for given shared values (variable projection: G. Golub and V. Pereyra, SIAM J. Numer. Anal.
-10:413, 1973; L. Kaufman, BIT 15:49, 1975). `solve_block_arrow` takes Gauss-Newton steps in all
-parameters from a good start.
+small system, so that time and memory grow linearly with the groups. Own parameters are damped little, so
+that the search follows the profile of the sum of squares (variable projection: G. Golub and V. Pereyra,
+SIAM J. Numer. Anal. 10:413, 1973; L. Kaufman, BIT 15:49, 1975).
 """
 
 from __future__ import annotations
@@ -24,29 +23,20 @@ from stickslip_fit.estimation._optimize import (
     NormalEquations,
     Objective,
     SingularFactors,
-    factorise_products,
+    factorize,
     products_by_group,
     search,
 )
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws.base import Model
 
-# Own parameters enter nearly linearly and are to keep up with the shared ones, so that these search the
-# profile of the sum of squares (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10:413, 1973).
-OWN_DAMPING = 1e-4
+OWN_DAMPING = 1e-4  # own parameters enter nearly linearly and keep up with the shared ones
 OFFSET_TOL = 1e-5  # where causes bend the laws, the rounding of the sum of squares hides much smaller ones
 
 
 @dataclass(frozen=True)
 class ParameterSharing:
-    """Which parameters are shared, and by which groups.
-
-    Attributes
-    ----------
-    parameters : array of bool, shape (p,)
-    sets : Groups
-        Groups that use the same shared values: its `of_row` gives the set, of h, of each group.
-    """
+    """Which parameters, shape (p,), are shared; `sets.of_row` gives the set, of h, of each group."""
 
     parameters: BoolArray
     sets: Groups
@@ -57,19 +47,16 @@ class ParameterSharing:
         np.add.at(total, self.sets.of_row, values)
         return total
 
-    def spread(self, values: Array, total: Array) -> Array:
-        """Values, shape (g, p), with the shared columns from those of each set, shape (h, q)."""
-        spread = values.copy()
-        spread[:, self.parameters] = total[self.sets.of_row]
-        return spread
+    def summed(self, values: Array) -> Array:
+        """Values with each shared column summed over the set, shape (g, p)."""
+        summed = values.copy()
+        summed[:, self.parameters] = self.total(values[:, self.parameters])[self.sets.of_row]
+        return summed
 
     def averaged(self, values: Array) -> Array:
         """Values with each shared column at its mean over the set, shape (g, p)."""
-        return self.spread(values, self.total(values[:, self.parameters]) / self.sets.sizes[:, None])
-
-    def summed(self, values: Array) -> Array:
-        """Values with each shared column summed over the set, shape (g, p)."""
-        return self.spread(values, self.total(values[:, self.parameters]))
+        size = self.sets.sizes[self.sets.of_row, None]
+        return self.summed(values) / np.where(self.parameters, size, 1.0)
 
 
 def share_by_direction(names: tuple[str, ...], shared: tuple[str, ...], groups: Groups) -> ParameterSharing:
@@ -99,7 +86,7 @@ def solve_block_arrow(
     offset_tol: float = OFFSET_TOL,
     most: int = 2000,
 ) -> Minimum:
-    """Minimise the sum of weight (y - model)^2 over each group's own and the shared parameters.
+    """Minimize the sum of weight (y - model)^2 over each group's own and the shared parameters.
 
     Parameters
     ----------
@@ -112,22 +99,20 @@ def solve_block_arrow(
         Shared parameters begin at the mean over their groups.
     lower, upper : array, broadcast to shape (g, p), optional
     tolerance, most : float, int, optional
-        See `minimise`; a set of groups converges as one.
+        See `minimize`; a set of groups converges as one.
     offset_tol : float, optional
-        A set has also converged with an undamped step from where the relative offset, about the distance to
-        the minimum in standard errors, is less than this.
+        A set has also converged where the relative offset, about the distance to the minimum in standard
+        errors, is less than this.
 
     Returns
     -------
     Minimum
-        As of `minimise`; shared values stand in each of their groups, `curvature` is that of
-        `shared_curvature`, and the rank of the shared ones is dealt out over the groups of a set.
+        Of `minimize`; shared values stand in each of their groups, `curvature` is that of
+        `shared_curvature`, and the rank of the shared parameters is spread over the groups of a set.
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
-    objective = _BlockArrow(
-        model, y, weight, groups, sharing.averaged(scales), low, high, RANK_TOL, tolerance, offset_tol,
-        sharing=sharing,
-    )  # fmt: skip
+    scales, tolerances = sharing.averaged(scales), (RANK_TOL, tolerance, offset_tol)
+    objective = _BlockArrow(model, y, weight, groups, scales, low, high, *tolerances, sharing=sharing)
     return search(objective, sharing.averaged(start), 0.0, most)
 
 
@@ -139,59 +124,41 @@ class _BlockArrow(Objective):
 
     @property
     def sizes(self) -> IntArray:
-        """See `Objective.sizes`."""
         return np.bincount(self.sharing.sets.of_row, self.groups.sizes, len(self.sharing.sets)).astype(
             np.intp
         )
 
     def of_group[T: np.generic](self, values: npt.NDArray[T]) -> npt.NDArray[T]:
-        """See `Objective.of_group`."""
         return values[self.sharing.sets.of_row]
 
     def of_unit(self, values: Array) -> Array:
-        """See `Objective.of_unit`."""
         return self.sharing.sets.sums(values)
 
     def largest(self, values: Array) -> Array:
-        """See `Objective.largest`."""
         largest = np.zeros(len(self.sharing.sets))
         np.maximum.at(largest, self.sharing.sets.of_row, np.max(values, axis=1, initial=0.0))
         return largest
 
     def gradient(self, here: NormalEquations) -> Array:
-        """See `Objective.gradient`."""
         return self.sharing.summed(super().gradient(here))
 
     def lengths(self, here: NormalEquations) -> Array:
-        """See `Objective.lengths`."""
         return np.sqrt(self.sharing.summed(here.norms**2))
 
     def factors(self, here: NormalEquations, lengths: Array) -> _ArrowFactors:
-        """See `Objective.factors`."""
         return _ArrowFactors(here.products, lengths, self.sharing, self.rank_tol)
 
     def rank(self, here: NormalEquations, lengths: Array) -> IntArray:
-        """See `Objective.rank`."""
         factors = self.factors(here, lengths)
         return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, self.groups.sizes)
 
     def curvature(self, here: NormalEquations) -> Array:
-        """See `Objective.curvature`."""
         return _curvature(here.curvature(self.scales), self.sharing, self.scales)
 
 
 @dataclass(frozen=True, eq=False)
 class _ArrowFactors:
-    """A block-arrow system, solved for g groups in h sets.
-
-    Attributes
-    ----------
-    products : array, shape (g, p + 1, p + 1)
-        See `NormalEquations`.
-    lengths : array, shape (g, p)
-    sharing : ParameterSharing
-    rank_tol : float
-    """
+    """A block-arrow system, solved for g groups in h sets; `products` as in `NormalEquations`."""
 
     products: Array
     lengths: Array
@@ -200,10 +167,10 @@ class _ArrowFactors:
 
     @cached_property
     def own(self) -> SingularFactors:
-        """Each group's own parameters, the shared ones held."""
+        """Each group's own parameters, the shared ones fixed."""
         own = np.flatnonzero(~self.sharing.parameters)
         form, gradient = self.products[:, own[:, None], own], self.products[:, own, -1]
-        return factorise_products(form, gradient, self.lengths[:, own], self.rank_tol)
+        return factorize(form, gradient, self.lengths[:, own], self.rank_tol)
 
     @cached_property
     def border(self) -> SingularFactors:
@@ -214,23 +181,18 @@ class _ArrowFactors:
         # A shared parameter that the own ones can follow has next to no length beside the other effects.
         seen = lengths > self.rank_tol * np.sqrt(np.max(whole, axis=1, keepdims=True, initial=0.0))
         form = total[:, :-1, :-1] * seen[:, :, None] * seen[:, None, :]
-        return factorise_products(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
+        return factorize(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
 
     @property
     def rank(self) -> IntArray:
-        """See `Factors.rank`."""
         return self.sharing.total(self.own.rank.astype(float)).astype(np.intp) + self.border.rank
 
     @property
     def gain(self) -> Array:
-        """See `Factors.gain`."""
         return self.sharing.total(self.own.gain) + self.border.gain
 
     def step(self, damping: Array) -> Array:
-        """See `Factors.step`.
-
-        That the own parameters follow the shared ones is not damped, nor much what they do by themselves.
-        """
+        # The own parameters follow the shared ones undamped; their own steps are damped little.
         of_set, follow = self.sharing.sets.of_row, self._eliminated[1][:, :, :-1]
         shared = self.border.step(damping)[of_set]
         step = np.empty_like(self.lengths)
@@ -298,10 +260,10 @@ def _eliminate_own(products: Array, inverse: Array, sharing: ParameterSharing) -
 
 
 def _distribute_rank(rank: IntArray, sets: Groups, sizes: IntArray) -> IntArray:
-    """The rank of each set in whole numbers for its groups, as nearly by their rows as may be."""
-    dealt = np.zeros(len(sizes), dtype=np.intp)
-    for number, whole in enumerate(rank):
+    """The rank of each set in whole numbers for its groups, as nearly as possible by their rows."""
+    shares = np.zeros(len(sizes), dtype=np.intp)
+    for number, set_rank in enumerate(rank):
         members = np.flatnonzero(sets.of_row == number)
-        due = np.round(np.cumsum(sizes[members]) / sizes[members].sum() * whole)
-        dealt[members] = np.diff(due, prepend=0.0)
-    return dealt
+        due = np.round(np.cumsum(sizes[members]) / sizes[members].sum() * set_rank)
+        shares[members] = np.diff(due, prepend=0.0)
+    return shares

@@ -57,7 +57,7 @@ class Groups:
         """
         return np.bincount(self.of_row, values, len(self))
 
-    def of(self, some: npt.NDArray[np.bool_]) -> Groups:
+    def select(self, some: BoolArray) -> Groups:
         """Some of the groups, with nothing but their rows."""
         number = np.cumsum(some) - 1
         return Groups(self.table[some].reset_index(drop=True), number[self.of_row[some[self.of_row]]])
@@ -132,20 +132,20 @@ class NormalEquations:
         """J' W J in the parameters' own units, shape (g, p, p)."""
         return self.products[:, :-1, :-1] / (scales[:, :, None] * scales[:, None, :])
 
-    def without(self, held: npt.NDArray[np.bool_], groups: Groups) -> NormalEquations:
-        """These equations with some parameters, shape (g, p), held where they are."""
-        if not np.any(held):
+    def fix_parameters(self, fixed: BoolArray, groups: Groups) -> NormalEquations:
+        """These equations with some parameters, shape (g, p), fixed where they are."""
+        if not np.any(fixed):
             return self
-        free = np.concatenate([~held, np.ones((len(held), 1), dtype=bool)], axis=1)
+        free = np.concatenate([~fixed, np.ones((len(fixed), 1), dtype=bool)], axis=1)
         products = self.products * free[:, :, None] * free[:, None, :]
         return NormalEquations(self.residual, self.columns * free[groups.of_row].T, products)
 
-    def of(self, some: npt.NDArray[np.bool_], groups: Groups) -> NormalEquations:
+    def select(self, some: BoolArray, groups: Groups) -> NormalEquations:
         """The equations of some groups."""
         rows = some[groups.of_row]
         return NormalEquations(self.residual[rows], self.columns[:, rows], self.products[some])
 
-    def merge(self, other: NormalEquations, where: npt.NDArray[np.bool_], groups: Groups) -> NormalEquations:
+    def merge(self, other: NormalEquations, where: BoolArray, groups: Groups) -> NormalEquations:
         """These equations, but `other`'s in the groups `where`."""
         if np.all(where):
             return other
@@ -178,7 +178,7 @@ class SingularFactors:
     along: Array
 
     @property
-    def rank(self) -> npt.NDArray[np.intp]:
+    def rank(self) -> IntArray:
         """Directions that are identified, shape (g,)."""
         return np.sum(self.singular_values > 0, axis=1)
 
@@ -231,56 +231,35 @@ def normal_equations(
     return NormalEquations(residual, columns, products)
 
 
-def factorize_jacobian(
-    here: NormalEquations, groups: Groups, scales: Array, lengths: Array, rank_tol: float
+def factorize(
+    products: Array,
+    gradient: Array,
+    lengths: Array,
+    rank_tol: float,
+    whitened: Callable[[int, Array], tuple[Array, Array]] | None = None,
 ) -> SingularFactors:
-    """Singular values and vectors of each group's Jacobian.
+    """Singular values and vectors of each group's Jacobian from J' W J, (g, p, p), and J' W r, (g, p).
 
-    Parameters
-    ----------
-    here : NormalEquations
-    groups : Groups
-    scales : array, shape (g, p)
-    lengths : array, shape (g, p)
-        Greatest length of each column so far, by which the columns are divided.
-    rank_tol : float
-        Columns and directions with a smaller share of the greatest are not identified.
+    Columns are divided by `lengths`, (g, p), the greatest of each so far. Columns and directions with a
+    smaller share of the greatest than `rank_tol` are not identified. `whitened` gives the Jacobian, divided
+    by its lengths, and the residual of a group whose products have lost too many digits.
     """
-    lengths = _at_least(lengths, rank_tol)
-    eigenvalue, singular, vectors, along = _eigen(
-        here.products[:, :-1, :-1], here.products[:, :-1, -1], lengths
-    )
-    greatest = np.max(eigenvalue, axis=1, initial=np.finfo(float).tiny)
-    share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
-    for group in np.flatnonzero((share < CONDITION_TOL) & (rank_tol**2 < CONDITION_TOL / 10)):
-        rows = groups.of_row == group
-        slopes = here.columns[:-1, rows].T * (scales[group] / lengths[group])
-        left, singular[group], right = np.linalg.svd(slopes, full_matrices=False)
-        vectors[group], along[group] = right.T, left.T @ here.columns[-1, rows]
-    known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
-    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
-
-
-def factorise_products(products: Array, gradient: Array, lengths: Array, rank_tol: float) -> SingularFactors:
-    """As `factorise`, from J' W J, shape (g, p, p), and J' W r, shape (g, p), alone."""
-    lengths = _at_least(lengths, rank_tol)
-    _, singular, vectors, along = _eigen(products, gradient, lengths)
-    known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
-    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
-
-
-def _at_least(lengths: Array, rank_tol: float) -> Array:
     floor = rank_tol * np.max(lengths, axis=1, keepdims=True, initial=0.0)
-    return np.maximum(np.maximum(lengths, floor), np.finfo(float).tiny ** 0.25)
-
-
-def _eigen(products: Array, gradient: Array, lengths: Array) -> tuple[Array, Array, Array, Array]:
-    """Eigenvalues, singular values, right singular vectors, and the residual along the left ones."""
+    lengths = np.maximum(np.maximum(lengths, floor), np.finfo(float).tiny ** 0.25)
     eigenvalue, vectors = np.linalg.eigh(products / (lengths[:, :, None] * lengths[:, None, :]))
     singular = np.sqrt(np.maximum(eigenvalue, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.einsum("gji,gj->gi", vectors, gradient / lengths) / singular
-    return eigenvalue, singular, vectors, np.where(singular > 0, along, 0.0)
+    along = np.where(singular > 0, along, 0.0)
+    if whitened is not None and rank_tol**2 < CONDITION_TOL / 10:
+        greatest = np.max(eigenvalue, axis=1, initial=np.finfo(float).tiny)
+        share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
+        for group in np.flatnonzero(share < CONDITION_TOL).tolist():
+            jacobian, residual = whitened(group, lengths[group])
+            left, singular[group], right = np.linalg.svd(jacobian, full_matrices=False)
+            vectors[group], along[group] = right.T, left.T @ residual
+    known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
+    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
 
 
 RowSubsetModel = Callable[[IntArray], Model]
@@ -291,13 +270,13 @@ RowSubsetModel = Callable[[IntArray], Model]
 RANK_TOL = 1e-5
 REL_OFFSET_TOL = 1e-6
 DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
-# A search goes on without the groups that are done as soon as they have most rows of a log of some size.
+# In large logs the search leaves converged groups out once these have most of the rows.
 MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 1000
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the search ended.
+    """The minimum of a sum of squares.
 
     Attributes
     ----------
@@ -347,7 +326,7 @@ def minimize(
     tolerance: float = 1e-8,
     most: int = 2000,
 ) -> Minimum:
-    """Minimise each group's sum of weight (y - model)^2.
+    """Minimize each group's sum of weight (y - model)^2.
 
     Parameters
     ----------
@@ -359,12 +338,12 @@ def minimize(
         Where to begin, and a change of each parameter that matters.
     subset : callable, optional
         Positions of some rows to their model. With it the time that a slow group takes does not grow with the
-        others, since these are left alone once they have converged.
+        others, which are left out once they have converged.
     lower, upper : array, broadcast to shape (g, p), optional
         Bounds of the parameters. A step is cut off at a bound; a parameter that lies on one, and would
         leave it, stays while the others move (active set).
     damping : float, optional
-        To begin with; 0 where the model is nearly linear and undamped steps can be trusted from the start.
+        At the start; 0 where the model is nearly linear and undamped steps can be trusted from there.
     rank_tol : float, optional
         Directions with a smaller share of the largest effect are left alone as not identified.
     tolerance : float, optional
@@ -372,9 +351,6 @@ def minimize(
     most : int, optional
         Iterations before a group is given up as not converged.
 
-    Returns
-    -------
-    Minimum
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
     objective = Objective(model, y, weight, groups, scales, low, high, rank_tol, tolerance, subset=subset)
@@ -398,7 +374,7 @@ class Factors(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimise`.
+    """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimize`.
 
     What can only move together is a unit: here each group by itself.
     """
@@ -446,9 +422,16 @@ class Objective:
 
     def factors(self, here: NormalEquations, lengths: Array) -> Factors:
         """The units' normal equations at a point, solved."""
-        return factorize_jacobian(here, self.groups, self.scales, lengths, self.rank_tol)
 
-    def held(self, here: NormalEquations, values: Array) -> BoolArray:
+        def whitened(group: int, lengths: Array) -> tuple[Array, Array]:
+            rows = self.groups.of_row == group
+            return here.columns[:-1, rows].T * (self.scales[group] / lengths), here.columns[-1, rows]
+
+        return factorize(
+            here.products[:, :-1, :-1], here.products[:, :-1, -1], lengths, self.rank_tol, whitened
+        )
+
+    def active_bounds(self, here: NormalEquations, values: Array) -> BoolArray:
         """Parameters on a bound that the data would push beyond it, shape (g, p)."""
         neg_gradient = self.gradient(here)
         return ((values <= self.lower) & (neg_gradient < 0)) | ((values >= self.upper) & (neg_gradient > 0))
@@ -461,31 +444,18 @@ class Objective:
         """J' W J of each group, SI, shape (g, p, p)."""
         return here.curvature(self.scales)
 
-    def of(self, some: BoolArray, subset: RowSubsetModel) -> Objective:
-        """The sums of some of the groups."""
+    def select(self, some: BoolArray, subset: RowSubsetModel) -> Objective:
+        """The objective of some of the groups."""
         rows = np.flatnonzero(some[self.groups.of_row])
-        return replace(
-            self, model=subset(rows), y=self.y[rows], weight=self.weight[rows], groups=self.groups.of(some),
-            scales=self.scales[some], lower=self.lower[some], upper=self.upper[some],
-            subset=lambda fewer: subset(rows[fewer]),
-        )  # fmt: skip
+        arrays = {name: getattr(self, name)[some] for name in ("scales", "lower", "upper")}
+        arrays |= {name: getattr(self, name)[rows] for name in ("y", "weight")}
+        groups, fewer = self.groups.select(some), lambda few: subset(rows[few])
+        return replace(self, model=subset(rows), subset=fewer, groups=groups, **arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """How far the search is.
-
-    Attributes
-    ----------
-    values : array, shape (g, p)
-    here : NormalEquations
-    lengths : array, shape (g, p)
-        The greatest length of each slope so far.
-    damping : array, shape (u,)
-    last_size : array, shape (u,)
-        Size of the last undamped step; infinite far from the minimum.
-    converged, lost : array of bool, shape (u,)
-    """
+    """State of the search: `lengths` are the greatest so far, `last_size` that of the last undamped step."""
 
     values: Array
     here: NormalEquations
@@ -493,29 +463,34 @@ class _State:
     damping: Array
     last_size: Array
     converged: BoolArray
-    lost: BoolArray
+    diverged: BoolArray
 
     @property
     def active(self) -> BoolArray:
-        """Units still on their way, shape (u,)."""
-        return ~(self.converged | self.lost)
+        """Units that are still searched, shape (u,)."""
+        return ~(self.converged | self.diverged)
 
-    def of(self, some: BoolArray, groups: Groups) -> _State:
+    def select(self, some: BoolArray, groups: Groups) -> _State:
         """The state of some groups that are units."""
+        names = ("values", "lengths", "damping", "last_size", "converged", "diverged")
         return _State(
-            self.values[some], self.here.of(some, groups), self.lengths[some], self.damping[some],
-            self.last_size[some], self.converged[some], self.lost[some],
-        )  # fmt: skip
+            here=self.here.select(some, groups), **{name: getattr(self, name)[some] for name in names}
+        )
 
 
 def search(objective: Objective, start: Array, damping: float, most: int) -> Minimum:
-    """Minimise an objective from start values, shape (g, p); see `minimise`."""
+    """Minimize an objective from start values, shape (g, p); see `minimize`."""
     values = np.clip(start, objective.lower, objective.upper)
     here, units = objective.normal_equations(values), len(objective.sizes)
     state = _State(
-        values, here, np.zeros(values.shape), np.full(units, damping), np.full(units, np.inf),
-        np.zeros(units, dtype=bool), ~np.isfinite(objective.of_unit(here.cost)),
-    )  # fmt: skip
+        values=values,
+        here=here,
+        lengths=np.zeros(values.shape),
+        damping=np.full(units, damping),
+        last_size=np.full(units, np.inf),
+        converged=np.zeros(units, dtype=bool),
+        diverged=~np.isfinite(objective.of_unit(here.cost)),
+    )
     return _iterate(objective, state, most)
 
 
@@ -526,8 +501,8 @@ def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
             return _build_minimum(objective, state, iteration)
         few = objective.sizes[active].sum() < MIN_ROWS_FRACTION * len(objective.y)
         if objective.subset is not None and few and len(objective.y) > MIN_ROWS:
-            others = objective.of(active, objective.subset)
-            minimum = _iterate(others, state.of(active, objective.groups), most - iteration)
+            others = objective.select(active, objective.subset)
+            minimum = _iterate(others, state.select(active, objective.groups), most - iteration)
             return _build_minimum(objective, state, iteration).merge(minimum, active, objective.groups)
         state = _advance(objective, state)
     return _build_minimum(objective, state, most)
@@ -536,7 +511,8 @@ def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
 def _advance(objective: Objective, state: _State) -> _State:
     values, here, damping, active = state.values, state.here, state.damping, state.active
     lengths = np.maximum(state.lengths, objective.lengths(here))
-    factors = objective.factors(here.without(objective.held(here, values), objective.groups), lengths)
+    free = here.fix_parameters(objective.active_bounds(here, values), objective.groups)
+    factors = objective.factors(free, lengths)
     undamped, cost = factors.step(np.zeros(len(damping))), objective.of_unit(here.cost)
     offset = relative_offset(factors, cost, objective.sizes)
     near = offset < REL_OFFSET_TOL
@@ -551,10 +527,10 @@ def _advance(objective: Objective, state: _State) -> _State:
     trial = np.where(objective.of_group(active)[:, None], trial, values)
     there = objective.normal_equations(trial)
     new_cost = objective.of_unit(there.cost)
-    # Near the minimum the cost only trembles in its last digits, and a tiny step is right all the same.
+    # Near the minimum the cost changes by rounding alone, and a tiny step is right all the same.
     better = (new_cost <= cost * np.where(near, 1.0 + 1e-10, 1.0)) | (close & np.isfinite(new_cost))
     better &= active
-    converged = state.converged | ((close | (near & ~better)) & ~state.lost)
+    converged = state.converged | ((close | (near & ~better)) & ~state.diverged)
     raised = np.minimum(np.maximum(damping * DAMPING_UP, FIRST_DAMPING * (damping == 0)), MAX_DAMPING)
     damping = np.where(better, damping / DAMPING_DOWN, raised)
     taken = objective.of_group(better)
@@ -565,7 +541,7 @@ def _advance(objective: Objective, state: _State) -> _State:
         damping=damping,
         last_size=np.where(near, size, np.inf),
         converged=converged,
-        lost=state.lost | ((damping >= MAX_DAMPING) & ~converged),
+        diverged=state.diverged | ((damping >= MAX_DAMPING) & ~converged),
     )
 
 
@@ -585,6 +561,6 @@ def _build_minimum(objective: Objective, state: _State, iterations: int) -> Mini
         residual=here.residual,
         converged=objective.of_group(state.converged),
         rank=objective.rank(here, np.maximum(state.lengths, objective.lengths(here))),
-        at_bound=objective.held(here, values),
+        at_bound=objective.active_bounds(here, values),
         iterations=iterations,
     )

@@ -57,7 +57,7 @@ class FitOptions:
     repeatability: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
     def check(self, laws: Iterable[StepLaw]) -> None:
-        """Refuse what cannot be meant for these laws.
+        """Check the options against these laws.
 
         Raises
         ------
@@ -104,17 +104,7 @@ DEFAULT_OPTIONS = FitOptions()
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised: n responses in g groups with p parameters each.
-
-    Attributes
-    ----------
-    groups : Groups
-    sharing : ParameterSharing
-    y : array, shape (n,)
-        log(steps).
-    model : Model
-    start, scales, lower, upper : array, shape (g, p)
-    """
+    """What is minimized: n responses `y` = log(steps) in g groups; `start` to `upper` have shape (g, p)."""
 
     groups: Groups
     sharing: ParameterSharing
@@ -130,14 +120,10 @@ class Problem:
     def minimize(self, weight: Array, start: Array) -> Minimum:
         """The minimum of the sum of weight (y - model)^2."""
         if self.sharing.parameters.any():
-            return solve_block_arrow(
-                self.model, self.y, weight, self.groups, self.sharing, start, self.scales,
-                lower=self.lower, upper=self.upper,
-            )  # fmt: skip
-        return minimize(
-            self.model, self.y, weight, self.groups, start, self.scales,
-            subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0,
-        )  # fmt: skip
+            arguments = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
+            return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper)
+        data = (self.model, self.y, weight, self.groups, start, self.scales)
+        return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0)
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""
@@ -151,15 +137,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class JointProblem(Problem):
-    """What is minimised for one joint.
-
-    Attributes
-    ----------
-    law : StepLaw
-    rows : DataFrame
-    rounding : array, shape (n,)
-        The variance that rounding adds.
-    """
+    """What is minimized for one joint; `rounding`, shape (n,), is the variance that rounding adds."""
 
     law: StepLaw
     rows: pd.DataFrame
@@ -179,29 +157,32 @@ def single_problem(law: StepLaw, rows: pd.DataFrame, options: FitOptions) -> Joi
     names = tuple(parameter.name for parameter in law.parameters)
     lower, upper = options.bounds_of(law, groups)
     return JointProblem(
-        groups, share_by_direction(names, options.shared, groups), y, law.model(rows),
-        law.start_values(mean_step), law.scales(mean_step), lower, upper, law, rows, rounding,
+        groups=groups,
+        sharing=share_by_direction(names, options.shared, groups),
+        y=y,
+        model=law.model(rows),
+        start=law.start_values(mean_step),
+        scales=law.scales(mean_step),
+        lower=lower,
+        upper=upper,
+        law=law,
+        rows=rows,
+        rounding=rounding,
         subset=lambda some: law.model(rows.iloc[some]),
-    )  # fmt: skip
+    )
 
 
 def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
-    """Joints whose last parameters, so many of them, are the same for all.
+    """One problem of joints whose last `shared` parameters are the same for all, and no others are shared.
 
-    Parameters
-    ----------
-    joints : sequence of JointProblem
-        Among a joint's own parameters none is shared.
-    shared : int
-
-    Returns
-    -------
-    Problem
-        With the rows and groups of one joint after the other's, and columns as of `columns_of`.
+    It has the rows and groups of one joint after the other's, and columns as of `columns_of`.
     """
     width = max(joint.start.shape[1] for joint in joints)
-    columns = [_columns(joint, width, shared) for joint in joints]
-    groups = _concatenated(joints)
+    columns = [np.r_[: joint.start.shape[1] - shared, width - shared : width] for joint in joints]
+    before = np.cumsum([0, *(len(joint.groups) for joint in joints)])
+    tables = [joint.groups.table.assign(joint=joint.law.joint) for joint in joints]
+    of_row = [joint.groups.of_row + first for joint, first in zip(joints, before[:-1], strict=True)]
+    groups = Groups(pd.concat(tables, ignore_index=True), np.concatenate(of_row))
 
     def table(name: str, absent: float) -> Array:
         """Each joint's groups and parameters; a parameter that a joint lacks has no effect."""
@@ -219,23 +200,18 @@ def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
         return predicted, slopes
 
     return Problem(
-        groups, share_with_all(np.arange(width) >= width - shared, groups),
-        np.concatenate([joint.y for joint in joints]), model,
-        table("start", 0.0), table("scales", 1.0), table("lower", -np.inf), table("upper", np.inf),
-    )  # fmt: skip
+        groups=groups,
+        sharing=share_with_all(np.arange(width) >= width - shared, groups),
+        y=np.concatenate([joint.y for joint in joints]),
+        model=model,
+        start=table("start", 0.0),
+        scales=table("scales", 1.0),
+        lower=table("lower", -np.inf),
+        upper=table("upper", np.inf),
+    )
 
 
 def columns_of(whole: Problem, joint: JointProblem) -> IntArray:
     """Positions of a joint's parameters among those of a combined problem: its own first, the shared last."""
-    return _columns(joint, len(whole.sharing.parameters), int(whole.sharing.parameters.sum()))
-
-
-def _columns(joint: JointProblem, width: int, shared: int) -> IntArray:
+    width, shared = len(whole.sharing.parameters), int(whole.sharing.parameters.sum())
     return np.r_[: joint.start.shape[1] - shared, width - shared : width]
-
-
-def _concatenated(joints: Sequence[JointProblem]) -> Groups:
-    before = np.cumsum([0, *(len(joint.groups) for joint in joints)])
-    of_row = [joint.groups.of_row + first for joint, first in zip(joints, before[:-1], strict=True)]
-    tables = [joint.groups.table.assign(joint=joint.law.joint) for joint in joints]
-    return Groups(pd.concat(tables, ignore_index=True), np.concatenate(of_row))

@@ -1,4 +1,4 @@
-"""What a result says: whether the latest session is as expected, what is wrong, and all parameters."""
+"""The summary of a result: control chart of the latest session, flags, tables of the parameters."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FLAGS = {
 
 @summarize.register
 def summarize_fit(result: Result) -> Summary:
-    """Expectation, flags, the parameters of every joint by session and direction, those of causes."""
+    """Latest session, flags, the parameters of every joint by session and direction, those of causes."""
     files = file_names(list(result.provenance.log_files))
     method = capitalize_first(result.method.replace("-", " "))
     tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
@@ -51,7 +51,7 @@ def summarize_fit(result: Result) -> Summary:
 
 
 def flags(*results: Result) -> list[str]:
-    """What any of the results cannot know; remarks that differ only in their session are one."""
+    """Flags of the results as sentences; flags that differ only in their session are one sentence."""
     alike: dict[tuple[str, str], list[Flag]] = {}
     for result in results:
         for flag in result.flags:
@@ -89,7 +89,7 @@ def _parameters(result: Result, joint: int) -> Table:
     shown = pd.concat([table[table["session"].isin(sessions[-MAX_ROWS:])], table[shared]])
     columns = (
         *words("session", "direction"),
-        *(Column(each.name, each.unit.replace("1", "")) for each in own_parameters(fit)),
+        *(Column(p.name, p.unit.replace("1", "")) for p in own_parameters(fit)),
         Column("remarks", text=True),
     )
     rows = tuple(
@@ -106,14 +106,14 @@ def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame
     rows = {row.name: row for row in table.itertuples(index=False)}
     cells = [
         format_uncertain(row.estimate, row.standard_error, row.unit, with_unit=False) if row else ""
-        for row in (rows.get(each.name) for each in own_parameters(fit))
+        for row in (rows.get(parameter.name) for parameter in own_parameters(fit))
     ]
     label = ALL_SESSIONS if pd.isna(session) else str(session)
     return (label, format_direction(direction), *cells, _flags(table))
 
 
 def _flags(table: pd.DataFrame) -> str:
-    """What is wrong with the parameters of a row: "b, c: cannot be known from this log"."""
+    """Flags of the parameters of a row: "b, c: cannot be known from this log"."""
     names_of: dict[str, list[str]] = {}
     for name, flags in zip(table["name"], table["flags"], strict=True):
         for flag in dict.fromkeys(flags):
@@ -127,9 +127,9 @@ def _flags(table: pd.DataFrame) -> str:
 
 def _repeatability(fit: JointFit) -> str:
     known = [
-        f"{format_percent(each.value)} ({format_direction(sign)}, {_source_text(each)})"
-        for sign, each in fit.repeatability.items()
-        if each.df > 0
+        f"{format_percent(noise.value)} ({format_direction(sign)}, {_source_text(noise)})"
+        for sign, noise in fit.repeatability.items()
+        if noise.df > 0
     ]
     return f"Repeatability {join_words(known)}." if known else "Repeatability not known."
 
@@ -141,15 +141,15 @@ def _source_text(repeatability: NoiseLevel) -> str:
 
 
 def own_parameters(fit: JointFit) -> list[Parameter]:
-    """Those of the published law, without those of causes."""
-    return [each for each in fit.law.parameters if each.name not in fit.common]
+    """Parameters of the published law, without those of causes."""
+    return [parameter for parameter in fit.law.parameters if parameter.name not in fit.common]
 
 
 def departures_tables(result: Result) -> list[Table]:
     """The parameters of causes, where the laws have some: one number each for the whole campaign."""
     table = result.parameters
     table = table[table["joint"] == ALL_JOINTS]
-    meanings = {each.name: each.meaning for fit in result.joints.values() for each in fit.law.parameters}
+    meanings = {p.name: p.meaning for fit in result.joints.values() for p in fit.law.parameters}
     rows = [
         (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
         for row in table.itertuples(index=False)
@@ -181,6 +181,6 @@ def profile_section(table: pd.DataFrame) -> Section:
                 + (" *" if row.differs else "  "),
             )
         )
-    differ = "* The likelihood is lopsided here: trust the profile."
+    differ = "* The likelihood is asymmetric here: use the profile."
     note = differ if known["differs"].any() else "They agree."
     return Section(tables=(Table("Profile likelihood", columns, tuple(rows), stubs=3, note=note),))

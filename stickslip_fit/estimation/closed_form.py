@@ -15,7 +15,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes, usable_rows
-from stickslip_fit.estimation.identifiability import configuration_rows, describe_configuration
+from stickslip_fit.estimation.identifiability import configuration_rows, describe_configuration, is_full
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.load_coefficient import solve_load_coefficient
 from stickslip_fit.estimation.noise import (
@@ -26,8 +26,8 @@ from stickslip_fit.estimation.noise import (
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.outliers import flag_outliers
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
+from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     FixedCauses,
@@ -52,7 +52,7 @@ def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str
     ----------
     log : Log
     causes_from : Result, optional
-        Of another log: its causes are taken for known, and what it is not sure of goes into the error bars.
+        Of another log: its causes are taken as known, and their uncertainty goes into the error bars.
     command : str, optional
         Kept in the result's provenance.
 
@@ -91,18 +91,18 @@ def solve_calibration(
     known: FixedCauses | None = None,
     command: str = "",
 ) -> Result:
-    """Solve the calibration equations of the given laws, one for each joint; of held ones with the causes.
+    """Solve the calibration equations of each joint's law, with its causes where these are fixed.
 
-    A law is calibrated from the traverses of the one `companion_laws` it, or else its own: the first ones, as many as
-    it has parameters.
+    A law uses the first traverses of its own calibration, as many as it has parameters, or of the calibration
+    of its joint's law in `companion_laws`.
     """
     rows = usable_rows(log)
     joints, residuals, flags = {}, [], []
     for joint, law in laws.items():
         subset = rows[rows["joint"] == joint]
         groups = group_rows(subset)
-        asked = companion_laws[joint] if companion_laws else law
-        picked = pick_calibration(asked, subset, groups, log.machine)[:, : len(law.parameters)]
+        companion = companion_laws[joint] if companion_laws else law
+        picked = pick_calibration(companion, subset, groups, log.machine)[:, : len(law.parameters)]
         joints[joint] = _calibrate_joint(law, subset, groups, picked, log.machine, known)
         residuals.append(_residual_table(joints[joint], subset, groups, picked))
         flags += _flag_missing_traverses(law, groups, picked, joints[joint])
@@ -118,18 +118,11 @@ def solve_calibration(
 
 
 def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: Machine) -> IntArray:
-    """First full traverse of each group in each calibration configuration.
+    """Position in `rows` of each group's first full traverse in each calibration configuration, (g, p).
 
-    A traverse serves if the law cannot tell its configuration from the one asked for: the base may
-    lie on either side.
-
-    Returns
-    -------
-    array of int, shape (g, p)
-        Positions in `rows`; -1 where there is none.
+    A traverse serves if it has the configuration's features: the base may lie on either side. -1 for none.
     """
-    low, high = machine.ranges[law.joint]
-    full = np.isclose(traverse_length(rows), high - low, rtol=POSITION_TOL, atol=0.0)
+    full = is_full(rows, machine.span(law.joint), POSITION_TOL).to_numpy()
     features = law.features(rows)
     wanted = law.features(configuration_rows(law.calibration(), law.joint, "+", machine))
     picked = np.full((len(groups), len(wanted)), -1)
@@ -174,24 +167,20 @@ def _calibrate_joint(
 def _estimate_noise(
     law: StepLaw, rows: pd.DataFrame, picked: IntArray, machine: Machine, effect: Array | float
 ) -> dict[str, NoiseLevel]:
-    """From replicates that calibrated nothing, so that an estimate and its error bar are independent.
+    """From replicates not used for calibration, so that an estimate and its error bar are independent.
 
-    A direction with too few of those takes what a least-squares fit leaves over, and failing that all
-    replicates, the calibrating ones among them.
+    A direction with too few of those takes the residuals of a least-squares fit, and failing that all
+    replicates, those used for calibration among them.
     """
-    aside = np.setdiff1d(np.arange(len(rows)), picked)
+    unused = np.setdiff1d(np.arange(len(rows)), picked)
     effect = np.broadcast_to(effect, len(rows))
-    apart = estimate_from_replicates(law, rows.iloc[aside], effect[aside])
-    together = estimate_from_replicates(law, rows, effect)
-    if all(found.df >= MIN_DF for found in apart.values()):
-        return apart
-    residual = fit_joint(law, rows, machine)[0].repeatability
-    sources = (apart, residual)
+    of_unused = estimate_from_replicates(law, rows.iloc[unused], effect[unused])
+    if all(noise.df >= MIN_DF for noise in of_unused.values()):
+        return of_unused
+    sources = (of_unused, fit_joint(law, rows, machine)[0].repeatability)
     return {
-        direction: next(
-            (source[direction] for source in sources if source[direction].df >= MIN_DF), together[direction]
-        )
-        for direction in together
+        direction: next((source[direction] for source in sources if source[direction].df >= MIN_DF), noise)
+        for direction, noise in estimate_from_replicates(law, rows, effect).items()
     }
 
 
@@ -222,7 +211,7 @@ def _solve_rotary(
     ).reshape(gamma0.shape)
     unloaded = law.calibration()[:m]
     inverse = np.linalg.inv(law.basis(configuration_rows(unloaded, law.joint, "+", machine)))
-    # A missing traverse is to spoil only the parameters that need it: 0 times NaN counts as 0 here.
+    # A missing traverse makes only the parameters that need it NaN: 0 times NaN counts as 0 here.
     needed = np.abs(inverse) > FEATURE_TOL * np.max(np.abs(inverse))
     both = [np.sum(np.where(needed, inverse * part[:, None, :], 0.0), axis=2) for part in (gamma0, d)]
     return np.concatenate(both, axis=1)
@@ -236,15 +225,15 @@ def _propagate_covariance(
     known, made = np.isfinite(values), picked >= 0
     patterns, pattern_of = np.unique(np.concatenate([known, made], axis=1), axis=0, return_inverse=True)
     for index, pattern in enumerate(patterns):
-        these = np.flatnonzero(pattern_of == index)
+        groups = np.flatnonzero(pattern_of == index)
         names, traverses = (np.flatnonzero(half) for half in np.split(pattern, 2))
-        taken = picked[np.ix_(these, traverses)]
-        # The traverses made do not depend on the parameters that are not known, so any value does for those.
-        filled = np.repeat(np.nan_to_num(values[these]), len(traverses), axis=0)
+        taken = picked[np.ix_(groups, traverses)]
+        # The traverses made do not depend on unknown parameters, so that any value serves for those.
+        filled = np.repeat(np.nan_to_num(values[groups]), len(traverses), axis=0)
         slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(*taken.shape, values.shape[1])
         inverse = np.linalg.pinv(slopes[:, :, names])
         block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken], inverse)
-        covariance[np.ix_(these, names, names)] = block
+        covariance[np.ix_(groups, names, names)] = block
     return covariance
 
 
@@ -263,10 +252,9 @@ def _flag_missing_traverses(law: StepLaw, groups: Groups, picked: IntArray, fit:
         session, direction = groups.table.loc[index, ["session", "direction"]]
         unknown = tuple(name for name, fine in zip(names, fit.known[index], strict=True) if not fine)
         absent = [law.calibration()[k] for k in np.flatnonzero(picked[index] < 0)]
-        why = f"missing: {'; '.join(map(describe_configuration, absent))}" if absent else (
-            "no step size above zero gives the counts of its calibration traverses; repeat them"
-        )  # fmt: skip
-        where = f"joint {law.joint}, direction {direction}, session {session}"
-        message = f"{where}: {', '.join(unknown)} cannot be calibrated; {why}"
-        flags.append(Flag("not_identified", law.joint, direction, session, unknown, message))
+        reason = "no step size above zero gives the counts of its calibration traverses; repeat them"
+        if absent:
+            reason = f"missing: {'; '.join(map(describe_configuration, absent))}"
+        text = f"{', '.join(unknown)} cannot be calibrated; {reason}"
+        flags.append(Flag.at("not_identified", law.joint, direction, session, unknown, text))
     return flags

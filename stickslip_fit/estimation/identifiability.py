@@ -6,7 +6,6 @@ smallest subset of the law's calibration configurations that restores full rank 
 
 from __future__ import annotations
 
-from itertools import combinations
 from math import degrees, isnan
 from typing import TYPE_CHECKING
 
@@ -14,16 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation._optimize import RANK_TOL
-from stickslip_fit.estimation.noise import Flag
-from stickslip_fit.laws import Configuration, StepLaw
+from stickslip_fit.laws import Configuration, traverse_length
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:
-    from stickslip_fit.estimation._problem import JointProblem
+    pass
 
 
 def identifiable_parameters(
@@ -56,58 +53,6 @@ def identifiable_parameters(
     return unseen_share < 1e-6, seen.sum(axis=1), covariance * scales[:, :, None] * scales[:, None, :]
 
 
-def flag_unidentified(
-    problem: JointProblem,
-    machine: Machine,
-    known: npt.NDArray[np.bool_],
-    curvature: Array,
-    information: Array,
-    values: Array,
-) -> list[Flag]:
-    """For each group with unknown parameters, a remark naming them and the traverses to make.
-
-    Parameters
-    ----------
-    problem : JointProblem
-    machine : Machine
-    known : array of bool, shape (g, p)
-    curvature : array, shape (g, p, p)
-        What the log says of each group's parameters.
-    information : array, shape (n,)
-        What one row like these says of its response.
-    values : array, shape (g, p)
-    """
-    law, groups, flags = problem.law, problem.groups, []
-    names = np.array([parameter.name for parameter in law.parameters])
-    for group in np.flatnonzero(~known.all(axis=1)):
-        session, direction = groups.table.loc[group, ["session", "direction"]]
-        seen = _jacobian_root(curvature[group], problem.scales[group]) / np.sqrt(np.mean(information))
-        wanted = _smallest_calibration(law, machine, direction, seen, values[group], problem.scales[group])
-        told = "; ".join(describe_configuration(configuration) for configuration in wanted)
-        count = int(groups.sizes[group])
-        for where, when, subset in (
-            (f", session {session}", str(session), ~problem.sharing.parameters),
-            ("", "", problem.sharing.parameters),
-        ):
-            unknown = tuple(names[~known[group] & subset])
-            together = " one by one" if len(unknown) > 1 else ""
-            counted = f"{count} usable traverse{'s' if count != 1 else ''}"
-            flag = Flag(
-                "not_identified", law.joint, direction, when, unknown,
-                f"joint {law.joint}, direction {direction}{where}: {join_words(unknown)} cannot be known"
-                f"{together} from {counted if when else 'the whole campaign'}; missing: {told}",
-            )  # fmt: skip
-            if unknown and flag not in flags:
-                flags.append(flag)
-    return flags
-
-
-def _jacobian_root(curvature: Array, scales: Array) -> Array:
-    """Slopes that have this curvature, in units of the scales; (p, p) -> (p, p)."""
-    eigenvalue, vector = np.linalg.eigh(curvature * scales[:, None] * scales)
-    return np.sqrt(np.maximum(eigenvalue, 0.0))[:, None] * vector.T
-
-
 def configuration_rows(
     configurations: tuple[Configuration, ...], joint: int, direction: str, machine: Machine
 ) -> pd.DataFrame:
@@ -131,6 +76,11 @@ def configuration_rows(
     )
 
 
+def is_full(rows: pd.DataFrame, span: float, rtol: float = 1e-6) -> pd.Series[bool]:
+    """Which traverses run the joint's whole range."""
+    return pd.Series(np.isclose(traverse_length(rows), span, rtol=rtol, atol=0.0), index=rows.index)
+
+
 def describe_configuration(configuration: Configuration) -> str:
     """A configuration in words and people's units.
 
@@ -146,22 +96,3 @@ def describe_configuration(configuration: Configuration) -> str:
         parts.append(f"q3 = {from_si(configuration.q3, 'mm'):.4g} mm")
     parts += [f"theta = {degrees(configuration.theta):.4g}°", f"psi = {degrees(configuration.psi):.4g}°"]
     return f"a full traverse at {', '.join(parts)} ({configuration.label})"
-
-
-def _smallest_calibration(
-    law: StepLaw, machine: Machine, direction: str, slopes: Array, values: Array, scales: Array
-) -> tuple[Configuration, ...]:
-    """The smallest choice of the law's calibration that makes every parameter known."""
-    candidates = law.calibration()
-    rows = configuration_rows(candidates, law.joint, direction, machine)
-    # Where the fit left a law that stalls in a candidate, any law of ordinary effect serves to find the rank.
-    gained = law.jacobian(rows, values) * scales
-    if not np.all(np.isfinite(gained)):
-        ordinary = law.start_values(np.array([np.max(np.abs(scales))]))[0]
-        gained = law.jacobian(rows, ordinary) * scales
-    for size in range(1, len(candidates)):
-        for choice in combinations(range(len(candidates)), size):
-            singular = np.linalg.svd(np.vstack([slopes, gained[list(choice)]]), compute_uv=False)
-            if len(singular) == len(scales) and singular[-1] > 100 * RANK_TOL * singular[0]:
-                return tuple(candidates[index] for index in choice)
-    return candidates

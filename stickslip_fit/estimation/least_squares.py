@@ -1,23 +1,26 @@
 """fit_least_squares: parameters of every session and direction from all traverses. Start reading here.
 
-Order of reading: `_problem`, `_optimize`, `noise`, `result`. Also here: one-sided intervals of
-parameters on a bound, and profile-likelihood intervals (D. Bates and D. Watts, Nonlinear Regression
-Analysis and Its Applications, Wiley, 1988, Ch. 6).
+Order of reading: `_problem`, `_optimize`, `noise`, `result`. How rows are weighted is in two files:
+`reweighting.iterate_weights` repeats the fit with the weights that its residuals give, which are
+`Likelihood.irls_weight` over `row_variance` in `noise`. Profile-likelihood intervals are after D. Bates and
+D. Watts, Nonlinear Regression Analysis and Its Applications (Wiley, 1988), Ch. 6.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import format_value
+from stickslip_fit._format import format_value, join_words, pluralize
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import (
+    RANK_TOL,
     Groups,
     Minimum,
     group_rows,
@@ -26,97 +29,29 @@ from stickslip_fit.estimation._optimize import (
     usable_rows,
 )
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, FitOptions, JointProblem, single_problem
-from stickslip_fit.estimation.identifiability import flag_unidentified, identifiable_parameters
+from stickslip_fit.estimation.identifiability import (
+    configuration_rows,
+    describe_configuration,
+    identifiable_parameters,
+)
 from stickslip_fit.estimation.noise import (
     GAUSSIAN,
     Flag,
     Likelihood,
-    NoiseLevel,
     flag_doubtful_repeatability,
     flag_missing_error_bars,
     interval_half_widths,
+    one_sided_intervals,
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.outliers import flag_outliers
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
-from stickslip_fit.estimation.reweighting import ConvergedFit, from_residuals, iterate_weights
+from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
 from stickslip_fit.estimation.with_causes import flag_causes, problems_with_causes, published_problem
-from stickslip_fit.laws import StepLaw, published_law
+from stickslip_fit.laws import Configuration, StepLaw, published_law
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
-
-
-def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
-    """How far from its bound a parameter can be before the likelihood rules it out.
-
-    Parameters
-    ----------
-    slope : array
-        By how much half the sum of squares falls per unit of the parameter beyond the bound.
-    variance : array
-        Of the parameter, were there no bound.
-    reach : array
-        Standard errors of an interval, e.g. 1.96.
-
-    Returns
-    -------
-    array
-        The distance d with d^2 / variance + 2 |slope| d = reach^2.
-
-    Examples
-    --------
-    At a bound where the sum of squares is least anyway, it is the ordinary half-width:
-
-    >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
-    array([4.   , 0.944])
-    """
-    slope = np.abs(slope)
-    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
-
-
-def one_sided_intervals(
-    values: Array, at_bound: BoolArray, lower: Array, neg_gradient: Array, covariance: Array, reach: Array
-) -> Array:
-    """Intervals of the parameters that lie on a bound, from it to where the likelihood ends them.
-
-    Parameters
-    ----------
-    values, lower, uphill : array, shape (g, p)
-        `uphill` is by how much half the sum of squares would fall per unit of each parameter.
-    at_bound : array of bool, shape (g, p)
-    covariance : array, shape (g, p, p)
-        Were there no bound.
-    reach : array, shape (g,)
-        Standard errors of an interval.
-
-    Returns
-    -------
-    array, shape (number at a bound, 2)
-    """
-    variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
-    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
-    inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
-    ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
-    return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)
-
-
-def flag_at_bound(problem: JointProblem, values: Array, at_bound: BoolArray) -> list[Flag]:
-    """A remark for each parameter that a bound holds back, one for all sessions if they share it."""
-    law, flags = problem.law, {}
-    for index, k in np.argwhere(at_bound):
-        group, parameter = problem.groups.table.loc[index], law.parameters[k]
-        common = problem.sharing.parameters[k]
-        session = "" if common else str(group["session"])
-        where = "" if common else f", session {session}"
-        flags[session, group["direction"], k] = Flag(
-            "at_bound", law.joint, group["direction"], session, (parameter.name,),
-            f"joint {law.joint}, direction {group['direction']}{where}: {parameter.name} is held back by its "
-            f"bound at {format_value(values[index, k], parameter.unit, 4)}; the counts would have it beyond, "
-            "and the other error bars take the bound for true",
-        )  # fmt: skip
-    return list(flags.values())
 
 
 def fit_least_squares(
@@ -197,7 +132,7 @@ def fit_least_squares(
 def fit_joint(
     law: StepLaw, rows: pd.DataFrame, machine: Machine, options: FitOptions = DEFAULT_OPTIONS
 ) -> tuple[JointFit, Array, list[Flag]]:
-    """Fit one joint's law to its rows; also the residuals, shape (n,), and the remarks."""
+    """Fit one joint's law to its rows; also the residuals, shape (n,), and the flags."""
     problem = single_problem(law, rows, options)
     (joint,) = _joint_results(iterate_weights([problem], problem, options), machine, options)
     return joint
@@ -206,7 +141,7 @@ def fit_joint(
 def _joint_results(
     fit: ConvergedFit, machine: Machine, options: FitOptions
 ) -> list[tuple[JointFit, Array, list[Flag]]]:
-    """Each joint's fit, its residuals, shape (n,), and the remarks on it."""
+    """Each joint's fit, its residuals, shape (n,), and the flags on it."""
     whole, minimum, of_row = fit.whole, fit.minimum, fit.whole.groups.of_row
     slopes = whole.model(minimum.values[of_row])[1]
     curvature = whole.curvature(slopes * ~minimum.at_bound[of_row], fit.information)
@@ -237,57 +172,116 @@ def _joint_result(
     known, _, covariance = identifiable_parameters(curvature, problem.scales)
     known |= at_bound | _not_applicable(law)
     covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
-    covariance = _mask_unknown_covariance(covariance, groups, repeatability)
+    reach = interval_half_widths(groups.table, repeatability)
+    covariance[np.isnan(reach)] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
     if at_bound.any():
         _, _, unbounded = identifiable_parameters(
             all_unbounded[place][:, columns[:, None], columns], problem.scales
         )
         interval[at_bound] = one_sided_intervals(
-            values, at_bound, problem.lower, all_gradient[place, columns], unbounded,
-            interval_half_widths(groups.table, repeatability),
-        )  # fmt: skip
+            values, at_bound, problem.lower, all_gradient[place, columns], unbounded, reach
+        )
     shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
     joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
-    published, own = published_problem(problem), slice(0, len(published_problem(problem).law.parameters))
-    flags = flag_unidentified(
-        published, machine, known[:, own], curvature[:, own, own], fit.information[fit.rows(number)],
-        values[:, own],
-    )  # fmt: skip
-    flags += flag_at_bound(published, values[:, own], at_bound[:, own])
-    flags += _flag_not_converged(law, groups, minimum) + flag_missing_error_bars(
-        law, groups.table, repeatability
+    published = published_problem(problem)
+    own, information = slice(0, len(published.law.parameters)), fit.information[fit.rows(number)]
+    flags = _flag_unidentified(
+        published, machine, known[:, own], curvature[:, own, own], information, values[:, own]
     )
+    flags += _flag_at_bound(published, values[:, own], at_bound[:, own])
+    flags += _flag_not_converged(law, groups, minimum)
+    flags += flag_missing_error_bars(law, groups.table, repeatability)
     estimated = from_residuals(problem, minimum, options.likelihood)
     flags += flag_doubtful_repeatability(law, options.known_noise(law.joint), estimated)
     return joint, minimum.residual, flags
 
 
+def _flag_unidentified(
+    problem: JointProblem,
+    machine: Machine,
+    known: npt.NDArray[np.bool_],
+    curvature: Array,
+    information: Array,
+    values: Array,
+) -> list[Flag]:
+    """For each group with unknown parameters, a flag naming them and the traverses to make.
+
+    `known` and `values` have shape (g, p), `curvature` (g, p, p), and the rows' Fisher `information` (n,).
+    """
+    law, groups, flags = problem.law, problem.groups, []
+    names = np.array([parameter.name for parameter in law.parameters])
+    for group in np.flatnonzero(~known.all(axis=1)):
+        session, direction = groups.table.loc[group, ["session", "direction"]]
+        scales = problem.scales[group]
+        eigenvalue, vector = np.linalg.eigh(curvature[group] * scales[:, None] * scales)
+        root = np.sqrt(np.maximum(eigenvalue, 0.0))[:, None] * vector.T  # slopes that have this curvature
+        seen = root / np.sqrt(np.mean(information))
+        wanted = _missing_configurations(law, machine, direction, seen, values[group], scales)
+        missing = "; ".join(describe_configuration(configuration) for configuration in wanted)
+        count, shared = pluralize(int(groups.sizes[group]), "usable traverse"), problem.sharing.parameters
+        for where, rows, subset in ((str(session), count, ~shared), ("", "the whole campaign", shared)):
+            unknown = tuple(names[~known[group] & subset])
+            together = " one by one" if len(unknown) > 1 else ""
+            text = f"{join_words(unknown)} cannot be known{together} from {rows}; missing: {missing}"
+            flag = Flag.at("not_identified", law.joint, direction, where, unknown, text)
+            if unknown and flag not in flags:
+                flags.append(flag)
+    return flags
+
+
+def _missing_configurations(
+    law: StepLaw, machine: Machine, direction: str, slopes: Array, values: Array, scales: Array
+) -> tuple[Configuration, ...]:
+    """The smallest choice of the law's calibration that makes every parameter known."""
+    candidates = law.calibration()
+    rows = configuration_rows(candidates, law.joint, direction, machine)
+    # Where the fit left a law that stalls in a candidate, any law of ordinary effect serves to find the rank.
+    gained = law.jacobian(rows, values) * scales
+    if not np.all(np.isfinite(gained)):
+        ordinary = law.start_values(np.array([np.max(np.abs(scales))]))[0]
+        gained = law.jacobian(rows, ordinary) * scales
+    for size in range(1, len(candidates)):
+        for choice in combinations(range(len(candidates)), size):
+            singular = np.linalg.svd(np.vstack([slopes, gained[list(choice)]]), compute_uv=False)
+            if len(singular) == len(scales) and singular[-1] > 100 * RANK_TOL * singular[0]:
+                return tuple(candidates[index] for index in choice)
+    return candidates
+
+
+def _flag_at_bound(problem: JointProblem, values: Array, at_bound: BoolArray) -> list[Flag]:
+    """A flag for each parameter on a bound, one for all sessions if they share it."""
+    law, flags = problem.law, {}
+    for index, k in np.argwhere(at_bound):
+        group, parameter = problem.groups.table.loc[index], law.parameters[k]
+        session, direction = str(group["session"]), group["direction"]
+        session = "" if problem.sharing.parameters[k] else session
+        bound = format_value(values[index, k], parameter.unit, 4)
+        text = (
+            f"{parameter.name} is held back by its bound at {bound}; the counts would have it beyond, and "
+            "the other error bars take the bound for true"
+        )
+        flags[session, direction, k] = Flag.at(
+            "at_bound", law.joint, direction, session, (parameter.name,), text
+        )
+    return list(flags.values())
+
+
 def _not_applicable(law: StepLaw) -> npt.NDArray[np.bool_]:
-    """Parameters of which a joint need not know anything by slopes, shape (p,)."""
+    """Parameters that need no slope in a joint's rows: sudden, or without effect there; shape (p,)."""
     if not isinstance(law, ExtendedLaw):
         return np.zeros(len(law.parameters), dtype=bool)
     sudden = np.array([False] * len(law.law.parameters) + [parameter.sudden for parameter in law.common])
     return ~law.affects_joint | sudden
 
 
-def _mask_unknown_covariance(
-    covariance: Array, groups: Groups, repeatability: dict[str, NoiseLevel]
-) -> Array:
-    df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
-    return np.where((df > 0)[:, None, None], covariance, np.nan)
-
-
 def _flag_not_converged(law: StepLaw, groups: Groups, minimum: Minimum) -> list[Flag]:
     names = tuple(parameter.name for parameter in law.parameters)
+    text = "the fit has not converged; look for an outlier among this session's counts"
     return [
-        Flag(
-            "not_converged", law.joint, group.direction, group.session, names,
-            f"joint {law.joint}, direction {group.direction}, session {group.session}: the fit has not "
-            "settled; look for an outlier among this session's counts",
-        )
+        Flag.at("not_converged", law.joint, group.direction, group.session, names, text)
         for group in groups.table[~minimum.converged].itertuples()
-    ]  # fmt: skip
+    ]
 
 
 INTERVAL_DIFFERENCE = 0.1  # of the quadratic interval's half-width
@@ -301,9 +295,8 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
     Parameters
     ----------
     log : Log
-        The one that was fitted.
     result : Result
-        Its least-squares fit.
+        The log's least-squares fit.
 
     Returns
     -------
@@ -370,9 +363,9 @@ def _solve_end(
     for _ in range(MAX_ROOT_PASSES):
         fixed = fit.values[:, index] + distance
         start = fit.values[:, others] + along * distance[:, None]
-        held = _fix_parameter(model, index, fixed[groups.of_row], fit.known[groups.of_row])
-        found = minimize(held, y, weight, groups, start, scales[:, others], damping=0.0)
-        excess = np.sqrt(np.maximum(groups.sums(weight * found.residual**2) - least, 0.0))
+        others_model = _fix_parameter(model, index, fixed[groups.of_row], fit.known[groups.of_row])
+        minimum = minimize(others_model, y, weight, groups, start, scales[:, others], damping=0.0)
+        excess = np.sqrt(np.maximum(groups.sums(weight * minimum.residual**2) - least, 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
             stretch = np.where(excess > 0, np.abs(reach) / excess, 1.0)
         distance = distance * np.clip(np.nan_to_num(stretch, nan=1.0), 0.5, 2.0)
@@ -382,10 +375,10 @@ def _solve_end(
 
 
 def _fix_parameter(model: Model, index: int, fixed: Array, known: npt.NDArray[np.bool_]) -> Model:
-    """The model with one parameter held, as a function of the others; those not known stay where they are."""
+    """The model with one parameter fixed, as a function of the others; unknown ones have no slope."""
 
-    def held(values: Array) -> tuple[Array, Array]:
+    def others_model(values: Array) -> tuple[Array, Array]:
         response, jacobian = model(np.insert(values, index, fixed, axis=1))
         return response, np.delete(jacobian * known, index, axis=1)
 
-    return held
+    return others_model

@@ -1,10 +1,8 @@
-"""The load coefficient d of a rotary joint from one count, three ways (thesis Eq. 6.6 is one).
+"""The load coefficient d of a rotary joint from one count: exactly, and by the thesis's two methods.
 
-With gravity acting, the steps over a traverse are N = integral of dq / (gamma0 + d u(q)), and the mean
-step changes by delta = traverse / N - gamma0. The thesis gets d from delta by an iteration and, for
-daily use, by a fitted quadratic (Eq. 6.6); solving the integral has the error of neither.
-
-Joint 2's gamma0 and d at each q3 of a log, d by exact solving and in the thesis's two ways (its 6.3).
+With gravity, the steps over a traverse are N = integral of dq / (gamma0 + d u(q)), and the mean step changes
+by delta = traverse / N - gamma0. The thesis (Sec. 6.3) gets d from delta by an iteration and by a fitted
+quadratic (Eq. 6.6); solving the integral has the error of neither.
 """
 
 from __future__ import annotations
@@ -15,8 +13,8 @@ import pandas as pd
 from scipy.optimize.elementwise import find_root
 
 from stickslip_fit._typing import Array
-from stickslip_fit.estimation.result import Result
-from stickslip_fit.estimation.traverses import choose_repeatability, is_full
+from stickslip_fit.estimation.identifiability import is_full
+from stickslip_fit.estimation.result import Result, choose_repeatability
 from stickslip_fit.laws import Elbow, expected_steps, rounding_variance, traverse_length
 from stickslip_fit.laws.integration import harmonic_counts
 from stickslip_fit.logs import Log
@@ -56,12 +54,11 @@ def solve_load_coefficient(
     [25.91]
     """
 
-    def excess(d: Array, *arguments: Array) -> Array:
-        wanted, *rest = arguments
-        return _harmonic_step_counts(d, *rest)[0] - wanted
+    def excess(d: Array, counts: Array, gamma0: Array, amplitude: Array, *path: Array) -> Array:
+        return harmonic_counts(gamma0, d * amplitude, *path)[0] - counts
 
-    def slope(d: Array, *arguments: Array) -> Array:
-        return _harmonic_step_counts(d, *arguments[1:])[1]
+    def slope(d: Array, counts: Array, gamma0: Array, amplitude: Array, *path: Array) -> Array:
+        return harmonic_counts(gamma0, d * amplitude, *path)[2] * amplitude
 
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = np.where(np.abs(amplitude) > 1e-9, MAX_LOAD_RATIO * gamma0 / np.abs(amplitude), np.nan)
@@ -78,16 +75,15 @@ def solve_load_coefficient(
 def iterate_load_coefficient(
     counts: Array, gamma0: Array, start: Array, stop: Array, iterations: int
 ) -> Array:
-    """The thesis's way: scale d by how far the mean step it predicts is off, again and again.
+    """The thesis's iteration: d is multiplied by the change of the mean step over that which it predicts.
 
-    The listing itself is not reproduced here; this form has its starting value (first order in delta)
-    and its rate of convergence, 0.11 to 0.16 per iteration. It holds for joint 2 with psi = theta = 0,
-    where u = sin(zeta), zeta = -q2.
+    It starts at first order in delta and converges at a rate of 0.11 to 0.16 per iteration. It holds for
+    joint 2 with psi = theta = 0, where u = sin(zeta), zeta = -q2.
 
     Parameters
     ----------
     counts, gamma0 : array, shape (n,)
-        As in `solve_d`.
+        As in `solve_load_coefficient`.
     start, stop : array, shape (n,)
         Ends of the traverse in q2, rad.
     iterations : int
@@ -102,9 +98,7 @@ def iterate_load_coefficient(
     d = delta / mean_load
     path = [d]
     for _ in range(iterations):
-        predicted, _ = _harmonic_step_counts(
-            d, gamma0, np.ones_like(d), np.full_like(d, -np.pi / 2), start, stop
-        )
+        predicted = harmonic_counts(gamma0, d, np.full_like(d, -np.pi / 2), start, stop)[0]
         d = d * delta / (np.abs(stop - start) / predicted - gamma0)
         path.append(d)
     return np.stack(path)
@@ -113,8 +107,8 @@ def iterate_load_coefficient(
 def load_coefficient_from_quadratic(delta: npt.ArrayLike) -> Array:
     """Eq. 6.6: d = 3.41 x^2 + 0.025 x + 6.42e-7 rad, with x the mean step's change in units of 0.01 rad.
 
-    The thesis gives x in rad or µrad, which makes nonsense. Even so read, one quadratic for every
-    gamma0 is off by up to 1.6 µrad between 75 and 115 µrad.
+    The thesis gives x in rad or µrad, which cannot be. Read as here, one quadratic for every gamma0 is off by
+    up to 1.6 µrad between 75 and 115 µrad.
 
     Parameters
     ----------
@@ -128,13 +122,6 @@ def load_coefficient_from_quadratic(delta: npt.ArrayLike) -> Array:
     """
     x = np.asarray(delta, float) / 0.01
     return 3.41 * x**2 + 0.025 * x + 6.42e-7
-
-
-def _harmonic_step_counts(
-    d: Array, gamma0: Array, amplitude: Array, phase: Array, start: Array, stop: Array
-) -> tuple[Array, Array]:
-    counts, _, by_swing = harmonic_counts(gamma0, d * amplitude, phase, start, stop)
-    return counts, by_swing * amplitude
 
 
 THESIS_ITERATIONS = 3
@@ -164,7 +151,7 @@ def tabulate_load_coefficients(log: Log, calibration: Result, fit: Result) -> pd
     if pairs.empty:
         return pairs
     order = np.lexsort((pairs["direction"], pairs["q3"], pd.factorize(pairs["session"])[0]))
-    noise = {way: choose_repeatability(joint, way, calibration, fit).value for way in ("+", "-")}
+    noise = {sign: choose_repeatability(joint, sign, calibration, fit).value for sign in ("+", "-")}
     return _solve_pairs(pairs.iloc[order], noise, log.machine.ranges[joint])
 
 
@@ -207,6 +194,6 @@ def _solve_pairs(pairs: pd.DataFrame, noise: dict[str, float], ends: tuple[float
 
 
 def _mean_relative_error(pairs: pd.DataFrame, which: str, noise: dict[str, float]) -> np.ndarray:
-    """Of the mean of n replicates: repeatability and rounding."""
+    """Standard error of the mean of n replicates: repeatability and rounding."""
     variance = pairs["direction"].map(noise) ** 2 + pairs[f"rounding_{which}"]
     return np.sqrt(variance / pairs[f"n_{which}"]).to_numpy(float)

@@ -1,8 +1,8 @@
-"""Noise of log steps: likelihoods, repeatability from replicates or residuals, t intervals; Flag.
+"""Noise of log steps: likelihoods, repeatability from replicates or residuals, intervals; Flag.
 
-The variance of a response is repeatability^2 plus that of the rounding. StudentT weighs residuals as in
-K. Lange, R. Little and J. Taylor, JASA 84:881 (1989). Replicates hours apart contain drift and so bound
-the repeatability from above. Flag says what is wrong with a parameter or a group.
+The variance of a row's log steps is repeatability^2 plus that of the rounding (`row_variance`); its inverse,
+times `Likelihood.irls_weight`, is the row's weight. StudentT weighs residuals as in K. Lange, R. Little and
+J. Taylor, JASA 84:881 (1989). Replicates hours apart contain drift and so bound the repeatability from above.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from scipy.stats import chi2
 from scipy.stats import t as student_t
 
 from stickslip_fit._format import format_value
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.laws import StepLaw
 
 
 @dataclass(frozen=True)
 class Flag:
-    """Something a person should know about a parameter or a whole group.
+    """What is wrong with a parameter or a whole group.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Flag:
     parameters : tuple of str
         Names of the parameters concerned.
     message : str
-        What is the matter and what to do.
+        What is wrong and what to do.
     """
 
     flag: str
@@ -44,6 +44,14 @@ class Flag:
     session: str
     parameters: tuple[str, ...]
     message: str
+
+    @classmethod
+    def at(
+        cls, flag: str, joint: int, direction: str, session: str, parameters: tuple[str, ...], text: str
+    ) -> Flag:
+        """A flag whose message begins with its joint, direction and, unless empty, session."""
+        where = f"joint {joint}, direction {direction}" + (f", session {session}" if session else "")
+        return cls(flag, joint, direction, session, parameters, f"{where}: {text}")
 
 
 class Likelihood(Protocol):
@@ -55,7 +63,7 @@ class Likelihood(Protocol):
 
     @property
     def information(self) -> float:
-        """Fisher information about the middle, relative to a Gaussian of the same scale."""
+        """Fisher information about the location, relative to a Gaussian of the same scale."""
 
     @property
     def spread(self) -> float:
@@ -67,7 +75,7 @@ class Likelihood(Protocol):
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Least squares proper."""
+    """Gaussian errors: ordinary least squares."""
 
     method: str = "least-squares"
     information: float = 1.0
@@ -80,11 +88,11 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class StudentT:
-    """Heavier tails: a misheard end stop pulls little (K. Lange et al., JASA 84:881, 1989).
+    """Student's t errors: a misheard end stop has little weight (K. Lange et al., JASA 84:881, 1989).
 
     Parameters
     ----------
-    freedom : float, optional
+    df : float, optional
         Above 2.
 
     Examples
@@ -114,6 +122,10 @@ class StudentT:
 GAUSSIAN = Gaussian()
 GIVEN_DF = 10**9  # degrees of freedom of a repeatability that somebody knows
 DOUBT_LEVEL = 1e-3
+FEW_REPLICATES = (
+    "no error bars, since no traverse is left over to show how well one repeats; make each calibration "
+    "traverse twice"
+)
 CONFIGURATION_COLUMNS = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
 
 
@@ -125,8 +137,8 @@ class NoiseLevel:
     ----------
     value : float
         Standard deviation of log steps, i.e. relative; NaN where it cannot be known.
-    freedom : int
-        Degrees of freedom behind it.
+    df : int
+        Its degrees of freedom.
     source : {"replicates", "residuals", "posterior", "given"}
     """
 
@@ -185,54 +197,44 @@ def row_variance(
 ) -> Array:
     """Squared scale of each row's log steps, rounding included; shape (n,). A Gaussian's is its variance.
 
-    A direction whose repeatability is not known borrows the other's, so that weights stay sensible.
+    A direction whose repeatability is not known takes the other's.
     """
     known = [noise.value for noise in repeatability.values() if noise.df > 0]
     fallback = float(np.mean(known)) if known else 0.0
-    value = {
+    sigma = {
         direction: noise.value if noise.df > 0 else fallback for direction, noise in repeatability.items()
     }
     forwards = (rows["direction"] == "+").to_numpy()
-    return (np.where(forwards, value["+"], value["-"]) / likelihood.spread) ** 2 + rounding
+    return (np.where(forwards, sigma["+"], sigma["-"]) / likelihood.spread) ** 2 + rounding
 
 
 def flag_missing_error_bars(
     law: StepLaw, groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]
 ) -> list[Flag]:
-    """A remark for each direction that has no more traverses than parameters."""
+    """A flag for each direction that has no more traverses than parameters."""
     names = tuple(parameter.name for parameter in law.parameters)
     return [
-        Flag(
-            "few_replicates", law.joint, direction, "", names,
-            f"joint {law.joint}, direction {direction}: no error bars, since no traverse is left over to show how "
-            "well one repeats; make each calibration traverse twice",
-        )
+        Flag.at("few_replicates", law.joint, direction, "", names, FEW_REPLICATES)
         for direction, noise in repeatability.items()
         if noise.df < 1 and (groups["direction"] == direction).any()
-    ]  # fmt: skip
+    ]
 
 
 def flag_doubtful_repeatability(
     law: StepLaw, given: dict[str, NoiseLevel], estimated: dict[str, NoiseLevel]
 ) -> list[Flag]:
-    """A remark for each direction whose residuals do not scatter as the given repeatability says.
-
-    The ratio of variances is judged by chi-square over the estimate's degrees of freedom.
-    """
+    """A flag for each direction whose residuals contradict the given repeatability (chi-square test)."""
     names = tuple(parameter.name for parameter in law.parameters)
     flags = []
     for direction, known in given.items():
         estimate = estimated[direction]
         squares = estimate.df * (estimate.value / known.value) ** 2 if estimate.df else np.nan
         if min(chi2.sf(squares, estimate.df), chi2.cdf(squares, estimate.df)) < DOUBT_LEVEL / 2:
-            flags.append(
-                Flag(
-                    "repeatability_doubted", law.joint, direction, "", names,
-                    f"joint {law.joint}, direction {direction}: residuals scatter by "
-                    f"{format_value(estimate.value, '%', 2)}, the repeatability was given as "
-                    f"{format_value(known.value, '%', 2)}; the error bars take it for true",
-                )
-            )  # fmt: skip
+            text = (
+                f"residuals scatter by {format_value(estimate.value, '%', 2)}, the repeatability was given "
+                f"as {format_value(known.value, '%', 2)}; the error bars take it for true"
+            )
+            flags.append(Flag.at("repeatability_doubted", law.joint, direction, "", names, text))
     return flags
 
 
@@ -242,20 +244,9 @@ COVERAGE = 0.95
 def quadratic_interval(
     values: Array, covariance: Array, groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]
 ) -> Array:
-    """Estimate plus and minus Student's t times its standard error.
+    """Estimate, shape (g, p), plus and minus Student's t times its standard error, shape (g, p, 2).
 
-    Parameters
-    ----------
-    values : array, shape (g, p)
-    covariance : array, shape (g, p, p)
-    groups : DataFrame
-        Its column direction says whose degrees of freedom count.
-    repeatability : dict of str to Repeatability
-
-    Returns
-    -------
-    array, shape (g, p, 2)
-        NaN where there is no error bar.
+    The degrees of freedom are those of each group's direction; NaN where there is no error bar.
     """
     half = interval_half_widths(groups, repeatability)[:, None] * np.sqrt(
         np.diagonal(covariance, axis1=1, axis2=2)
@@ -277,3 +268,48 @@ def t_quantile(df: int) -> float:
     2.776
     """
     return float(student_t.ppf(0.5 + COVERAGE / 2, df)) if df > 0 else np.nan
+
+
+def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
+    """End of a bounded parameter's interval: the d with d^2 / variance + 2 |slope| d = reach^2.
+
+    Parameters
+    ----------
+    slope : array
+        By how much half the sum of squares falls per unit of the parameter beyond the bound.
+    variance : array
+        Of the parameter without the bound.
+    reach : array
+        Half-width of an interval in standard errors.
+
+    Examples
+    --------
+    At a bound where the sum of squares is least anyway, it is the ordinary half-width:
+
+    >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
+    array([4.   , 0.944])
+    """
+    slope = np.abs(slope)
+    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
+
+
+def one_sided_intervals(
+    values: Array, at_bound: BoolArray, lower: Array, neg_gradient: Array, covariance: Array, reach: Array
+) -> Array:
+    """Intervals of the parameters on a bound, from it to where the likelihood ends them, shape (k, 2).
+
+    Parameters
+    ----------
+    values, lower, neg_gradient : array, shape (g, p)
+        `neg_gradient` is by how much half the sum of squares falls per unit of each parameter.
+    at_bound : array of bool, shape (g, p)
+    covariance : array, shape (g, p, p)
+        Without the bounds.
+    reach : array, shape (g,)
+        Half-width of the intervals in standard errors.
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
+    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
+    inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
+    ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
+    return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)

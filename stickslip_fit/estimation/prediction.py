@@ -17,7 +17,7 @@ from scipy.stats import t as student_t
 
 from stickslip_fit._format import format_direction
 from stickslip_fit.estimation.closed_form import solve_calibration
-from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.estimation.result import JointFit, Result, choose_repeatability
 from stickslip_fit.laws import (
     StepLaw,
     constant_law,
@@ -28,6 +28,8 @@ from stickslip_fit.laws import (
 )
 from stickslip_fit.logs import Log
 from stickslip_fit.units import from_si
+
+POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi"]
 
 
 def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
@@ -48,8 +50,8 @@ def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
 
     Notes
     -----
-    All errors of a session come from one calibration and go up and down together, so that the share of
-    traverses outside their intervals says little. With r the n errors in log steps, J their derivatives with
+    All errors of a session come from one calibration and are correlated, so that the share of traverses
+    outside their intervals says little. With r the n errors in log steps, J their derivatives with
     respect to the parameters, C the parameters' covariance and s the repeatability, known to nu degrees of
     freedom from replicates among them, Q = r' (s^2 I + J C J')^-1 r. Without the replicates' own scatter,
     (Q - nu) / (n - nu) follows F(n - nu, nu) under Gaussian noise where the law holds.
@@ -85,7 +87,7 @@ def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
 
 
 def _mahalanobis_square(fit: JointFit, rows: pd.DataFrame, residual: np.ndarray, noise: float) -> float:
-    """The residuals' squared length in units of what is expected of them; NaN without error bars."""
+    """Squared Mahalanobis length of the residuals by the parameters' covariance and the noise."""
     group = fit.group_index(rows)
     _, jacobian = fit.law.model(rows)(fit.values[group])
     rounding = rounding_variance(rows["steps"], rows["check_every"])
@@ -98,17 +100,16 @@ def _mahalanobis_square(fit: JointFit, rows: pd.DataFrame, residual: np.ndarray,
 def fit_constant_step(log: Log, result: Result) -> Result:
     """The constant-step model: one step size per joint, session and direction.
 
-    It is measured as the law's first parameter is, by the first full traverse in the law's first calibration
-    configuration, where neither gravity nor recoil is in play. A session without such a traverse knows no
-    constant step.
+    It is that of the first full traverse in the law's first calibration configuration, without gravity and
+    recoil; NaN for a session without such a traverse.
     """
     rows = log.usable
-    beside = {
+    companions = {
         joint: published_law(joint, rows[rows["joint"] == joint], log.machine) for joint in result.joints
     }
-    laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in beside.items()}
+    laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in companions.items()}
     return solve_calibration(
-        log, laws, "constant-step", companion_laws=beside, command=result.provenance.command
+        log, laws, "constant-step", companion_laws=companions, command=result.provenance.command
     )
 
 
@@ -129,12 +130,40 @@ def held_out_errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:
     """
     fresh = ~(law.residuals["used"] | constant.residuals["used"])
     rows = log.usable.loc[fresh.index[fresh]]
-    seen = expected_steps(rows["steps"], rows["check_every"])
+    steps = expected_steps(rows["steps"], rows["check_every"])
     table = rows[["session", "joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]].copy()
-    table["measured"] = traverse_length(rows) / seen
+    table["measured"] = traverse_length(rows) / steps
     table["law"] = law.predict(rows)["step_size"]
     table["constant"] = constant.predict(rows)["step_size"]
     return table.dropna(subset=["law", "constant"])
+
+
+def collect_traverses(joint: int, log: Log, calibration: Result, fit: Result) -> pd.DataFrame:
+    """Usable traverses of a joint with measured and predicted step sizes, for figures.
+
+    Returns
+    -------
+    DataFrame
+        The log's columns, positions rounded to 1e-9, and centre (middle of the traverse, rad or m),
+        step_size (mean over the traverse), error (one repeatability, rounding included; 0 where it is
+        not known), model (by the fitted law), departure (step_size / model - 1).
+    """
+    rows = log.usable
+    rows = rows[rows["joint"] == joint].copy()
+    rows[POSITION_COLUMNS] = rows[POSITION_COLUMNS].round(9) + 0.0
+    steps = expected_steps(rows["steps"], rows["check_every"])
+    rows["centre"] = (rows["start"] + rows["stop"]) / 2
+    rows["step_size"] = traverse_length(rows) / steps
+    noise = {
+        direction: choose_repeatability(joint, direction, calibration, fit).value for direction in ("+", "-")
+    }
+    spread = np.nan_to_num(rows["direction"].astype(object).map(noise).to_numpy(float))
+    rows["error"] = rows["step_size"] * np.sqrt(
+        spread**2 + rounding_variance(rows["steps"], rows["check_every"])
+    )
+    rows["model"] = fit.predict(rows)["step_size"]
+    rows["departure"] = rows["step_size"] / rows["model"] - 1.0
+    return rows
 
 
 def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
@@ -143,7 +172,7 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     Parameters
     ----------
     table : DataFrame
-        As `errors` returns it.
+        As of `held_out_errors`.
     by : list of str
         Columns to group by; configurations are compared with NaN equal to NaN.
 
@@ -173,7 +202,7 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     return summary.reset_index()
 
 
-MIN_EARLIER_SESSIONS = 3  # sessions before; with two, anything would be as expected
+MIN_EARLIER_SESSIONS = 3  # two earlier sessions give limits too wide to be of use
 OUT_OF_CONTROL_LEVEL = 0.01  # over all parameters of a session together
 
 
@@ -217,25 +246,19 @@ def latest_control(result: Result) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The last row of each parameter in `control_chart`. Parameters with fewer than three earlier sessions
-        are not listed.
+        The last row in `control_chart` of each parameter with three or more earlier sessions.
     """
     chart = control_chart(result)
     latest = chart.groupby(["joint", "direction", "name"], sort=False).tail(1)
     return latest.dropna(subset=["expected_low"]).reset_index(drop=True)
 
 
-def format_latest_control(found: pd.DataFrame) -> str:
-    """One sentence where all is as expected, else a line for each surprise.
-
-    Parameters
-    ----------
-    found : DataFrame
-        As `expectation` returns it.
-    """
-    if found.empty:
-        return f"Fewer than {MIN_EARLIER_SESSIONS} earlier sessions: too few to say what to expect of the latest."
-    session, odd = found["session"].iloc[-1], found[found["surprising"].astype(bool)]
+def format_latest_control(latest: pd.DataFrame) -> str:
+    """`latest_control` in words: one sentence, and a line for each parameter out of control."""
+    if latest.empty:
+        few = f"Fewer than {MIN_EARLIER_SESSIONS} earlier sessions"
+        return f"{few}: too few to say what to expect of the latest."
+    session, odd = latest["session"].iloc[-1], latest[latest["surprising"].astype(bool)]
     if odd.empty:
         return f"Session {session} lies where the sessions before it lead one to expect."
     lines = [

@@ -1,4 +1,4 @@
-"""Result: the fit of a log by any estimator, its covariance, flags, residuals, provenance and summary.
+"""Result: the fit of a log by any estimator: covariance, flags, residuals, provenance; saved as JSON.
 
 `JointFit` holds one joint's law with the parameters of each group, a group being a session and a
 direction.
@@ -6,9 +6,13 @@ direction.
 
 from __future__ import annotations
 
+import json
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,31 +20,23 @@ import pandas as pd
 
 from stickslip_fit import __version__
 from stickslip_fit._format import join_words
+from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
-from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.errors import InputError
+from stickslip_fit.causes import Cause, ExtendedLaw, describe, restore
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
 from stickslip_fit.laws import StepLaw, traverse_length
 from stickslip_fit.logs import Log
-from stickslip_fit.machine import Machine
+from stickslip_fit.machine import Link, Machine
+from stickslip_fit.units import from_si
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Hashes, versions and command behind a result.
+    """Hashes, versions and command behind a result; an empty command stands for a notebook.
 
-    Attributes
-    ----------
-    log_files : tuple of str
-        Names of the log's files.
-    log_sha256, machine_sha256 : str
-    machine_name : str
-    versions : dict of str to str
-    command : str
-        As typed; empty where the result was made in a notebook.
-    seed : int or None
-        None where nothing random took part.
+    `seed` is None where nothing random took part.
     """
 
     log_files: tuple[str, ...]
@@ -64,7 +60,7 @@ class Provenance:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of what computes the numbers."""
+    """Versions of the package, Python and the numerical libraries."""
     return {
         "stickslip_fit": __version__,
         "python": ".".join(str(part) for part in sys.version_info[:3]),
@@ -86,8 +82,9 @@ def build_provenance(log: Log, command: str) -> Provenance:
     )
 
 
-AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel; see `report.figures.axes.Panels`
-ALL_JOINTS = 0  # in place of a joint, where something is said of all of them
+AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
+PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
+ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class JointFit:
         Of `values`; NaN where no error bar can be given.
     interval : array, shape (g, p, 2)
         95 % of each parameter, low and high.
-    repeatability : dict of str to Repeatability
+    repeatability : dict of str to NoiseLevel
         By direction.
     shared : tuple of str
         Parameters with one value in each direction for all sessions; it stands in each of their groups.
@@ -126,7 +123,7 @@ class JointFit:
     def common(self) -> tuple[str, ...]:
         """Parameters of causes, with one value for the whole campaign; it stands in each group."""
         law = self.law
-        return tuple(each.name for each in law.common) if isinstance(law, ExtendedLaw) else ()
+        return tuple(parameter.name for parameter in law.common) if isinstance(law, ExtendedLaw) else ()
 
     def group_index(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
         """Index of each row's group; -1 where the fit has none for its session and direction."""
@@ -148,7 +145,7 @@ class Result(Summarized):
     residuals : DataFrame
         Indexed as the log's usable rows: joint, residual (log steps seen less predicted), used (whether
         the traverse took part in the fit).
-    remarks : tuple of Remark
+    flags : tuple of Flag
     provenance : Provenance
     """
 
@@ -158,6 +155,16 @@ class Result(Summarized):
     residuals: pd.DataFrame
     flags: tuple[Flag, ...]
     provenance: Provenance
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON; nothing is left half-written.
+
+        Beside what `load_result` needs, the file holds ``parameters``: a list of name, joint, direction,
+        session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint,
+        direction and session are null where a parameter is the same for all of them.
+        """
+        text = json.dumps(_to_json(self), indent=1, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, text + "\n")
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.
@@ -194,13 +201,12 @@ class Result(Summarized):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Every parameter: name, joint, direction, session, unit, estimate and what is known of it.
+        """Every parameter: name, joint, direction, session, unit, estimate, standard_error, low, high, flags.
 
-        That is standard_error, low, high and flags; session is None for one that all sessions share. A
-        cause's parameter, one for the whole campaign, comes last, with joint 0 and an empty direction.
-        Numbers are SI; unit is the one people read them in. low and high bound 95 %; estimate and what
-        follows are NaN where the log does not know them, and standard_error is where a bound holds the
-        parameter.
+        session is None for a parameter that all sessions share. A cause's parameter, one for the whole
+        campaign, comes last, with joint 0 and an empty direction. Numbers are SI; unit is the one people
+        read them in. low and high bound 95 %. All are NaN where the log does not determine them;
+        standard_error also is where the parameter is on a bound.
         """
         table = pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
         common = table["joint"] == ALL_JOINTS
@@ -230,15 +236,15 @@ class Result(Summarized):
         return table[~((common | everywhere) & table.duplicated(["name", "direction"]))]
 
     def _flags(self, fit: JointFit, names: list[str]) -> list[tuple[str, ...]]:
-        """What is wrong with each parameter; a shared one has the flags of all its sessions."""
+        """Flags of each parameter; a shared one has those of all its sessions."""
         raised: dict[tuple[str, str, str], list[str]] = {}
         for flag in self.flags:
             if flag.joint in (fit.law.joint, ALL_JOINTS):
                 for name in flag.parameters:
                     everywhere = not flag.session or name in fit.shared
                     for session in fit.groups["session"].unique() if everywhere else [flag.session]:
-                        for way in flag.direction or "+-":
-                            raised.setdefault((session, way, name), []).append(flag.flag)
+                        for direction in flag.direction or "+-":
+                            raised.setdefault((session, direction, name), []).append(flag.flag)
         return [
             tuple(dict.fromkeys(raised.get((session, direction, name), ())))
             for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
@@ -264,8 +270,10 @@ class Result(Summarized):
         InputError
             For a session, direction or joint that was not fitted.
         """
-        parts = [self._predict_joint(joint, rows[rows["joint"] == joint]) for joint in rows["joint"].unique()]
-        return pd.concat(parts).loc[rows.index] if parts else _empty_predictions()
+        tables = [self._predict_joint(k, rows[rows["joint"] == k]) for k in rows["joint"].unique()]
+        if not tables:
+            return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
+        return pd.concat(tables).loc[rows.index]
 
     def _predict_joint(self, joint: int, rows: pd.DataFrame) -> pd.DataFrame:
         if joint not in self.joints:
@@ -282,15 +290,9 @@ class Result(Summarized):
         response, jacobian = fit.law.model(rows)(fit.values[group])
         spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
         directions = fit.groups["direction"].to_numpy()[group]
-        found = fit.repeatability.items()
-        noise = (
-            pd.Series({way: repeatability.value for way, repeatability in found}).loc[directions].to_numpy()
-        )
-        reach = (
-            pd.Series({way: t_quantile(repeatability.df) for way, repeatability in found})
-            .loc[directions]
-            .to_numpy()
-        )
+        levels = fit.repeatability.items()
+        noise = pd.Series({sign: level.value for sign, level in levels}).loc[directions].to_numpy()
+        reach = pd.Series({sign: t_quantile(level.df) for sign, level in levels}).loc[directions].to_numpy()
         total = reach * np.hypot(spread, noise)
         steps = np.exp(response)
         return pd.DataFrame(
@@ -305,5 +307,159 @@ class Result(Summarized):
         )
 
 
-def _empty_predictions() -> pd.DataFrame:
-    return pd.DataFrame(columns=["steps", "step_size", "relative_error", "low", "high"], dtype=float)
+MIN_REPLICATE_DF = 3  # degrees of freedom
+
+
+def choose_repeatability(joint: int, direction: str, calibration: Result, fit: Result) -> NoiseLevel:
+    """The replicates' repeatability; the fit's residuals' where there are few replicates."""
+    replicates = calibration.joints[joint].repeatability[direction]
+    return replicates if has_enough_replicates(replicates) else fit.joints[joint].repeatability[direction]
+
+
+def has_enough_replicates(noise: NoiseLevel) -> bool:
+    """Whether the repeatability comes from replicates, not residuals, with enough degrees of freedom."""
+    return noise.source == "replicates" and noise.df >= MIN_REPLICATE_DF
+
+
+SCHEMA = "stickslip-fit/result/1"
+
+
+def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+    """Read a result that `Result.save` wrote.
+
+    Parameters
+    ----------
+    path : path
+    causes : sequence of Cause, optional
+        Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no saved result.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+    except ValueError:
+        raise InputError(InputIssue("is no JSON; give a file that `fit --json` wrote", str(path))) from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(InputIssue(f"is no saved result of the form {SCHEMA}; fit the log again", str(path)))
+    try:
+        return _from_json(content, causes)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(
+            InputIssue(f"is a damaged result ({error!r}); fit the log again", str(path))
+        ) from None
+
+
+def _to_json(result: Result) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "method": result.method,
+        "parameters": _parameters_to_json(result.parameters),
+        "remarks": [asdict(flag) for flag in result.flags],
+        "provenance": asdict(result.provenance),
+        "machine": asdict(result.machine),
+        "joints": [_joint_to_json(fit) for fit in result.joints.values()],
+        "residuals": {
+            "row": [int(row) for row in result.residuals.index],
+            "joint": [int(joint) for joint in result.residuals["joint"]],
+            "residual": _numbers_to_json(result.residuals["residual"].to_numpy(float)),
+            "used": [bool(used) for used in result.residuals["used"]],
+        },
+    }
+
+
+def _parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
+    numbers = ("estimate", "standard_error", "low", "high")
+    return [
+        {
+            "name": row.name,
+            "joint": int(row.joint) or None,
+            "direction": str(row.direction) or None,
+            "session": None if row.session is None else str(row.session),
+            "unit": row.unit,
+            **{number: _number_to_json(from_si(getattr(row, number), row.unit)) for number in numbers},
+            "flags": list(row.flags),
+        }
+        for row in table.itertuples(index=False)
+    ]
+
+
+def _joint_to_json(fit: JointFit) -> dict[str, Any]:
+    return {
+        "law": describe(fit.law),
+        "sessions": [str(session) for session in fit.groups["session"]],
+        "directions": [str(direction) for direction in fit.groups["direction"]],
+        "shared": list(fit.shared),
+        "values": _numbers_to_json(fit.values),
+        "known": fit.known.tolist(),
+        "covariance": _numbers_to_json(fit.covariance),
+        "interval": _numbers_to_json(fit.interval),
+        "repeatability": {
+            direction: {**asdict(noise), "value": _number_to_json(noise.value)}
+            for direction, noise in fit.repeatability.items()
+        },
+    }
+
+
+def _from_json(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
+    machine = _machine_from_json(content["machine"])
+    fits = [_joint_from_json(item, machine, causes) for item in content["joints"]]
+    residuals = content["residuals"]
+    source = content["provenance"]
+    return Result(
+        method=content["method"],
+        machine=machine,
+        joints={fit.law.joint: fit for fit in fits},
+        residuals=pd.DataFrame(
+            {
+                "joint": np.array(residuals["joint"], dtype=np.int64),
+                "residual": np.array(residuals["residual"], dtype=float),
+                "used": np.array(residuals["used"], dtype=bool),
+            },
+            index=np.array(residuals["row"], dtype=np.int64),
+        ),
+        flags=tuple(Flag(**{**item, "parameters": tuple(item["parameters"])}) for item in content["remarks"]),
+        provenance=Provenance(**{**source, "log_files": tuple(source["log_files"])}),
+    )
+
+
+def _joint_from_json(item: dict[str, Any], machine: Machine, causes: Sequence[Cause]) -> JointFit:
+    return JointFit(
+        law=restore(item["law"], machine, causes),
+        groups=pd.DataFrame(
+            {
+                "session": np.array(item["sessions"], dtype=object),
+                "direction": np.array(item["directions"], dtype=object),
+            }
+        ),
+        values=np.array(item["values"], dtype=float),
+        known=np.array(item["known"], dtype=bool),
+        covariance=np.array(item["covariance"], dtype=float),
+        interval=np.array(item["interval"], dtype=float),
+        repeatability={
+            direction: NoiseLevel(**{**noise, "value": np.nan if noise["value"] is None else noise["value"]})
+            for direction, noise in item["repeatability"].items()
+        },
+        shared=tuple(item.get("shared", ())),
+    )
+
+
+def _machine_from_json(item: dict[str, Any]) -> Machine:
+    links = [Link(link["mass"], link["com"], tuple(link["inertia"])) for link in item["links"]]
+    ranges = {int(joint): (low, high) for joint, (low, high) in item["ranges"].items()}
+    return Machine(**item | {"ranges": ranges, "links": (links[0], links[1], links[2])})
+
+
+def _number_to_json(value: float) -> float | None:
+    """The number; null for an unknown one, since JSON has no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers_to_json(values: npt.NDArray[np.float64]) -> Any:
+    content = values.astype(object)
+    content[~np.isfinite(values)] = None
+    return content.tolist()

@@ -32,22 +32,15 @@ from stickslip_fit.laws import Configuration, Rows, State, StepLaw
 from stickslip_fit.laws.base import Counter
 from stickslip_fit.machine import Machine
 
-MAX_TRIAL_FACTOR = 20.0  # times as large as in a trial
+MAX_TRIAL_FACTOR = 20.0  # of a start value, in sizes of its trial
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualProblem:
-    """What published laws, each at its best, leave of the responses of n rows.
+    """Residuals of the fitted published laws, shape (n,), and the rows, one joint's after the other's.
 
-    Attributes
-    ----------
-    problems : tuple of JointProblem
-        One for each joint.
-    rows : DataFrame
-        Theirs, one problem's after the other's.
-    values, slopes : tuple of array, shape (rows of each problem, p)
-        The law's parameters of each row, and the derivatives of its response by them.
-    residual : array, shape (n,)
+    `values` and `slopes` are each row's parameters and the derivatives of its response by them, one array of
+    shape (rows, p) for each of the `problems`.
     """
 
     problems: tuple[JointProblem, ...]
@@ -57,7 +50,7 @@ class ResidualProblem:
     residual: Array
 
     def project_out_laws(self, columns: Array) -> Array:
-        """Columns less what the laws' own parameters can follow, group by group; shape (n, m)."""
+        """Residuals of columns, shape (n, m), regressed on the laws' slopes, group by group."""
         remaining, first = np.empty_like(columns), 0
         for problem, slopes in zip(self.problems, self.slopes, strict=True):
             for group in range(len(problem.groups)):
@@ -73,21 +66,21 @@ class ResidualProblem:
         changes = []
         for law, problem, own in zip(laws, self.problems, self.values, strict=True):
             values = np.column_stack([own, np.tile(start, (len(own), 1))])
-            acts = law.joint in version.joints
-            none = np.zeros((len(own), len(trials)))
-            changes.append(version.changes(law, problem.rows, values, trials) if acts else none)
+            affects_joint = law.joint in version.joints
+            no_change = np.zeros((len(own), len(trials)))
+            changes.append(version.changes(law, problem.rows, values, trials) if affects_joint else no_change)
         return self.project_out_laws(np.concatenate(changes))
 
 
 def fit_published_laws(problems: Sequence[JointProblem]) -> ResidualProblem:
     """Fit every joint's published law by itself, all rows alike."""
-    found = [problem.minimize(np.ones(len(problem.y)), problem.start) for problem in problems]
-    values = tuple(each.values[problem.groups.of_row] for problem, each in zip(problems, found, strict=True))
-    slopes = tuple(problem.model(subset)[1] for problem, subset in zip(problems, values, strict=True))
+    minima = [problem.minimize(np.ones(len(problem.y)), problem.start) for problem in problems]
+    pairs = zip(problems, minima, strict=True)
+    values = tuple(minimum.values[problem.groups.of_row] for problem, minimum in pairs)
+    slopes = tuple(problem.model(rows)[1] for problem, rows in zip(problems, values, strict=True))
     rows = pd.concat([problem.rows for problem in problems])
-    return ResidualProblem(
-        tuple(problems), rows, values, slopes, np.concatenate([each.residual for each in found])
-    )
+    residual = np.concatenate([minimum.residual for minimum in minima])
+    return ResidualProblem(tuple(problems), rows, values, slopes, residual)
 
 
 def bind_causes(rows: pd.DataFrame, causes: Sequence[Cause], machine: Machine) -> tuple[Cause, ...]:
@@ -99,14 +92,13 @@ def bind_causes(rows: pd.DataFrame, causes: Sequence[Cause], machine: Machine) -
         For one that the log cannot show, and why.
     """
     for cause in causes:
-        why = cause.missing(rows)
-        if why is not None:
-            raise InputError(f"{cause.name} cannot be fitted: {why}")
+        if (reason := cause.missing(rows)) is not None:
+            raise InputError(f"{cause.name} cannot be fitted: {reason}")
     return tuple(cause.bind(rows, machine) for cause in causes)
 
 
 def initial_guess(remainder: ResidualProblem, causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], Array]:
-    """The version of each bound cause that explains most, one after the other, and values to begin with.
+    """The version of each bound cause that explains most, one after the other, and start values.
 
     Raises
     ------
@@ -133,7 +125,7 @@ def initial_guess(remainder: ResidualProblem, causes: Sequence[Cause]) -> tuple[
 def _candidate_starts(
     remainder: ResidualProblem, laws: Sequence[StepLaw], start: Array, cause: Cause, remaining: Array
 ) -> Iterator[tuple[Cause, Array, Array]]:
-    """Each version of a cause, values for it, and what these explain of what is left, shape (n,)."""
+    """Each version of a cause, its values, and the part of the residuals that these explain, shape (n,)."""
     for version, trials in cause.trials(remainder.rows):
         effects = remainder.effects(laws, start, version, trials)
         if version.joined:
@@ -167,7 +159,7 @@ def problems_with_causes(
             f"{', '.join(options.shared)} cannot be the same in all sessions while causes are fitted; fit "
             "one or the other"
         )
-    published = [single_problem(laws[joint], subset, DEFAULT_OPTIONS) for joint, subset in by_joint.items()]
+    published = [single_problem(laws[joint], rows, DEFAULT_OPTIONS) for joint, rows in by_joint.items()]
     remainder = fit_published_laws(published)
     chosen, start = initial_guess(remainder, bind_causes(remainder.rows, causes, machine))
     options.check([*laws.values(), *(ExtendedLaw(law, chosen) for law in laws.values())])
@@ -181,7 +173,7 @@ def problems_with_causes(
 
 
 def published_problem(problem: JointProblem) -> JointProblem:
-    """The problem as far as it is the published law's."""
+    """The problem with the published law's parameters only."""
     if not isinstance(problem.law, ExtendedLaw):
         return problem
     own = slice(0, len(problem.law.law.parameters))
@@ -191,39 +183,26 @@ def published_problem(problem: JointProblem) -> JointProblem:
 
 
 def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> list[Flag]:
-    """What is to be said of the causes' parameters, once for all joints.
-
-    Parameters
-    ----------
-    fits : sequence of JointFit
-        With extended laws.
-    at_bound : sequence of array of bool, shape (g, p)
-        Of each fit.
-    """
-    flags = []
+    """Flags on the causes' parameters, once for all joints; `at_bound`, shape (g, p), is of each fit."""
+    flags: list[Flag] = []
     law = fits[0].law
     assert isinstance(law, ExtendedLaw)
-    places = iter(range(-len(law.common), 0))
-    for cause in law.causes:
-        for _ in cause.parameters:
-            k = next(places)
-            name, value = law.common[k].name, format_value(fits[0].values[0, k], law.common[k].unit, 4)
-            if law.common[k].sudden:
-                text = f"{name} = {value} was chosen among the gaps between traverses; it has no error bar"
-                flags.append(_cause_flag("chosen", name, text))
-            elif any(held[:, k].any() for held in at_bound):
-                text = f"{name} is held back by its bound at {value}; the other error bars take it for true"
-                flags.append(_cause_flag("at_bound", name, text))
-            elif not all(fit.known[:, k].all() for fit in fits):
-                text = (
-                    f"{name} cannot be known from the whole campaign; what would show it: {cause.shows_best}"
-                )
-                flags.append(_cause_flag("not_identified", name, text))
+    causes = [cause for cause in law.causes for _ in cause.parameters]
+    for k, cause in enumerate(causes, start=-len(causes)):
+        name, value = law.common[k].name, format_value(fits[0].values[0, k], law.common[k].unit, 4)
+        if law.common[k].sudden:
+            flag = "chosen"
+            text = f"{name} = {value} was chosen among the gaps between traverses; it has no error bar"
+        elif any(joint_at_bound[:, k].any() for joint_at_bound in at_bound):
+            flag = "at_bound"
+            text = f"{name} is held back by its bound at {value}; the other error bars take it for true"
+        elif not all(fit.known[:, k].all() for fit in fits):
+            flag = "not_identified"
+            text = f"{name} cannot be known from the whole campaign; what would show it: {cause.shows_best}"
+        else:
+            continue
+        flags.append(Flag(flag, ALL_JOINTS, "", "", (name,), text))
     return flags
-
-
-def _cause_flag(flag: str, name: str, message: str) -> Flag:
-    return Flag(flag, ALL_JOINTS, "", "", (name,), message)
 
 
 CalibrationSolver = Callable[[Array], Array]
@@ -237,15 +216,7 @@ EFFECT_TOL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class FixedCauses:
-    """Causes as a result has them.
-
-    Attributes
-    ----------
-    causes : tuple of Cause
-    values : array, shape (q,)
-    covariance : array, shape (q, q)
-    interval : array, shape (q, 2)
-    """
+    """Causes as a result has them: values, shape (q,), covariance, (q, q), and interval, (q, 2)."""
 
     causes: tuple[Cause, ...]
     values: Array
@@ -268,9 +239,9 @@ def fixed_causes(result: Result) -> FixedCauses:
     last = slice(-len(law.common), None)
     known = np.all([fit.known[:, last].all(axis=0) for fit in fits], axis=0)
     if not known.all():
-        unknown = ", ".join(each.name for each, fine in zip(law.common, known, strict=True) if not fine)
+        unknown = ", ".join(p.name for p, is_known in zip(law.common, known, strict=True) if not is_known)
         raise InputError(f"this result does not know {unknown}; fit its log without that cause")
-    # They are the same in all groups, but for those that have no error bars of their own.
+    # They are the same in all groups but those without error bars.
     covariance = np.concatenate([fit.covariance[:, last, last] for fit in fits])
     interval = np.concatenate([fit.interval[:, last] for fit in fits])
     best = int(np.argmax(np.isfinite(covariance).all(axis=(1, 2))))
@@ -278,16 +249,7 @@ def fixed_causes(result: Result) -> FixedCauses:
 
 
 class FixedCauseLaw(StepLaw):
-    """A published law with causes in it whose sizes are not to be fitted.
-
-    Parameters
-    ----------
-    law : StepLaw
-        Published.
-    causes : sequence of Cause
-    sizes : array, shape (q,)
-        Of their parameters.
-    """
+    """A published law with causes whose parameters, `sizes` of shape (q,), are fixed."""
 
     name = "held"
 
@@ -323,13 +285,13 @@ class FixedCauseLaw(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """See `StepLaw.counter`."""
-        count, own = self.extended.counter(rows), len(self.parameters)
+        extended, own = self.extended.counter(rows), len(self.parameters)
 
-        def held(values: Array) -> tuple[Array, Array]:
-            counts, slopes = count(self.whole(values))
+        def count(values: Array) -> tuple[Array, Array]:
+            counts, slopes = extended(self.whole(values))
             return counts, slopes[:, :own]
 
-        return held
+        return count
 
     def effect(self, rows: Rows, values: Array) -> Array:
         """By how much the causes change log(steps), shape (n,)."""
@@ -344,7 +306,7 @@ class FixedCauseLaw(StepLaw):
         return self.law.scales(mean_step)
 
     def features(self, rows: Rows) -> Array:
-        """See `StepLaw.features`: those of the published law, whose calibration is asked for."""
+        """See `StepLaw.features`: those of the published law."""
         return self.law.features(rows)
 
     def calibration(self) -> tuple[Configuration, ...]:
@@ -360,25 +322,11 @@ def solve_with_fixed_causes(
     mean_step: Array,
     solve: CalibrationSolver,
 ) -> Array:
-    """Parameters that give the steps of each calibration traverse with the causes at work, (g, p) -> (g, p).
+    """Parameters, shape (g, p), under which the calibration traverses take their `steps`, (g, p).
 
-    What the causes do is divided out of the counts, and again with the better parameters, until these rest.
-
-    Parameters
-    ----------
-    law : HeldLaw
-    rows : DataFrame
-    picked : array of int, shape (g, p)
-        Calibration traverses; -1 where there is none.
-    steps : array, shape (g, p)
-    mean_step : array, shape (g,)
-    solve : callable
-        For the published law.
-
-    Returns
-    -------
-    array, shape (g, p)
-        NaN where a traverse is missing, or a cause makes one that is there depend on what is not known.
+    The causes' effect is divided out of the counts and the published law's equations are solved again, until
+    the parameters converge. NaN where a traverse is missing, `picked` being -1, or where the effect of a
+    cause on one depends on an unknown parameter.
     """
     values, scales = solve(steps), law.scales(mean_step)
     for _ in range(MAX_PASSES):
@@ -391,68 +339,48 @@ def solve_with_fixed_causes(
 def _fixed_effects(
     law: FixedCauseLaw, rows: pd.DataFrame, picked: IntArray, values: Array, mean_step: Array
 ) -> Array:
-    """What the causes do to each calibration traverse; NaN where that depends on what is not known."""
+    """The causes' effect on each calibration traverse; NaN where it depends on an unknown parameter."""
     made = picked >= 0
-    taken, group = rows.iloc[picked[made]], np.nonzero(made)[0]
-    one, other = (
-        law.effect(taken, np.where(np.isnan(values), stand_in, values)[group])
-        for stand_in in _typical_parameters(law, mean_step)
+    traverses, group = rows.iloc[picked[made]], np.nonzero(made)[0]
+    typical = law.start_values(mean_step)
+    effect, other_effect = (
+        law.effect(traverses, np.where(np.isnan(values), substitute, values)[group])
+        for substitute in (typical, typical + 0.1 * law.scales(mean_step))
     )
     effects = np.full(picked.shape, np.nan)
-    effects[made] = np.where(np.abs(one - other) < EFFECT_TOL, one, np.nan)
+    effects[made] = np.where(np.abs(effect - other_effect) < EFFECT_TOL, effect, np.nan)
     return effects
 
 
-def _typical_parameters(law: FixedCauseLaw, mean_step: Array) -> tuple[Array, Array]:
-    """Two sets of parameters that a drive might have, each shape (g, p)."""
-    usual = law.start_values(mean_step)
-    return usual, usual + 0.1 * law.scales(mean_step)
-
-
 def fixed_cause_effect(law: StepLaw, rows: pd.DataFrame, values: Array, mean_step: Array) -> Array | float:
-    """By how much known causes change each row's log(steps), about where a parameter is not known.
-
-    Parameters
-    ----------
-    law : StepLaw
-        With held causes, or without.
-    rows : DataFrame
-    values : array, shape (n, p)
-    mean_step : array, shape (n,)
-    """
+    """By how much fixed causes change each row's log(steps); typical values stand for unknown parameters."""
     if not isinstance(law, FixedCauseLaw):
         return 0.0
     return law.effect(rows, np.where(np.isnan(values), law.start_values(mean_step), values))
 
 
 def release_causes(fit: JointFit, known: FixedCauses, solve: Callable[[FixedCauseLaw], Array]) -> JointFit:
-    """A calibration under a held law as one of the extended law; what is not sure of the causes goes with it.
+    """A calibration with fixed causes as one of the extended law, with the causes' covariance propagated.
 
-    Parameters
-    ----------
-    fit : JointFit
-        Of a HeldLaw.
-    known : KnownCauses
-    solve : callable
-        From a held law to its calibrated parameters, shape (g, p).
+    `solve` goes from a `FixedCauseLaw` to its calibrated parameters, shape (g, p).
     """
     law = fit.law
     assert isinstance(law, FixedCauseLaw)
     groups, own, q = len(fit.values), len(law.parameters), len(known.values)
-    follow = np.zeros((groups, own, q))
+    sensitivity = np.zeros((groups, own, q))
     for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
         step = DIFFERENCE_STEP * law.extended.sizes[k] * (np.arange(q) == k)
         upper, lower = (
             solve(FixedCauseLaw(law.law, known.causes, known.values + sign * step)) for sign in (1, -1)
         )
-        follow[:, :, k] = (upper - lower) / (2 * step[k])
-    both = np.concatenate([follow, np.broadcast_to(np.eye(q), (groups, q, q))], axis=1)
+        sensitivity[:, :, k] = (upper - lower) / (2 * step[k])
+    both = np.concatenate([sensitivity, np.broadcast_to(np.eye(q), (groups, q, q))], axis=1)
     covariance = both @ known.covariance @ both.swapaxes(1, 2)
     covariance[:, :own, :own] += fit.covariance
     values = law.whole(fit.values)
     interval = quadratic_interval(values, covariance, fit.groups, fit.repeatability)
     interval[:, own:] = known.interval
-    settled = np.concatenate([fit.known, np.ones((groups, q), dtype=bool)], axis=1)
+    is_known = np.concatenate([fit.known, np.ones((groups, q), dtype=bool)], axis=1)
     return replace(
-        fit, law=law.extended, values=values, covariance=covariance, interval=interval, known=settled
+        fit, law=law.extended, values=values, covariance=covariance, interval=interval, known=is_known
     )

@@ -1,4 +1,4 @@
-"""What the step size should be, and the steps over a traverse that follow from it."""
+"""The published step-size laws, and the steps over a traverse that follow from them."""
 
 from stickslip_fit.laws.base import (
     Configuration,
@@ -12,9 +12,18 @@ from stickslip_fit.laws.base import (
     traverse_length,
 )
 from stickslip_fit.laws.integration import State, state_at
-from stickslip_fit.laws.prismatic import ConstantStep, Prismatic
-from stickslip_fit.laws.published import constant_law, describe_law, published_law, restore_law
-from stickslip_fit.laws.rotary import Base, BaseAtOneReach, Elbow, Rotary
+from stickslip_fit.laws.published import (
+    Base,
+    BaseAtOneReach,
+    ConstantStep,
+    Elbow,
+    Prismatic,
+    Rotary,
+    constant_law,
+    describe_law,
+    published_law,
+    restore_law,
+)
 
 __all__ = [
     "Base",

@@ -2,8 +2,8 @@
 
 A law gives the step size gamma at a position; the steps over a traverse are the integral of dq / gamma.
 The response that is fitted is y = log(steps - check_every / 2): the end stop is checked every
-`check_every` steps, so that a count is rounded up to the next multiple and is half a check too large on
-average. Order of reading: Parameter, Configuration, StepLaw, the count model.
+`check_every` steps, so that a count is rounded up to the next multiple, and is on average half an interval
+between checks too large.
 """
 
 from __future__ import annotations
@@ -17,24 +17,13 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.laws.integration import State, integrate, state_at
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a law.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        Symbol of the unit in which people see it; inside it is SI.
-    lower, upper : float
-        Bounds of what is physically possible, SI.
-    meaning : str
-        A phrase for tables and reports.
-    """
+    """A parameter of a law: its unit for display, a phrase for tables, and physical bounds in SI."""
 
     name: str
     unit: str
@@ -45,17 +34,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Configuration:
-    """Where the joints and the base stand while one joint makes its full traverse; rad and m.
-
-    Attributes
-    ----------
-    label : str
-        What is special about it, in words.
-    q1, q2, q3 : float
-        Joint positions; NaN for the joint that moves.
-    theta, psi : float
-        Orientation of the base.
-    """
+    """Joint positions and base orientation during a full traverse, rad and m; NaN for the moving joint."""
 
     label: str
     q1: float = 0.0
@@ -65,8 +44,8 @@ class Configuration:
     psi: float = 0.0
 
 
-def observed_count(steps: npt.ArrayLike, check_every: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    """The count at which the end stop is noticed.
+def observed_count(steps: npt.ArrayLike, check_every: npt.ArrayLike) -> Int64Array:
+    """The count at which the end stop is detected.
 
     Examples
     --------
@@ -79,7 +58,7 @@ def observed_count(steps: npt.ArrayLike, check_every: npt.ArrayLike) -> npt.NDAr
 
 
 def expected_steps(count: npt.ArrayLike, check_every: npt.ArrayLike) -> Array:
-    """The steps that a seen count stands for on average: half a check earlier.
+    """The expected steps given an observed count: half an interval between checks less.
 
     Examples
     --------
@@ -91,7 +70,7 @@ def expected_steps(count: npt.ArrayLike, check_every: npt.ArrayLike) -> Array:
 
 
 def rounding_variance(count: npt.ArrayLike, check_every: npt.ArrayLike) -> Array:
-    """Variance of log(steps) that the rounding adds: a uniform spread of one check."""
+    """Variance of log(steps) due to rounding: uniform over one interval between checks."""
     spread = np.asarray(check_every, float) / np.sqrt(12.0)
     return (spread / expected_steps(count, check_every)) ** 2
 
@@ -112,20 +91,20 @@ def float_column(rows: Rows, name: str) -> Array:
 class StepLaw(ABC):
     """The step size of one joint as a function of where everything stands.
 
-    A law holds no parameter values: `values` is handed to every method, either shape (p,) for all
-    rows or shape (n, p), a row's own. The response that estimators fit is log(steps).
+    A law holds no parameter values: `values` is passed to every method, shape (p,) for all rows or (n, p)
+    for each row. The response that estimators fit is log(steps).
 
     Attributes
     ----------
     name : str
-        As reports and saved results call it.
+        In reports and saved results.
     joint : {1, 2, 3}
     parameters : tuple of Parameter
         p of them; one set for each session and direction.
     columns : tuple of str
-        Columns of a row, beside start and stop, on which the step size depends.
+        Columns of a row, besides start and stop, on which the step size depends.
     max_panel : float
-        Widest panel that still sees every feature of the step size along a traverse, rad or m.
+        Widest integration panel that resolves the step size along a traverse, rad or m.
     """
 
     name: ClassVar[str]
@@ -136,19 +115,7 @@ class StepLaw(ABC):
 
     @abstractmethod
     def gamma(self, state: State, values: Array) -> Array:
-        """Step size in a state.
-
-        Parameters
-        ----------
-        state : State
-            n traverses at k positions each.
-        values : array, shape (n, p)
-
-        Returns
-        -------
-        array, shape (n, k) or (n, 1)
-            rad or m per step.
-        """
+        """Step size in a state, rad or m, shape (n, k) or (n, 1); `values` has shape (n, p)."""
 
     @abstractmethod
     def gamma_slopes(self, state: State, values: Array) -> Array:
@@ -156,11 +123,11 @@ class StepLaw(ABC):
 
     @abstractmethod
     def start_values(self, mean_step: Array) -> Array:
-        """Where an estimator may begin, given the mean step sizes seen, shape (g,) -> (g, p)."""
+        """Start values for an estimator, given mean step sizes, shape (g,) -> (g, p)."""
 
     @abstractmethod
     def scales(self, mean_step: Array) -> Array:
-        """A change of each parameter that matters as much as the step size itself, (g,) -> (g, p)."""
+        """The magnitude of each parameter relative to the step size, (g,) -> (g, p)."""
 
     @abstractmethod
     def features(self, rows: Rows) -> Array:
@@ -168,31 +135,18 @@ class StepLaw(ABC):
 
     @abstractmethod
     def calibration(self) -> tuple[Configuration, ...]:
-        """The configurations whose full traverses make every parameter known."""
+        """The configurations whose full traverses determine every parameter."""
 
     def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """Step size with the joint at `position`.
-
-        Parameters
-        ----------
-        rows : mapping of str to array, shape (n,)
-        position : array, shape (n, k)
-            Positions of the moving joint, rad or m.
-        values : array, shape (p,) or (n, p)
-
-        Returns
-        -------
-        array, shape (n, k)
-            rad or m per step.
-        """
+        """Step size with the joint at `position` (rad or m), both of shape (n, k)."""
         values = np.broadcast_to(values, (len(position), len(self.parameters)))
         return np.broadcast_to(self.gamma(state_at(self.joint, rows, position), values), position.shape)
 
     def counter(self, rows: Rows) -> Counter:
         """How the steps over these traverses follow from parameter values.
 
-        Whatever does not depend on the values is worked out once, here. This general form is a
-        quadrature of 1 / step size; a law with a closed form overrides it.
+        What does not depend on the values is computed once. This general form is a quadrature of 1 / step
+        size; a law with a closed form overrides it.
 
         Returns
         -------
@@ -207,17 +161,18 @@ class StepLaw(ABC):
         def count(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(start), len(self.parameters)))
 
-            def integrand(owner: npt.NDArray[np.intp], position: Array) -> Array:
-                taken = {name: array[owner] for name, array in arrays.items()}
-                state = state_at(self.joint, taken, position)
+            def integrand(owner: IntArray, position: Array) -> Array:
+                row = {name: array[owner] for name, array in arrays.items()}
+                state = state_at(self.joint, row, position)
                 gamma = np.broadcast_to(self.gamma(state, values[owner]), position.shape)
                 slopes = self.gamma_slopes(state, values[owner])
                 with np.errstate(divide="ignore", invalid="ignore"):
                     rate = np.where(gamma > 0, 1.0 / gamma, np.nan)[..., None]
                     return np.concatenate([rate, -slopes * rate**2], axis=-1)
 
-            both = integrate(integrand, start, stop, widest=self.max_panel) * np.sign(stop - start)[:, None]
-            return both[:, 0], both[:, 1:]
+            integrals = integrate(integrand, start, stop, max_panel=self.max_panel)
+            integrals = integrals * np.sign(stop - start)[:, None]
+            return integrals[:, 0], integrals[:, 1:]
 
         return count
 
@@ -245,12 +200,7 @@ class StepLaw(ABC):
         return self.model(rows)(values)[1]
 
     def response(self, rows: Rows) -> tuple[Array, Array]:
-        """What was measured: log(steps) as if never rounded, and the variance the rounding adds.
-
-        Returns
-        -------
-        y, extra_variance : array, shape (n,)
-        """
+        """The measured response, the mean of log(steps), and its variance due to rounding, shape (n,)."""
         steps, check_every = float_column(rows, "steps"), float_column(rows, "check_every")
         return np.log(expected_steps(steps, check_every)), rounding_variance(steps, check_every)
 

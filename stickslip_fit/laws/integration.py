@@ -3,7 +3,7 @@
 The closed form is for rotary joints with gamma = gamma0 + A cos(q - phase). With e = A / gamma0 the
 integral of dq / (1 + e cos q) is elementary in the eccentric anomaly E = q - 2 atan2(beta sin q, 1 +
 beta cos q), beta = e / (1 + sqrt(1 - e^2)) (R. H. Battin, An Introduction to the Mathematics and
-Methods of Astrodynamics, AIAA, 1999, Eqs. 4.29 to 4.32). `State` holds the manipulator's pose at the
+Methods of Astrodynamics, AIAA, 1999, Eqs. 4.29 to 4.32). `State` is the manipulator at the
 nodes.
 """
 
@@ -60,7 +60,7 @@ GAUSS_WEIGHTS = np.zeros(15)
 GAUSS_WEIGHTS[1::2] = np.concatenate([_HALF_GAUSS[:-1], _HALF_GAUSS[::-1]])
 
 MAX_DEPTH = 48
-MAX_PANELS = 2_000  # of one traverse at one depth; an integrand that asks for more is no smooth function
+MAX_PANELS = 2_000  # of one traverse at one depth; an integrand that needs more is not smooth
 
 
 def integrate(
@@ -68,7 +68,7 @@ def integrate(
     start: npt.ArrayLike,
     stop: npt.ArrayLike,
     *,
-    widest: float = np.inf,
+    max_panel: float = np.inf,
     relative: float = 1e-11,
 ) -> Array:
     """Integrate over each traverse by Gauss-Kronrod panels, bisected until each is accurate.
@@ -80,9 +80,8 @@ def integrate(
         shape (m, 15); returns shape (m, 15) or (m, 15, k).
     start, stop : array_like, shape (n,)
         Ends of each traverse, in either order.
-    widest : float, optional
-        No panel is wider than this: the scale of the narrowest feature that a smooth-looking panel
-        could step over (a worn spot 0.1 mm wide in 12 mm is invisible to 15 nodes).
+    max_panel : float, optional
+        Widest panel: below it, 15 nodes resolve the narrowest feature (a worn spot 0.1 mm wide).
     relative : float, optional
         Accuracy of each integral relative to the integral of its absolute value.
 
@@ -93,7 +92,7 @@ def integrate(
     Raises
     ------
     InputError
-        If an integrand is not finite or does not settle, e.g. a step size that passes through zero.
+        If an integrand is not finite or does not converge, e.g. a step size that passes through zero.
 
     Examples
     --------
@@ -101,7 +100,7 @@ def integrate(
     [ 1.  -0.5]
     """
     start, stop = np.asarray(start, float), np.asarray(stop, float)
-    owner, low, high = _initial_panels(start, stop, widest)
+    owner, low, high = _initial_panels(start, stop, max_panel)
     total: Array | None = None
     scale = np.zeros((len(start), 1))
     for _ in range(MAX_DEPTH):
@@ -117,24 +116,24 @@ def integrate(
             scale = np.zeros_like(total)
             np.add.at(scale, owner, np.einsum("j,mjk,m->mk", KRONROD_WEIGHTS, np.abs(flat), np.abs(half)))
         share = np.abs(high - low) / np.abs(stop - start)[owner]
-        # Each component by its own size, for they differ in unit; a component that is nothing but
-        # rounding noise never settles by that, but is lost in the rounding of the largest.
+        # Relative to each component, for they differ in unit; a component of rounding noise alone converges
+        # by the rounding of the largest.
         allowed = relative * scale[owner] * np.sqrt(share)[:, None]
         allowed += np.finfo(float).eps * scale[owner].max(axis=1, keepdims=True)
-        settled = np.all(np.abs(fine - coarse) <= allowed, axis=1)
-        np.add.at(total, owner[settled], fine[settled])
-        if np.all(settled):
+        converged = np.all(np.abs(fine - coarse) <= allowed, axis=1)
+        np.add.at(total, owner[converged], fine[converged])
+        if np.all(converged):
             return total[:, 0] if values.ndim == 2 else total
-        if np.bincount(owner[~settled]).max() > MAX_PANELS:
+        if np.bincount(owner[~converged]).max() > MAX_PANELS:
             break
-        owner, low, high = owner[~settled], low[~settled], high[~settled]
+        owner, low, high = owner[~converged], low[~converged], high[~converged]
         middle = (low + high) / 2
         owner, low, high = np.tile(owner, 2), np.append(low, middle), np.append(middle, high)
     raise InputError("the step size varies too sharply within a traverse to count its steps")
 
 
-def _initial_panels(start: Array, stop: Array, widest: float) -> tuple[IntArray, Array, Array]:
-    panels = np.maximum(np.ceil(np.abs(stop - start) / widest), 1).astype(int)
+def _initial_panels(start: Array, stop: Array, max_panel: float) -> tuple[IntArray, Array, Array]:
+    panels = np.maximum(np.ceil(np.abs(stop - start) / max_panel), 1).astype(int)
     owner = np.repeat(np.arange(len(start)), panels)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(panels) - panels, panels)
     width = ((stop - start) / panels)[owner]
@@ -149,10 +148,10 @@ def harmonic_counts(
 
     Parameters
     ----------
-    gamma0, amplitude : array, shape (n,)
-        Step size without load and its greatest departure, rad.
-    phase, start, stop : array, shape (n,)
-        Where the departure is greatest, and the ends of the traverse, rad.
+    gamma0, amplitude, phase : array, shape (n,)
+        Of the step size, rad.
+    start, stop : array, shape (n,)
+        Ends of the traverse, rad.
 
     Returns
     -------
@@ -200,9 +199,9 @@ class State:
     theta, psi : array
         Orientation of the base.
     row : mapping of str to array, shape (n,)
-        Everything else that is known of each traverse, e.g. ``session_seconds``.
+        Other quantities of each traverse, e.g. ``session_seconds``.
     override_load, override_recoil : array or None
-        In place of what the angles say.
+        In place of those that follow from the angles.
     """
 
     joint: int
@@ -218,13 +217,13 @@ class State:
 
     @cached_property
     def load(self) -> Array:
-        """The published gravity load on the joint, unless something has put another in its place."""
+        """The published gravity load on the joint, or `override_load`."""
         if self.override_load is not None:
             return self.override_load
         return published_load(self.joint, self.q1, self.q2, self.theta, self.psi)
 
     @property
-    def way(self) -> Array:
+    def direction_sign(self) -> Array:
         """1 where the joint moves in `+`, -1 where in `-`, shape (n, 1)."""
         return np.sign(self.column("stop") - self.column("start"))
 
@@ -235,16 +234,16 @@ class State:
 
     @cached_property
     def recoil(self) -> Array:
-        """How much of the arm's length stands in the way of recoil: |cos q2|, unless replaced."""
+        """The recoil factor |cos q2|, or `override_recoil`."""
         return np.abs(np.cos(self.q2)) if self.override_recoil is None else self.override_recoil
 
     def column(self, name: str) -> Array:
         """A quantity of each traverse, shape (n, 1)."""
         return np.asarray(self.row[name], dtype=float)[:, None]
 
-    def with_changes(self, **changed: Any) -> State:
-        """Another state, in which load and recoil follow the angles unless they are given."""
-        return replace(self, **changed)
+    def with_changes(self, **changes: Any) -> State:
+        """Another state; its load and recoil follow from its angles unless overridden."""
+        return replace(self, **changes)
 
 
 def state_at(joint: int, row: Mapping[str, Any], position: Array) -> State:
@@ -254,6 +253,6 @@ def state_at(joint: int, row: Mapping[str, Any], position: Array) -> State:
     def column(name: str) -> Array:
         return np.asarray(row.get(name, unknown), dtype=float)[:, None]
 
-    place = {name: column(name) for name in ("q1", "q2", "q3", "theta", "psi")}
-    place[f"q{joint}"] = position
-    return State(joint, position, **place, row=row)
+    pose = {name: column(name) for name in ("q1", "q2", "q3", "theta", "psi")}
+    pose[f"q{joint}"] = position
+    return State(joint, position, **pose, row=row)

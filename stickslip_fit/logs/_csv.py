@@ -1,6 +1,6 @@
 """CSV bytes into a table of cells, with the line of every record.
 
-pyarrow parses the cells; records are scanned a second time only to say in which line a fault is. A
+pyarrow parses the cells; records are scanned a second time only to locate an issue. A
 quoted cell may hold commas, line ends and doubled quotation marks; a quotation mark elsewhere is an
 ordinary character. Lines end in LF, CR LF or CR. Bytes that are not UTF-8 are reported line by line.
 """
@@ -8,16 +8,16 @@ ordinary character. Lines end in LF, CR LF or CR. Bytes that are not UTF-8 are r
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from pyarrow import csv
 
 from stickslip_fit._typing import Int64Array
-from stickslip_fit.logs._table import IssueCollector, combine_chunks
+from stickslip_fit.logs._table import FileTable, IssueCollector, combine_chunks
 from stickslip_fit.logs.schema import holds_numbers, is_known
 
 _CELL_PATTERN = rb'(?>"(?:[^"]++|"")*+(?:"|\Z)[^,\r\n]*+|[^,"\r\n][^,\r\n]*+|)'
@@ -36,15 +36,23 @@ class RaggedRecord:
     text: str
 
 
+class CsvScan(NamedTuple):
+    """Lines of records of the right width, records of another width, and the line of an open quote."""
+
+    lines: Int64Array
+    ragged: list[RaggedRecord]
+    unclosed: int | None
+
+
 @dataclass(frozen=True)
 class CsvRecords:
-    r"""The records of `raw` from byte `start` on, which stands in line `first_line`.
+    r"""The records of `raw` from byte `start` on, which is in line `first_line`; empty lines are no records.
 
     Examples
     --------
     >>> records = CsvRecords(b'1,"two\nlines"\n3\n4,5\n', start=0, first_line=1, width=2)
-    >>> records.lines, records.ragged
-    (array([1, 4]), [Ragged(line=3, cells=1, text='3')])
+    >>> records.scan.lines, records.scan.ragged
+    (array([1, 4]), [RaggedRecord(line=3, cells=1, text='3')])
     """
 
     raw: bytes
@@ -57,52 +65,35 @@ class CsvRecords:
         """Whether there is any quotation mark."""
         return b'"' in self.raw
 
-    @property
-    def lines(self) -> npt.NDArray[np.int64]:
-        """Line where each record of the right width begins; empty lines are no records."""
-        return self._scan[0]
-
-    @property
-    def ragged(self) -> list[RaggedRecord]:
-        """Records of another width."""
-        return self._scan[1]
-
-    @property
-    def unclosed(self) -> int | None:
-        """Line of the record whose quotation mark is never closed."""
-        return self._scan[2]
-
     @cached_property
-    def _scan(self) -> tuple[npt.NDArray[np.int64], list[RaggedRecord], int | None]:
-        fits = re.compile(
-            _CELL_PATTERN + rb"(?:," + _CELL_PATTERN + rb"){%d}" % (self.width - 1) + _END_PATTERN
-        )
+    def scan(self) -> CsvScan:
+        """Every record visited once."""
+        pattern = _CELL_PATTERN + rb"(?:," + _CELL_PATTERN + rb"){%d}" % (self.width - 1) + _END_PATTERN
+        full_width = re.compile(pattern)
         lines: list[int] = []
         ragged: list[RaggedRecord] = []
         unclosed = None
         position, line = self.start, self.first_line
         while position < len(self.raw):
-            whole = fits.match(self.raw, position)
-            end = (whole or next_record(self.raw, position)).end()
+            match = full_width.match(self.raw, position)
+            end = (match or next_record(self.raw, position)).end()
             record = self.raw[position:end]
             text = record.rstrip(b"\r\n")
-            if whole and text:
+            if match and text:
                 lines.append(line)
             elif text:
                 ragged.append(RaggedRecord(line, len(split_cells(text)), text.decode("utf-8", "replace")))
-            if end == len(self.raw) and any(
-                _UNCLOSED_PATTERN.fullmatch(cell) for cell in split_cells(record)
-            ):
+            if end == len(self.raw) and any(map(_UNCLOSED_PATTERN.fullmatch, split_cells(record))):
                 unclosed = line
             position, line = end, line + count_lines(record)
-        return np.array(lines, dtype=np.int64), ragged, unclosed
+        return CsvScan(np.array(lines, dtype=np.int64), ragged, unclosed)
 
 
 def next_record(raw: bytes, position: int) -> re.Match[bytes]:
     """The record that begins at `position`, its line end included."""
-    found = _RECORD_PATTERN.match(raw, position)
-    assert found is not None, "the pattern matches anything, be it nothing"
-    return found
+    record = _RECORD_PATTERN.match(raw, position)
+    assert record is not None, "the pattern also matches nothing"
+    return record
 
 
 def split_cells(record: bytes) -> list[bytes]:
@@ -116,7 +107,7 @@ def split_cells(record: bytes) -> list[bytes]:
     cells, position = [], -1
     while position < 0 or record[position : position + 1] == b",":
         cell = _ONE_CELL_PATTERN.match(record, position + 1)
-        assert cell is not None, "the pattern matches anything, be it nothing"
+        assert cell is not None, "the pattern also matches nothing"
         cells.append(cell[0])
         position = cell.end()
     return cells
@@ -128,7 +119,7 @@ def count_lines(raw: bytes) -> int:
 
 
 def unquote(cell: bytes) -> str:
-    """What a cell says."""
+    """The text of a cell."""
     text = cell.decode("utf-8", "replace")
     if not text.startswith('"'):
         return text
@@ -146,20 +137,20 @@ _ENCODING_ADVICE = "save the file as UTF-8 (in a spreadsheet: 'CSV UTF-8')"
 
 
 def check_encoding(raw: bytes, file: str, issues: IssueCollector) -> bool:
-    """Say whether bytes may be text of one byte for each ASCII character, and tell if they aren't."""
+    """Whether bytes may be text of one byte for each ASCII character; adds an issue if not."""
     for mark, encoding in _OTHER_BYTE_ORDER_MARKS.items():
         if raw.startswith(mark):
-            issues.place(file, f"is {encoding}; {_ENCODING_ADVICE}", line=1)
+            issues.add(file, f"is {encoding}; {_ENCODING_ADVICE}", line=1)
             return False
     position = raw.find(b"\0")
     if position >= 0:
         message = f"holds a zero byte, so it is damaged, or UTF-16, or no text at all; {_ENCODING_ADVICE}"
-        issues.place(file, message, line=1 + count_lines(raw[:position]), value=r"\x00")
+        issues.add(file, message, line=1 + count_lines(raw[:position]), value=r"\x00")
     return position < 0
 
 
 def replace_invalid_utf8(raw: bytes) -> bytes:
-    """Put stand-ins in the place of bytes that are not UTF-8, so that reading can go on."""
+    """Replace bytes that are not UTF-8, so that reading can go on."""
     if raw.isascii():
         return raw
     try:
@@ -170,8 +161,8 @@ def replace_invalid_utf8(raw: bytes) -> bytes:
 
 
 def report_invalid_bytes(raw: bytes, names: tuple[str, ...], file: str, issues: IssueCollector) -> None:
-    """Tell of the first byte of each line that is not UTF-8."""
-    found = []
+    """Add an issue for the first byte of each line that is not UTF-8."""
+    located = []
     lines = re.split(r"\r\n|\r|\n", raw.decode("utf-8", "surrogateescape"))
     for line, text in enumerate(lines, start=1):
         foreign = re.search("[\udc80-\udcff]", text)
@@ -181,8 +172,8 @@ def report_invalid_bytes(raw: bytes, names: tuple[str, ...], file: str, issues: 
             cell = text[text.rfind(",", 0, foreign.start()) + 1 :].partition(",")[0]
             value = cell.encode("utf-8", "surrogateescape").decode("latin-1")
             message = f"byte 0x{ord(foreign[0]) - 0xDC00:02X} is not UTF-8; {_ENCODING_ADVICE}"
-            found.append((line, column, value, message))
-    issues.lines(file, found)
+            located.append((line, column, value, message))
+    issues.add_lines(file, located)
 
 
 _BLOCK_SIZE = 2 << 20
@@ -208,8 +199,8 @@ class CsvCells:
 
 
 @dataclass(frozen=True)
-class CsvTable:
-    """A CSV file; see `table.Table`."""
+class CsvTable(FileTable):
+    """A CSV file."""
 
     file: str
     names: tuple[str, ...]
@@ -218,58 +209,34 @@ class CsvTable:
     rows: Int64Array | None = None
 
     @property
-    def count(self) -> int:
-        """Number of rows."""
-        return self.cells.read.num_rows if self.rows is None else len(self.rows)
+    def n_in_file(self) -> int:
+        """See `FileTable`."""
+        return self.cells.read.num_rows
 
     def column(self, name: str) -> pa.Array:
-        """Cells of a column, as text or numbers."""
-        return self._chosen(self.cells.read, name)
+        """See `FileTable`."""
+        return self._select_column(self.cells.read, name)
 
     def text(self, name: str) -> pa.Array:
-        """Cells of a column as they stand in the file."""
+        """See `FileTable`."""
         if pa.types.is_large_string(self.cells.read.column(self.names.index(name)).type):
             return self.column(name)
-        return self._chosen(self.cells.text, name)
+        return self._select_column(self.cells.text, name)
 
     def lines(self, rows: Int64Array) -> Int64Array:
-        """Line where each row begins."""
-        return self.cells.records.lines[self._in_file(rows)]
+        """See `FileTable`."""
+        return self.cells.records.scan.lines[self.index_in_file(rows)]
 
-    def place(self, row: int) -> str:
-        """Where one row stands, in words."""
-        return f"line {self.lines(np.array([row]))[0]} of {self.file}"
-
-    def take(self, rows: Int64Array) -> CsvTable:
-        """Only these rows."""
-        return replace(self, rows=rows)
-
-    def _chosen(self, cells: pa.Table, name: str) -> pa.Array:
+    def _select_column(self, cells: pa.Table, name: str) -> pa.Array:
         column = combine_chunks(cells.column(self.names.index(name)))
         return column if self.rows is None else column.take(pa.array(self.rows))
 
-    def _in_file(self, rows: Int64Array) -> Int64Array:
-        return rows if self.rows is None else self.rows[rows]
-
 
 def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
-    """Cut a CSV file into cells.
+    """Split a CSV file into cells; None where nothing can be read.
 
-    Entirely empty lines are skipped, wherever they stand; nothing else is. A byte order mark and all
-    three line ends are accepted.
-
-    Parameters
-    ----------
-    raw : bytes
-    file : str
-        Name of the file, as given.
-    issues : Faults
-        Told of what cannot be read; rows with too many or too few cells are told of and left out.
-
-    Returns
-    -------
-    CsvTable or None
-        None where there is nothing to look at.
+    Empty lines are skipped. What cannot be read is added to `issues`; rows with too many or too few cells
+    are left out. A byte order mark is accepted.
     """
     if not check_encoding(raw, file, issues):
         return None
@@ -277,7 +244,7 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     start = len(_BYTE_ORDER_MARK) if text.startswith(_BYTE_ORDER_MARK) else 0
     first = _NOT_EMPTY_PATTERN.search(text, start)
     if first is None:
-        issues.place(file, "is empty; it needs a header and one line for each traverse")
+        issues.add(file, "is empty; it needs a header and one line for each traverse")
         return None
     header = next_record(text, first.start())
     header_line = 1 + count_lines(text[start : header.start()])
@@ -289,19 +256,18 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     records = CsvRecords(text, header.end(), header_line + count_lines(header[0]), len(names))
     first_row = _NOT_EMPTY_PATTERN.search(text, records.start)
     if first_row is None:
-        if CsvRecords(text, header.start(), header_line, len(names)).unclosed:
-            issues.place(file, _UNCLOSED_MESSAGE, line=header_line, value='"')
+        if CsvRecords(text, header.start(), header_line, len(names)).scan.unclosed:
+            issues.add(file, _UNCLOSED_MESSAGE, line=header_line, value='"')
         else:
-            issues.place(file, "has a header and no rows; add one line for each traverse")
+            issues.add(file, "has a header and no rows; add one line for each traverse")
         return None
     first_cells = split_cells(next_record(text, first_row.start())[0])
     read, any_ragged = _read_columns(records, _numeric_columns(names, first_cells))
     if any_ragged:
-        issues.lines(
-            file, ((r.line, None, r.text, _width_message(r.cells, len(names))) for r in records.ragged)
-        )
-    if _may_be_unclosed(records, read) and records.unclosed is not None:
-        issues.place(file, _UNCLOSED_MESSAGE, line=records.unclosed, value='"')
+        located = [(r.line, None, r.text, _width_message(r.cells, len(names))) for r in records.scan.ragged]
+        issues.add_lines(file, located)
+    if _may_be_unclosed(records, read) and records.scan.unclosed is not None:
+        issues.add(file, _UNCLOSED_MESSAGE, line=records.scan.unclosed, value='"')
     return CsvTable(file, names, header_line, CsvCells(records, read))
 
 
@@ -309,11 +275,11 @@ def _report_other_separator(
     header: bytes, names: tuple[str, ...], file: str, line: int, issues: IssueCollector
 ) -> bool:
     text = header.decode("utf-8").rstrip("\r\n")
-    for separator, called in _SEPARATORS.items():
+    for separator, name in _SEPARATORS.items():
         parts = [part.strip().strip('"') for part in text.split(separator)]
         if sum(map(is_known, parts)) > sum(map(is_known, names)):
-            message = f"cells are separated by {called}; save the file with commas, and numbers with points"
-            issues.place(file, message, line=line, value=text)
+            message = f"cells are separated by {name}; save the file with commas, and numbers with points"
+            issues.add(file, message, line=line, value=text)
             return True
     return False
 
@@ -328,7 +294,7 @@ def _numeric_columns(names: tuple[str, ...], first_cells: list[bytes]) -> list[i
 
 
 def _read_columns(records: CsvRecords, numeric: list[int]) -> tuple[pa.Table, bool]:
-    """Cut into columns, `numeric` ones as numbers if they can be; and say if ragged rows were left out."""
+    """Columns, `numeric` ones as numbers where possible, and whether ragged rows were left out."""
     try:
         return _parse_block(records, numeric, _BLOCK_SIZE)
     except pa.ArrowInvalid:
@@ -350,7 +316,7 @@ def _parse_block(records: CsvRecords, numeric: list[int], block: int) -> tuple[p
         read_options=csv.ReadOptions(
             column_names=names,
             block_size=block,
-            # Threads would bring nothing, and may be alive when a faulty log ends the program.
+            # Threads gain nothing on one block, and may outlive the program on a faulty log.
             use_threads=len(records.raw) > block,
         ),
         parse_options=csv.ParseOptions(newlines_in_values=records.quoted, invalid_row_handler=skip),
@@ -362,17 +328,17 @@ def _parse_block(records: CsvRecords, numeric: list[int], block: int) -> tuple[p
 
 
 def _may_be_unclosed(records: CsvRecords, cells: pa.Table) -> bool:
-    """Whether a look at every record is worth its time: an open cell swallows all lines that follow."""
+    """Whether every record must be scanned: an unclosed cell contains all lines that follow."""
     if not records.quoted or not cells.num_rows:
         return records.quoted
     last = str(cells.column(records.width - 1)[-1])
     return "\n" in last or "\r" in last or not records.raw.endswith((b"\n", b"\r"))
 
 
-def _width_message(found: int, expected: int) -> str:
-    if found < expected:
-        return f"has {found} cells where the header has {expected}; fill in what is missing, or add commas"
+def _width_message(count: int, expected: int) -> str:
+    if count < expected:
+        return f"has {count} cells where the header has {expected}; fill in what is missing, or add commas"
     return (
-        f"has {found} cells where the header has {expected}; "
+        f"has {count} cells where the header has {expected}; "
         "write decimals with a point, and quote text that holds a comma"
     )

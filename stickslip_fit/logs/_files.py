@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,33 +25,23 @@ _READ_ERRORS = (pa.ArrowException, OSError, UnicodeDecodeError)
 
 
 @dataclass(frozen=True)
-class ParquetTable:
-    """A Parquet file; see `table.Table`."""
+class ParquetTable(FileTable):
+    """A Parquet file."""
 
     file: str
     names: tuple[str, ...]
     raw: bytes
     metadata: parquet.FileMetaData
     rows: Int64Array | None = None
+    header_line: None = None
 
     @property
-    def header_line(self) -> None:
-        """None: a Parquet file has no lines."""
-        return None
-
-    @property
-    def count(self) -> int:
-        """Number of rows."""
-        return self.metadata.num_rows if self.rows is None else len(self.rows)
+    def n_in_file(self) -> int:
+        """See `FileTable`."""
+        return self.metadata.num_rows
 
     def column(self, name: str) -> pa.Array:
-        """Cells of a column: text, numbers or timestamps.
-
-        Raises
-        ------
-        InputError
-            If the column is damaged, or holds lists or the like.
-        """
+        """See `FileTable`; InputError for a column that is damaged or holds lists or the like."""
         try:
             cells = self._read(name)
         except _READ_ERRORS as error:
@@ -63,7 +53,7 @@ class ParquetTable:
         return cells
 
     def _read(self, name: str) -> pa.Array:
-        # Columns are read side by side, and a ParquetFile can only do one thing at a time.
+        # Columns are read in threads, and a ParquetFile is not thread-safe.
         source = parquet.ParquetFile(
             pa.BufferReader(self.raw), metadata=self.metadata, page_checksum_verification=True
         )
@@ -73,44 +63,34 @@ class ParquetTable:
         return _check_column(source.read_row_groups(groups, columns=[name]).column(name)).take(pa.array(rows))
 
     def _groups(self) -> tuple[list[int], Int64Array]:
-        """Row groups that hold the chosen rows, and where those stand in what is read."""
+        """Row groups that hold the selected rows, and the indices of these rows in what is read."""
         assert self.rows is not None
         groups = range(self.metadata.num_row_groups)
         sizes = np.array([self.metadata.row_group(group).num_rows for group in groups], np.int64)
         ends = np.cumsum(sizes)
         group = np.searchsorted(ends, self.rows, side="right")
-        needed, place = np.unique(group, return_inverse=True)
+        needed, index = np.unique(group, return_inverse=True)
         before = np.concatenate([[0], np.cumsum(sizes[needed])[:-1]])
-        return needed.tolist(), self.rows - (ends - sizes)[group] + before[place]
+        return needed.tolist(), self.rows - (ends - sizes)[group] + before[index]
 
     def text(self, name: str) -> pa.Array:
-        """Cells of a column as people see them."""
+        """See `FileTable`."""
         return to_text(self.column(name))
 
     def lines(self, rows: Int64Array) -> Int64Array:
-        """Rows of the file, counted from 1."""
-        return 1 + (rows if self.rows is None else self.rows[rows])
-
-    def place(self, row: int) -> str:
-        """Where one row stands, in words."""
-        return f"row {self.lines(np.array([row]))[0]} of {self.file}"
-
-    def take(self, rows: Int64Array) -> ParquetTable:
-        """Only these rows."""
-        return replace(self, rows=rows)
+        """See `FileTable`: rows, counted from 1."""
+        return 1 + self.index_in_file(rows)
 
 
 def open_parquet(raw: bytes, file: str, issues: IssueCollector) -> ParquetTable | None:
-    """Open a Parquet file; parameters and result as for `csv_table.parse_csv`."""
+    """Open a Parquet file; parameters and result as for `parse_csv`."""
     try:
         source = parquet.ParquetFile(pa.BufferReader(raw))
     except _READ_ERRORS as error:
-        issues.place(
-            file, f"is no Parquet file that can be read ({error}); write it again, or save it as CSV"
-        )
+        issues.add(file, f"is no Parquet file that can be read ({error}); write it again, or save it as CSV")
         return None
     if not source.metadata.num_rows:
-        issues.place(file, "has no rows; add one for each traverse")
+        issues.add(file, "has no rows; add one for each traverse")
         return None
     return ParquetTable(file, tuple(source.schema_arrow.names), raw, source.metadata)
 
@@ -150,17 +130,17 @@ def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollect
     Raises
     ------
     InputError
-        If nothing was named; what is wrong with a file is told to `issues`.
+        If no path is given; issues of a file are added to `issues`.
     """
-    named = [source] if isinstance(source, str | Path) else list(source)
-    if not named:
+    paths = [source] if isinstance(source, str | Path) else list(source)
+    if not paths:
         raise InputError("no log was named; name a file or a folder")
-    opened = [_open_file(path, issues) for given in named for path in _list_files(Path(given), issues)]
-    return [found for found in opened if found is not None]
+    files = [_open_file(file, issues) for path in paths for file in _list_files(Path(path), issues)]
+    return [file for file in files if file is not None]
 
 
 def hash_sources(sources: Sequence[SourceFile]) -> str:
-    """Take a single file's own hash; for several, one that doesn't depend on their names or order."""
+    """The hash of a single file; of several, one that does not depend on their names or order."""
     hashes = sorted(source.sha256 for source in sources)
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
@@ -168,16 +148,16 @@ def hash_sources(sources: Sequence[SourceFile]) -> str:
 def _list_files(path: Path, issues: IssueCollector) -> list[Path]:
     if not path.is_dir():
         return [path]
-    found = [
+    files = [
         file
         for file in sorted(path.rglob("*"))
         if file.suffix.lower() in (".csv", ".parquet")
         and file.is_file()
         and not any(part.startswith(".") for part in file.relative_to(path).parts)
     ]
-    if not found:
-        issues.place(str(path), "is a folder without logs; put .csv or .parquet files there, or name another")
-    return found
+    if not files:
+        issues.add(str(path), "is a folder without logs; put .csv or .parquet files there, or name another")
+    return files
 
 
 def _open_file(path: Path, issues: IssueCollector) -> SourceFile | None:
@@ -186,14 +166,11 @@ def _open_file(path: Path, issues: IssueCollector) -> SourceFile | None:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        issues.place(file, f"cannot be read ({reason}); name an existing log")
+        issues.add(file, f"cannot be read ({reason}); name an existing log")
         return None
     parquet = path.suffix.lower() == ".parquet" or raw.startswith(b"PAR1")
     parse = open_parquet if parquet else parse_csv
-    read = run_in_threads(
-        {
-            "table": lambda: parse(raw, file, issues),
-            "sha256": lambda: hashlib.sha256(raw).hexdigest(),
-        }
+    source = run_in_threads(
+        {"table": lambda: parse(raw, file, issues), "sha256": lambda: hashlib.sha256(raw).hexdigest()}
     )
-    return None if read["table"] is None else SourceFile(**read)
+    return None if source["table"] is None else SourceFile(**source)

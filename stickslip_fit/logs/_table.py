@@ -1,16 +1,17 @@
-"""A file as columns of raw cells, the parsing of cells, and the collection of faults.
+"""A file as columns of raw cells, the parsing of cells, and the collection of issues.
 
-`FileTable` is what CSV and Parquet files have in common. The parsers turn a column into numbers, times
-or choices and report nothing; `IssueCollector` keeps the faults until all can be raised together.
+The parsers turn a column into numbers, times or choices and report nothing; `IssueCollector` collects the
+issues until all can be raised together.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,44 +23,51 @@ from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 
 
-class FileTable(Protocol):
-    """Rows of one file, CSV or Parquet.
+class FileTable(ABC):
+    """Rows of one file, CSV or Parquet: all of them, or those at the ascending indices `rows`.
 
-    Attributes
-    ----------
-    file : str
-        Name as given.
-    names : tuple of str
-        The header.
-    header_line : int or None
-        None for Parquet, which has no lines.
-    count : int
-        Number of rows.
+    `header_line` is None for Parquet, which has no lines. A cell is a string, a number or a timestamp.
     """
 
-    @property
-    def file(self) -> str: ...
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
-    def header_line(self) -> int | None: ...
-    @property
-    def count(self) -> int: ...
+    file: str
+    names: tuple[str, ...]
+    header_line: int | None
+    rows: Int64Array | None
 
+    @property
+    @abstractmethod
+    def n_in_file(self) -> int:
+        """Number of rows of the whole file."""
+
+    @abstractmethod
     def column(self, name: str) -> pa.Array:
-        """Cells of a column: strings, numbers or timestamps; null where empty."""
+        """Cells of a column; null where empty."""
 
+    @abstractmethod
     def text(self, name: str) -> pa.Array:
         """Cells of a column as they stand in the file; empty for null."""
 
+    @abstractmethod
     def lines(self, rows: Int64Array) -> Int64Array:
-        """Lines of the file (Parquet: rows, counted from 1) of a few rows, counted from 0."""
+        """Lines of the file (Parquet: rows, counted from 1) of rows counted from 0."""
 
-    def place(self, row: int) -> str:
-        """Where one row stands, in words."""
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return self.n_in_file if self.rows is None else len(self.rows)
 
-    def take(self, rows: Int64Array) -> FileTable:
-        """Only these rows, which ascend."""
+    def locate(self, row: int) -> str:
+        """Where a row stands, in words."""
+        kind = "row" if self.header_line is None else "line"
+        return f"{kind} {self.lines(np.array([row]))[0]} of {self.file}"
+
+    def select(self, rows: Int64Array) -> FileTable:
+        """Only these rows of the whole file, in ascending order."""
+        return replace(self, rows=rows)  # type: ignore[type-var]
+
+    def index_in_file(self, rows: Int64Array) -> Int64Array:
+        """Indices in the whole file."""
+        return rows if self.rows is None else self.rows[rows]
 
 
 def combine_chunks(column: pa.ChunkedArray) -> pa.Array:
@@ -69,85 +77,66 @@ def combine_chunks(column: pa.ChunkedArray) -> pa.Array:
 
 
 MAX_SHOWN = 20
-# Line, column, value and message of one fault.
+# Line, column, value and message of one issue.
 IssueLocation = tuple[int | None, str | None, str | None, str]
 IssueMessage = str | Callable[[int, str], str]
 
 
 @dataclass(frozen=True)
 class _CellIssues:
-    """The same kind of fault in some cells of a column, not yet looked up in the file."""
+    """An issue in some cells of a column, not yet looked up in the file."""
 
     table: FileTable
-    rows: npt.NDArray[np.int64]
+    rows: Int64Array
     column: str
     message: IssueMessage
 
 
 class IssueCollector:
-    """Collects the faults of one reading.
-
-    A column may hold the same fault a million times: the first 20 are shown, the rest counted.
-    """
+    """Collects issues; of a million in one column the first 20 are shown, the others counted."""
 
     def __init__(self) -> None:
-        self._placed: list[tuple[str, float, int, InputIssue]] = []
+        self._located: list[tuple[str, float, int, InputIssue]] = []
         self._cells: list[_CellIssues] = []
 
     def __bool__(self) -> bool:
-        return bool(self._placed or self._cells)
+        return bool(self._located or self._cells)
 
-    def place(
+    def add(
         self,
         file: str,
         message: str,
-        *,
         line: int | None = None,
         column: str | None = None,
         value: str | None = None,
     ) -> None:
-        """Add one fault whose place is known."""
-        self._placed.append((file, line or 0, 0, InputIssue(message, file, line, column, value)))
+        """Add one issue."""
+        self._located.append((file, line or 0, 0, InputIssue(message, file, line, column, value)))
 
-    def lines(self, file: str, issues: Iterable[IssueLocation]) -> None:
-        """Add the same kind of fault at many lines, each given as (line, column, value, message)."""
-        found = list(issues)
-        for line, column, value, message in found[:MAX_SHOWN]:
-            self.place(file, message, line=line, column=column, value=value)
-        if len(found) > MAX_SHOWN:
-            rest = InputIssue(f"... and {len(found) - MAX_SHOWN:,} more like these", file)
-            self._placed.append((file, math.inf, 0, rest))
+    def add_lines(self, file: str, issues: Iterable[IssueLocation]) -> None:
+        """Add issues of one kind, each given as (line, column, value, message)."""
+        located = list(issues)
+        for line, column, value, message in located[:MAX_SHOWN]:
+            self.add(file, message, line, column, value)
+        if len(located) > MAX_SHOWN:
+            rest = InputIssue(f"... and {len(located) - MAX_SHOWN:,} more like these", file)
+            self._located.append((file, math.inf, 0, rest))
 
-    def cells(
-        self, table: FileTable, wrong: npt.NDArray[np.bool_], column: str, message: IssueMessage
-    ) -> None:
-        """Add the same kind of fault in many cells of a column.
+    def add_cells(self, table: FileTable, wrong: BoolArray, column: str, message: IssueMessage) -> None:
+        """Add issues of one kind in a column, where `wrong`, shape (table.count,), is true.
 
-        Parameters
-        ----------
-        table : Table
-        wrong : array of bool, shape (table.count,)
-        column : str
-            As written in the file.
-        message : str or function
-            The function is handed the row, counted from 0, and the cell's text.
+        `message` may be a function of the row, counted from 0, and the cell's text.
         """
         rows = np.flatnonzero(wrong)
         if len(rows):
             self._cells.append(_CellIssues(table, rows, column, message))
 
     def raise_if_any(self) -> None:
-        """Tell all of it, file by file, line by line and column by column.
-
-        Raises
-        ------
-        InputError
-            If any fault was added.
-        """
-        # Lines and cells are looked up only now: a file without faults is never searched for them.
-        found = self._placed + [placed for cells in self._cells for placed in _locate_issues(cells)]
-        if found:
-            raise InputError(problem for *_, problem in sorted(found, key=lambda placed: placed[:3]))
+        """Raise InputError with all issues, if any, in the order of files, lines and columns."""
+        # Lines and cells are looked up only now: a file without issues is never searched for them.
+        located = self._located + [issue for cells in self._cells for issue in _locate_issues(cells)]
+        if located:
+            raise InputError(issue for *_, issue in sorted(located, key=lambda entry: entry[:3]))
 
 
 def _locate_issues(cells: _CellIssues) -> Iterator[tuple[str, float, int, InputIssue]]:
@@ -155,15 +144,13 @@ def _locate_issues(cells: _CellIssues) -> Iterator[tuple[str, float, int, InputI
     position = table.names.index(column)
     values = table.text(column).take(pa.array(shown)).to_pylist()
     for row, line, value in zip(shown.tolist(), table.lines(shown).tolist(), values, strict=True):
-        said = cells.message if isinstance(cells.message, str) else cells.message(row, value)
+        message = cells.message if isinstance(cells.message, str) else cells.message(row, value)
         if table.header_line is None:
-            said += f" (row {line}; Parquet has no lines)"
-        yield table.file, line, position, InputIssue(said, table.file, line, column, value)
+            message += f" (row {line}; Parquet has no lines)"
+        yield table.file, line, position, InputIssue(message, table.file, line, column, value)
     if len(cells.rows) > MAX_SHOWN:
-        rest = InputIssue(
-            f"... and {len(cells.rows) - MAX_SHOWN:,} more in this column", table.file, column=column
-        )
-        yield table.file, math.inf, position, rest
+        rest = f"... and {len(cells.rows) - MAX_SHOWN:,} more in this column"
+        yield table.file, math.inf, position, InputIssue(rest, table.file, column=column)
 
 
 _NUMBER_PATTERN = r"^[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?$"
@@ -189,7 +176,7 @@ class ParsedNumbers:
 
 @dataclass(frozen=True)
 class ParsedTimes:
-    """Nanoseconds since 1970, UTC where zoned; 0 where the cell is empty or bad."""
+    """Nanoseconds since 1970, UTC where `has_zone`; 0 where the cell is empty or bad."""
 
     values: Int64Array
     has_zone: BoolArray
@@ -215,8 +202,8 @@ def parse_numbers(cells: pa.Array) -> ParsedNumbers:
     well_formed = pc.match_substring_regex(texts, _NUMBER_PATTERN)
     values = _to_floats(pc.if_else(well_formed, texts, None).cast(pa.float64()))
     blank = np.append(_to_mask(pc.equal(texts, "")), True)
-    place = _to_indices(encoded.indices, len(texts))
-    return ParsedNumbers(np.append(values, np.nan)[place], blank[place])
+    index = encoded.indices.fill_null(len(texts)).to_numpy(zero_copy_only=False)
+    return ParsedNumbers(np.append(values, np.nan)[index], blank[index])
 
 
 def parse_times(cells: pa.Array) -> ParsedTimes:
@@ -235,11 +222,11 @@ def parse_times(cells: pa.Array) -> ParsedTimes:
 
 
 def _parse_written_times(texts: pa.Array) -> ParsedTimes:
-    nowhere = np.zeros(len(texts), np.bool_)
+    none = np.zeros(len(texts), np.bool_)
     try:
-        # What is read at one go and is this long has minutes and no zone.
+        # Text of this length that can be cast as a whole has minutes and no zone.
         if len(texts) and pc.min(pc.binary_length(texts)).as_py() >= _SHORTEST_TIME:
-            return _build_times(texts.cast(_NANOSECONDS), nowhere, nowhere)
+            return _build_times(texts.cast(_NANOSECONDS), none, none)
     except pa.ArrowInvalid:
         pass
     texts = pc.ascii_trim(texts, " \t")
@@ -252,10 +239,10 @@ def _parse_written_times(texts: pa.Array) -> ParsedTimes:
     return _build_times(read, _to_mask(universal), _to_mask(pc.equal(texts, "")))
 
 
-def _build_times(read: pa.Array, zoned: BoolArray, empty: BoolArray) -> ParsedTimes:
-    unread = _to_mask(read.is_null())
-    values = read.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
-    return ParsedTimes(values, zoned & ~unread, empty, unread & ~empty)
+def _build_times(times: pa.Array, has_zone: BoolArray, empty: BoolArray) -> ParsedTimes:
+    unread = _to_mask(times.is_null())
+    values = times.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    return ParsedTimes(values, has_zone & ~unread, empty, unread & ~empty)
 
 
 def parse_choices(cells: pa.Array, choices: tuple[str, ...]) -> npt.NDArray[np.int8]:
@@ -267,11 +254,11 @@ def parse_choices(cells: pa.Array, choices: tuple[str, ...]) -> npt.NDArray[np.i
     array([ 0,  1, -1], dtype=int8)
     """
     texts = to_text(cells)
-    known = pa.array(choices, texts.type)
-    found = pc.index_in(texts, known)
-    if found.null_count:
-        found = pc.index_in(pc.ascii_trim(texts, " \t"), known)
-    return found.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int8)
+    allowed = pa.array(choices, texts.type)
+    index = pc.index_in(texts, allowed)
+    if index.null_count:
+        index = pc.index_in(pc.ascii_trim(texts, " \t"), allowed)
+    return index.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int8)
 
 
 def is_filled(cells: pa.Array) -> BoolArray:
@@ -282,7 +269,7 @@ def is_filled(cells: pa.Array) -> BoolArray:
 
 
 def label_codes(codes: npt.NDArray[np.integer], labels: tuple[str, ...]) -> pd.Series:
-    """Text from its place among `labels`; empty for -1."""
+    """Text from its index among `labels`; empty for -1."""
     return pa.array(["", *labels], pa.large_string()).take(pa.array(codes + 1)).to_pandas()
 
 
@@ -291,16 +278,12 @@ def to_text(cells: pa.Array) -> pa.Array:
     return cells.cast(pa.large_string()).fill_null("")
 
 
-def _to_indices(indices: pa.Array, of_null: int) -> Int64Array:
-    return indices.fill_null(of_null).to_numpy(zero_copy_only=False)
-
-
 def _is_text(cells: pa.Array) -> bool:
     return pa.types.is_large_string(cells.type) or pa.types.is_string(cells.type)
 
 
 def _cast_valid(cells: pa.Array, kind: pa.DataType) -> pa.Array:
-    """Cast what can be; 30 February can't, and becomes null. Halving finds the few among many."""
+    """Cast, with null for what cannot be, such as 30 February; bisection finds the few among many."""
     try:
         return cells.cast(kind)
     except pa.ArrowInvalid:

@@ -38,19 +38,11 @@ _POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "low", "high"]
 
 
 def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
-    """Count the traverses of each configuration.
+    """Count the traverses of each configuration in the rows of a Log.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        Rows of a Log.
-
-    Returns
-    -------
-    DataFrame
-        One row per session, joint and configuration, in that order: session, joint, q1, q2, q3 (NaN for
-        the moving joint), theta, psi, low and high (the stretch traversed, rad or m), ``+`` and ``-``
-        (traverses in each direction), replicates (those that repeat another of the same direction).
+    One row per session, joint and configuration, in that order: session, joint, q1, q2, q3 (NaN for the
+    moving joint), theta, psi, low and high (the stretch traversed, rad or m), ``+`` and ``-`` (traverses in
+    each direction), replicates (those that repeat another of the same direction).
     """
     table = rows[["session", "joint", "q1", "q2", "q3", "theta", "psi"]].assign(
         low=np.minimum(rows["start"], rows["stop"]),
@@ -58,14 +50,14 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
         forward=(rows["direction"] == "+").astype(np.int64),
         backward=(rows["direction"] == "-").astype(np.int64),
     )
-    # Adding zero makes -0.0 and 0.0 one configuration to look at, as they are to the joint.
+    # Adding zero makes -0.0 and 0.0 one configuration.
     with np.errstate(over="ignore"):
         table[_POSITION_COLUMNS] = table[_POSITION_COLUMNS].round(_KEY_DECIMALS) + 0.0
     counts = table.groupby(["session", "joint", *_POSITION_COLUMNS], dropna=False, sort=True)[
         ["forward", "backward"]
     ]
-    found = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
-    return found.assign(replicates=(found["+"] - 1).clip(lower=0) + (found["-"] - 1).clip(lower=0))
+    counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
+    return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
 
 
 _FIELD_BY_NAME = {field.name: field for field in FIELDS}
@@ -74,16 +66,16 @@ _FIELD_BY_NAME = {field.name: field for field in FIELDS}
 def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
     """Write a log as CSV so that reading it gives the same rows.
 
-    Quantities are written in the units people use (deg, mm, °C, ms, g), or in SI where a value has no
-    exact equal there. Optional columns that say nothing are left out; from and to are always written,
-    so that the traverses stay what they were under any machine file.
+    Quantities are written in the usual units (deg, mm, °C, ms, g), or in another where a value is not exact
+    there. Optional columns without content and history are left out; from and to are always written, so that
+    the traverses do not depend on the machine file.
 
     Parameters
     ----------
     log : Log or DataFrame
-        A Log, or its rows; history is not written, since the reader works it out.
+        A Log, or its rows.
     path : str or Path
-        Written whole or not at all.
+        Written completely or not at all.
 
     Raises
     ------
@@ -156,13 +148,14 @@ def _quantity_column(name: str, values: Array) -> dict[str, list[str]]:
         (spelling, _convert_exactly(values, SUFFIXES[suffix]))
         for spelling, suffix in zip(field.spellings, field.suffixes, strict=True)
     ]
-    spelling, written = next((found for found in candidates if found[1][1]), candidates[0])
-    return {spelling: _number_cells(written[0])}
+    exact = (candidate for candidate in candidates if candidate[1][1])
+    spelling, (converted, _) = next(exact, candidates[0])
+    return {spelling: _number_cells(converted)}
 
 
 def _convert_exactly(values: Array, unit: str) -> tuple[Array, bool]:
     """Short decimals that read back as `values`, and whether all of them do to the last bit."""
-    # What overflows on the way is no equal of anything, and another unit is tried.
+    # A value that overflows is not exact, and another unit is tried.
     with np.errstate(over="ignore", invalid="ignore"):
         exact = from_si(values, unit)
         neighbours = (np.nextafter(exact, -np.inf), np.nextafter(exact, np.inf))
@@ -200,15 +193,13 @@ class Log(Summarized):
         ``theta``, ``psi``; ``start``, ``stop`` (rad or m); ``check_every``; ``status`` ('ok',
         'interrupted', 'excluded'); ``temperature``, ``humidity``, ``supply``, ``step_period``,
         ``payload`` (NaN where not given); ``note``; the lab's own columns as ``covariate:<column>``
-        and ``text:<column>``; and history, see `history.add_history`.
+        and ``text:<column>``; and history, see `add_history`.
     sources : tuple of (str, str)
-        Name and sha256 of each file.
-    sha256 : str
-        Hash over all of them; of a single file, its own.
+        Name and sha256 of each file; the log's own `sha256` is a hash over all of them.
     machine : Machine
-        Whose ranges end the traverses.
+        Its ranges are the ends of full traverses.
     notes : tuple of str
-        What a person should know about how the files were read.
+        On how the files were read.
     """
 
     rows: pd.DataFrame
@@ -236,25 +227,17 @@ class Log(Summarized):
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:
-        """Only the rows where `mask` is true; their history stays that of the whole log."""
+        """Only the rows where `mask` is true, with their history in the whole log."""
         return replace(self, rows=self.rows[mask].reset_index(drop=True))
 
     def configurations(self) -> pd.DataFrame:
-        """Which configurations the usable rows cover; see `configurations.configurations`."""
+        """The configurations of the usable rows, see `count_configurations`."""
         return count_configurations(self.usable)
 
     def plot_readings(self) -> npt.NDArray[np.object_]:
-        """The mean step size of every usable traverse, in the order in which they were made.
+        """The mean step size of every usable traverse in order of time, an Axes for each joint.
 
-        Returns
-        -------
-        array of Axes
-            One for each joint; see `report.figures.axes.Panels`.
-
-        Raises
-        ------
-        InputError
-            If no traverse is usable.
+        InputError if no traverse is usable.
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.residuals import plot_readings
@@ -262,7 +245,7 @@ class Log(Summarized):
         return collect_axes(plot_readings(self))
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the log in its file format; see `write.write_log`."""
+        """Write the log in its file format; see `write_log`."""
         write_log(self, path)
 
 
@@ -276,12 +259,12 @@ NOT_FITTED = ("interrupted", "excluded")
 @summarize.register
 def summarize_log(log: Log) -> Summary:
     """The log in two sentences, then its sessions, coverage, conditions, and traverses with a note."""
-    tables = [_session_lines(log), _coverage_lines(log), _column_lines(log), _noted(log)]
+    tables = [_session_table(log), _coverage_table(log), _condition_table(log), _note_table(log)]
     files = join_words([f"{name} (sha256 {sha[:12]})" for name, sha in log.sources[:MAX_FILES]] or ["memory"])
     more = len(log.sources) - MAX_FILES
     return Summary(
         title=f"Log {file_names([name for name, _ in log.sources])}".strip(),
-        headline=(f"{_facts(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
+        headline=(f"{_describe_rows(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
         sections=(Section(tables=tuple(table for table in tables if table and table.rows)),),
         flags=log.notes,
         provenance=(
@@ -304,7 +287,7 @@ def latest(sessions: int) -> str:
     return f"The latest {MAX_ROWS} of {pluralize(sessions, 'session')}." if sessions > MAX_ROWS else ""
 
 
-def _facts(log: Log) -> str:
+def _describe_rows(log: Log) -> str:
     rows = log.rows
     counts = f"{pluralize(len(rows), 'traverse')} in {pluralize(len(log.sessions), 'session')}"
     if rows.empty:
@@ -317,8 +300,8 @@ def _facts(log: Log) -> str:
     return f"{counts} ({' to '.join(dates)}), {joints}. {use}"
 
 
-def _session_lines(log: Log) -> Table:
-    """When each session was and what was driven in it."""
+def _session_table(log: Log) -> Table:
+    """Time and traverses of each session."""
     kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
     columns = (
         *words("session", "first traverse", "last traverse"),
@@ -341,41 +324,39 @@ def _session_lines(log: Log) -> Table:
     return Table("Sessions and traverses", columns, tuple(body), note=latest(len(log.sessions)))
 
 
-def _coverage_lines(log: Log) -> Table | None:
+def _coverage_table(log: Log) -> Table | None:
     """What was covered: one column for each joint."""
-    covered = [_coverage_of(log, joint) for joint in log.joints]
+    covered = [_describe_coverage(log, joint) for joint in log.joints]
     if not covered:
         return None
-    columns = (Column("covered", text=True), *(Column(joint_name(joint), text=True) for joint in log.joints))
-    body = tuple((name, *(each[name] for each in covered)) for name in covered[0])
+    columns = words("covered", *map(joint_name, log.joints))
+    body = tuple((name, *(joint[name] for joint in covered)) for name in covered[0])
     note = "Configurations: in either direction. Replicates: traverses that repeat another of their session."
     return Table("Coverage, usable traverses", columns, body, note=note)
 
 
-def _coverage_of(log: Log, joint: int) -> dict[str, str]:
-    rows, places = log.usable, log.configurations()
-    rows, places = rows[rows["joint"] == joint], places[places["joint"] == joint]
-    distinct = places[["q1", "q2", "q3", "theta", "psi", "low", "high"]].drop_duplicates()
+def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
+    rows, configurations = log.usable, log.configurations()
+    rows, configurations = rows[rows["joint"] == joint], configurations[configurations["joint"] == joint]
+    distinct = configurations[_POSITION_COLUMNS].drop_duplicates()
     length = (rows["stop"] - rows["start"]).abs()
     covered = {
         "traverses": f"{len(rows):,}",
         "over the full range": f"{np.isclose(length, log.machine.span(joint), rtol=1e-6).sum():,}",
         "configurations": f"{len(distinct):,}",
-        "replicates": f"{places['replicates'].sum():,}",
+        "replicates": f"{configurations['replicates'].sum():,}",
     }
     for name, unit in POSITIONS.items():
-        moves = name == f"q{joint}"
-        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = (
-            "moves" if moves else _format_values(rows[name], unit)
-        )
+        values = "moves" if name == f"q{joint}" else _format_values(rows[name], unit)
+        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
     return covered
 
 
-def _column_lines(log: Log) -> Table:
+def _condition_table(log: Log) -> Table:
     """Conditions, and the lab's own columns of numbers."""
     rows = log.rows
-    units = {field.name: SUFFIXES[field.suffixes[0]] for field in FIELDS if field.name in CONDITIONS}
-    given = [name for name in CONDITIONS if rows[name].notna().any()]
+    units = {name: condition.unit for name, condition in CONDITIONS.items()}
+    recorded = [name for name in CONDITIONS if rows[name].notna().any()]
     own = [name for name in rows.columns if name.startswith(COVARIATE_PREFIX)]
     body = tuple(
         (
@@ -383,15 +364,14 @@ def _column_lines(log: Log) -> Table:
             f"{rows[name].notna().sum():,} of {len(rows):,}",
             _format_values(rows[name], units.get(name, "1")),
         )
-        for name in given + own
+        for name in recorded + own
     )
-    return Table("Conditions", (Column("column", text=True), *numbers("given", "values")), body)
+    return Table("Conditions", (*words("column"), *numbers("given", "values")), body)
 
 
-def _noted(log: Log) -> Table | None:
-    """Traverses that the lab wrote a note about or does not have fitted."""
+def _note_table(log: Log) -> Table | None:
+    """Traverses with a note or not fitted."""
     rows = log.rows[(log.rows["note"] != "") | (log.rows["status"] != "ok")]
-    names = ("time", "session", "joint", "configuration", "status", "note")
     body = tuple(
         (
             f"{row['time']:%Y-%m-%d %H:%M:%S}",
@@ -403,9 +383,9 @@ def _noted(log: Log) -> Table | None:
         )
         for _, row in rows.head(MAX_ROWS).iterrows()
     )
-    left = len(rows) - len(body)
-    note = f"{pluralize(left, 'more traverse')} with a note or not fitted: see the log." if left else ""
-    columns = tuple(Column(name, text=True) for name in names)
+    hidden = len(rows) - len(body)
+    note = f"{pluralize(hidden, 'more traverse')} with a note or not fitted: see the log." if hidden else ""
+    columns = words("time", "session", "joint", "configuration", "status", "note")
     return Table("Traverses with a note or not fitted", columns, body, note=note, folded=True)
 
 

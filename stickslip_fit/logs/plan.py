@@ -27,14 +27,7 @@ NoiseKind = Literal["gaussian", "t5"]
 
 @dataclass(frozen=True)
 class PlannedSession:
-    """A session to come.
-
-    Attributes
-    ----------
-    label : str
-    begins : datetime
-        When its first traverse is to begin.
-    """
+    """A planned session and the time of its first traverse."""
 
     label: str
     begins: datetime
@@ -42,15 +35,9 @@ class PlannedSession:
 
 @dataclass(frozen=True)
 class Timing:
-    """How long things take, all in seconds.
+    """Times in seconds: the step period, and the shortest and longest pause before a traverse.
 
-    Attributes
-    ----------
-    step_period : float
-    pause : (float, float)
-        Shortest and longest time that a person takes to set the next configuration.
-    turn : (float, float)
-        The same before a traverse for which nothing needs to be set.
+    `pause` is for setting the next configuration, `turn` for a traverse for which nothing needs to be set.
     """
 
     step_period: float = 0.010
@@ -60,14 +47,9 @@ class Timing:
 
 @dataclass(frozen=True)
 class Noise:
-    """How well a count repeats.
+    """Standard deviation of log(steps) by joint and direction, and the distribution of the noise.
 
-    Attributes
-    ----------
-    repeatability : dict of (int, str) to float
-        Standard deviation of log(steps) for each joint and direction.
-    kind : {'gaussian', 't5'}
-        Its distribution; ``t5`` is Student's t with 5 degrees of freedom, scaled to the same spread.
+    ``t5`` is Student's t with 5 degrees of freedom, scaled to the same standard deviation.
     """
 
     repeatability: dict[tuple[int, str], float]
@@ -84,20 +66,20 @@ class Plan:
     sessions : tuple of PlannedSession
         In order of time.
     traverses : DataFrame
-        One pass through the list, in order: visit (int; equal for neighbours between which nobody needs
-        to set anything), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI; the
-        moving joint's own position is NaN.
+        One pass through the list, in order: visit (int; equal for consecutive traverses of one
+        configuration), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI; the moving
+        joint's own position is NaN.
     replicates : int
-        How often a session goes through that list.
+        Passes through the list in a session.
     order : {'as-written', 'random'}
-        ``random`` shuffles the visits within each session, and each visit's traverses stay together.
+        ``random`` shuffles the visits within each session; a visit's traverses stay together.
     check_every : int
-        The end stop is looked for after so many steps.
+        Steps between two checks for the end stop.
     timing : Timing
     noise : Noise or None
-        Only needed where the plan is simulated.
+        Only needed for a simulation.
     seed : int
-        Settles the random order, and the simulation unless that is given a seed of its own.
+        Of the random order, and of the simulation unless it has its own.
     """
 
     name: str
@@ -111,24 +93,21 @@ class Plan:
     seed: int = 0
 
     def rows(self) -> pd.DataFrame:
-        """Every traverse of every session, in the order in which they are to be made.
+        """Every traverse of every session, in order of time.
 
-        Returns
-        -------
-        DataFrame
-            The log's columns session (categorical), joint, direction, q1 to psi, start, stop,
-            check_every and step_period, SI, besides sweep, and visit counted through all sessions.
-            Adding a session changes the order in no other.
+        The log's columns session (categorical), joint, direction, q1 to psi, start, stop, check_every and
+        step_period, SI, with sweep, and visit counted through all sessions. A further session does not
+        change the order in the others.
         """
         count = self.traverses_per_session
-        taken = np.concatenate([self._order(number) for number in range(len(self.sessions))])
-        rows = self.traverses.iloc[taken % len(self.traverses)].reset_index(drop=True)
+        index = np.concatenate([self._order(number) for number in range(len(self.sessions))])
+        rows = self.traverses.iloc[index % len(self.traverses)].reset_index(drop=True)
         labels = [session.label for session in self.sessions]
         rows.insert(0, "session", pd.Categorical.from_codes(np.repeat(np.arange(len(labels)), count), labels))
-        visits = self._visits()[taken]
-        anew = np.diff(visits, prepend=visits[0]) != 0
-        anew[::count] = True
-        rows["visit"] = np.cumsum(anew)
+        visits = self._visits()[index]
+        begins = np.diff(visits, prepend=visits[0]) != 0
+        begins[::count] = True
+        rows["visit"] = np.cumsum(begins)
         rows["check_every"] = self.check_every
         rows["step_period"] = self.timing.step_period
         return rows
@@ -139,13 +118,13 @@ class Plan:
         return self.replicates * len(self.traverses)
 
     def _visits(self) -> npt.NDArray[np.int64]:
-        """The visit of each traverse of a session in the order of the list, every pass with its own."""
+        """The visit of each traverse of a session in the order of the list, numbered through all passes."""
         once = self.traverses["visit"].to_numpy(np.int64)
         passes = np.arange(self.replicates) * (once.max() + 1)
         return (passes[:, None] + once).ravel()
 
     def _order(self, number: int) -> npt.NDArray[np.intp]:
-        """Which traverse of the list, pass after pass, comes when in a session."""
+        """Indices of a session's traverses in the repeated list, in order of time."""
         if self.order == "as-written":
             return np.arange(self.traverses_per_session)
         visits = self._visits()
@@ -153,44 +132,28 @@ class Plan:
         return np.argsort(shuffled[visits], kind="stable")
 
 
-# Share of a joint's range by which a value may miss its end, for what unit conversion rounds off.
-RANGE_TOL = 1e-9
+RANGE_TOL = 1e-9  # of a joint's range, for rounding in unit conversion
 _JOINTS_BY_KIND = {"angle": (1, 2), "length": (PRISMATIC,)}
-_UNIT_BY_KIND = {"angle": "deg", "length": "mm"}
 
 
 def read_traverses(
     cells: LogCells, machine: Machine, joint: Int64Array, forward: Int64Array
 ) -> tuple[Array, Array]:
-    """Read from and to, and tell of traverses that cannot be.
+    """Read and check start and stop from from and to, rad or m, NaN where unknown; all of shape (n,).
 
-    Parameters
-    ----------
-    cells : Cells
-    machine : Machine
-        An empty cell takes the end of its range.
-    joint : array of int, shape (n,)
-        0 where unknown.
-    forward : array of int, shape (n,)
-        1 for `+`, -1 for `-`, 0 where unknown.
-
-    Returns
-    -------
-    start, stop : array, shape (n,)
-        rad or m; NaN where unknown.
+    An empty cell is the end of the machine's range. `joint` is 0 where unknown; `forward` is 1 for `+`, -1
+    for `-`, 0 where unknown.
     """
     low, high = (np.array([np.nan, *ends]) for ends in zip(*map(machine.ranges.get, JOINTS), strict=True))
     unknown = np.full_like(low, np.nan)
-    # One row of ends for -, unknown and +, side by side, so that each traverse looks up its own.
-    place = (forward + 1) * len(low) + joint
-    start = _read_end(cells, machine, joint, "from", np.concatenate([high, unknown, low])[place])
-    stop = _read_end(cells, machine, joint, "to", np.concatenate([low, unknown, high])[place])
+    start = _read_end(cells, machine, joint, "from", np.stack([high, unknown, low])[forward + 1, joint])
+    stop = _read_end(cells, machine, joint, "to", np.stack([low, unknown, high])[forward + 1, joint])
     _report_bad_length(cells, machine, joint, forward, start, stop)
     return start, stop
 
 
 def report_outside_range(cells: LogCells, machine: Machine, field: str, joint: int, values: Array) -> None:
-    """Tell of positions beyond the joint's stops."""
+    """Add issues for positions beyond the joint's range."""
     low, high = machine.ranges[joint]
     slack = RANGE_TOL * (high - low)
     if not cells.has(field):
@@ -210,10 +173,10 @@ def _read_end(cells: LogCells, machine: Machine, joint: Int64Array, stem: str, d
         subset, filled = _is_moving_kind(joint, kind), cells.is_filled(field)
         foreign = ~subset & (joint > 0)
         cells.add_issue(field, foreign & filled, _wrong_kind_message(joint, stem))
-        given = cells.numbers(field, ignored=foreign)
-        for each in joints:
-            report_outside_range(cells, machine, field, each, np.where(joint == each, given, np.nan))
-        values = np.where(subset & filled, given, values)
+        ends = cells.numbers(field, ignored=foreign)
+        for number in joints:
+            report_outside_range(cells, machine, field, number, np.where(joint == number, ends, np.nan))
+        values = np.where(subset & filled, ends, values)
     return values
 
 
@@ -229,21 +192,20 @@ def _wrong_kind_message(joint: Int64Array, stem: str) -> IssueMessage:
 def _report_bad_length(
     cells: LogCells, machine: Machine, joint: Int64Array, forward: Int64Array, start: Array, stop: Array
 ) -> None:
-    span = np.array([np.nan, *(machine.span(each) for each in JOINTS)])
+    span = np.array([np.nan, *map(machine.span, JOINTS)])
     for kind in _JOINTS_BY_KIND:
         ends = _end_column_names(cells, kind)
         if not ends:
             continue
-        subset, ended = _is_moving_kind(joint, kind), cells.is_filled(f"to_{kind}")
+        subset, has_end = _is_moving_kind(joint, kind), cells.is_filled(f"to_{kind}")
         length = stop - start
-        # What is NaN is neither still nor astray: it has been told of already.
-        still = subset & (np.abs(length) <= RANGE_TOL * span[joint])
-        nowhere = f"makes a traverse of no length ({ends}); leave both empty for the full range"
-        cells.add_issue(f"to_{kind}", still & ended, nowhere)
-        cells.add_issue(f"from_{kind}", still & ~ended, nowhere)
-        cells.add_issue(
-            "direction", subset & ~still & (forward * length < 0), _wrong_way_message(kind, ends, start, stop)
-        )
+        # NaN, which has an issue already, gets no further one.
+        zero = subset & (np.abs(length) <= RANGE_TOL * span[joint])
+        message = f"makes a traverse of no length ({ends}); leave both empty for the full range"
+        cells.add_issue(f"to_{kind}", zero & has_end, message)
+        cells.add_issue(f"from_{kind}", zero & ~has_end, message)
+        opposite = subset & ~zero & (forward * length < 0)
+        cells.add_issue("direction", opposite, _direction_message(kind, ends, start, stop))
 
 
 def _is_moving_kind(joint: Int64Array, kind: str) -> BoolArray:
@@ -251,8 +213,8 @@ def _is_moving_kind(joint: Int64Array, kind: str) -> BoolArray:
     return joint == PRISMATIC if kind == "length" else (joint > 0) & (joint != PRISMATIC)
 
 
-def _wrong_way_message(kind: str, ends: str, start: Array, stop: Array) -> IssueMessage:
-    unit = _UNIT_BY_KIND[kind]
+def _direction_message(kind: str, ends: str, start: Array, stop: Array) -> IssueMessage:
+    unit = "mm" if kind == "length" else "deg"
 
     def message(row: int, value: str) -> str:
         first, last = (from_si(float(end[row]), unit) for end in (start, stop))
@@ -267,7 +229,7 @@ def _end_column_names(cells: LogCells, kind: str) -> str:
 
 
 def build_sheet(plan: Plan) -> pd.DataFrame:
-    """The cells of the sheet as text, one row per traverse in the order in which they are to be made."""
+    """The cells of the sheet as text, one row per traverse in order of time."""
     rows = plan.rows()
     rotary = rows["joint"] != PRISMATIC
     ends = {"from": rows["start"], "to": rows["stop"]}
@@ -293,19 +255,18 @@ def build_sheet(plan: Plan) -> pd.DataFrame:
 
 
 def write_sheet_csv(plan: Plan, path: str | Path) -> None:
-    """Write the sheet, so that a person fills it in and the reader takes it as a log.
+    """Write the sheet; when it is filled in, `read_log` reads it.
 
     Raises
     ------
     InputError
         If the file cannot be written.
     """
-    text = build_sheet(plan).to_csv(index=False, lineterminator="\n")
-    write_atomically(path, text)
+    write_atomically(path, build_sheet(plan).to_csv(index=False, lineterminator="\n"))
 
 
 def _format_cells(values: pd.Series, symbol: str) -> list[str]:
-    """Numbers as a person writes them; empty for the moving joint's own."""
+    """Rounded numbers; empty for NaN."""
     return [
         "" if np.isnan(value) else f"{value + 0.0:.10g}"
         for value in from_si(values.to_numpy(float), symbol).round(10)

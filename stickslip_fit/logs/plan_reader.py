@@ -1,8 +1,6 @@
-"""read_plan: a Plan from a TOML file, and TomlReader, the reader of TOML files behind it.
+"""read_plan: a Plan from a TOML file, whose keys `PlanFile` declares.
 
-data/reference/README.md explains the keys. A sweep lists positions and orientations, which are taken in
-every combination. The reader takes values out key by key and collects the faults, so that one
-InputError names all of them.
+A sweep lists positions and orientations, which are taken in every combination.
 """
 
 from __future__ import annotations
@@ -35,11 +33,11 @@ def _range(joint: int) -> Callable[[Machine], Bounds]:
     return lambda machine: machine.ranges[joint]
 
 
-def _a_list(value: Any) -> Any:
+def _to_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
-def _different(values: list[Any]) -> list[Any]:
+def _check_distinct(values: list[Any]) -> list[Any]:
     if len(set(values)) < len(values):
         raise ValueError("twice the same")
     return values
@@ -47,47 +45,47 @@ def _different(values: list[Any]) -> list[Any]:
 
 LIST, PAIRS = "give {}, or a list of such", "give a list of [from, to], two different ends, each {}"
 Numbers = Annotated[
-    list[float], MinLen(1), BeforeValidator(_a_list, json_schema_input_type=float | list[float])
+    list[float], MinLen(1), BeforeValidator(_to_list, json_schema_input_type=float | list[float])
 ]
-Pairs = Annotated[list[Annotated[list[float], Len(2, 2), AfterValidator(_different)]], MinLen(1)]
-Turns = Annotated[Numbers, Quantity(ANGLE_UNITS, (-tau, tau), LIST)]
+Pairs = Annotated[list[Annotated[list[float], Len(2, 2), AfterValidator(_check_distinct)]], MinLen(1)]
+Orientations = Annotated[Numbers, Quantity(ANGLE_UNITS, (-tau, tau), LIST)]
 JOINT = Give("give one of 1, 2, 3")
 Joint = Annotated[int, JOINT, Interval(ge=1, le=3)]
-Ways = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_different)]
+Directions = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_check_distinct)]
 
 
 class Sweep(Table, extra="ignore"):
-    """What each sweep may have; which keys it has besides depends on the joint."""
+    """Keys of every sweep; further ones depend on the joint."""
 
     joint: Joint
     """Which joint moves."""
     name: Text = ""
     """Heading on the sheet; the joint if left out."""
-    directions: Annotated[Ways, Give('give ["+", "-"], ["-", "+"], ["+"] or ["-"]')] = ["+", "-"]
+    directions: Annotated[Directions, Give('give ["+", "-"], ["-", "+"], ["+"] or ["-"]')] = ["+", "-"]
     """In turn."""
-    theta: Turns = [0.0]
+    theta: Orientations = [0.0]
     """Orientation of the base, within one turn."""
-    psi: Turns = [0.0]
+    psi: Orientations = [0.0]
     """Orientation of the base, within one turn."""
     replicates: Annotated[int, Interval(ge=1, le=1_000)] = 1
-    """How often each configuration's directions are gone through in a row."""
+    """How often in a row each configuration's directions are traversed."""
 
     @model_validator(mode="after")
-    def _few_enough(self) -> Self:
+    def _check_size(self) -> Self:
         if (count := self.configurations()) > MAX_CONFIGURATIONS:
             self.refuse((f"makes {count:,} configurations; keep it to {MAX_CONFIGURATIONS:,}", ("name",)))
         return self
 
     def configurations(self) -> int:
-        """How many combinations its lists make."""
+        """Number of combinations of its lists."""
         return prod(len(getattr(self, axis, None) or [0]) for axis in ("ranges", *SWEEP_AXES))
 
-    def in_each(self) -> int:
-        """How many traverses each of them takes."""
+    def traverses_per_configuration(self) -> int:
+        """Number of traverses in each."""
         return len(self.directions) * self.replicates
 
     def axes(self, machine: Machine) -> dict[str, list[Any]]:
-        """What varies, in the order of the table's keys."""
+        """The lists, in the order of the table's keys."""
         axes = {axis: getattr(self, axis) for axis in ("ranges", *SWEEP_AXES) if hasattr(self, axis)}
         axes["ranges"] = axes["ranges"] or [machine.ranges[self.joint]]
         written = self.fields_in_file()
@@ -98,30 +96,30 @@ class Sweep(Table, extra="ignore"):
         """Its traverses, with the columns of `Plan.traverses` from sweep on."""
         axes = self.axes(machine)
         for combination in product(*axes.values()):
-            place = {f"q{self.joint}": nan, **dict(zip(axes, combination, strict=True))}
-            low, high = sorted(place["ranges"])
+            position = {f"q{self.joint}": nan, **dict(zip(axes, combination, strict=True))}
+            low, high = sorted(position["ranges"])
             for direction in self.directions * self.replicates:
                 start, stop = (low, high) if direction == "+" else (high, low)
                 name = self.name or f"joint {self.joint}"
-                yield (name, self.joint, direction, *(place[axis] for axis in SWEEP_AXES), start, stop)
+                yield (name, self.joint, direction, *(position[axis] for axis in SWEEP_AXES), start, stop)
 
 
-def _of_joint(joint: int) -> type[Sweep]:
+def _sweep_model(joint: int) -> type[Sweep]:
     ranges = Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)]
-    said = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
+    meaning = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
     fields: dict[str, Any] = {
         "joint": Annotated[Literal[joint], JOINT],
-        "ranges": (ranges, Field([], description=said)),
+        "ranges": (ranges, Field([], description=meaning)),
     }
     for other in {*JOINTS} - {joint}:
         numbers = Annotated[Numbers, Quantity(UNITS_OF[other], _range(other), LIST)]
-        # Joints 2 and 3 act on every law: where they stand has to be said.
+        # Joints 2 and 3 affect every law: their positions are required.
         default = [0.0] if other == 1 else ...
         fields[f"q{other}"] = (numbers, Field(default, description=f"Where joint {other} stands."))
     return create_model(f"SweepOfJoint{joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields)
 
 
-AnySweep = Annotated[Sweep, chosen_by("joint", {joint: _of_joint(joint) for joint in JOINTS}, Sweep)]
+AnySweep = Annotated[Sweep, chosen_by("joint", {joint: _sweep_model(joint) for joint in JOINTS}, Sweep)]
 
 
 def traverses_of(sweeps: list[Sweep], machine: Machine) -> pd.DataFrame:
@@ -136,14 +134,14 @@ def traverses_of(sweeps: list[Sweep], machine: Machine) -> pd.DataFrame:
 
 
 def _number_visits(table: pd.DataFrame) -> pd.Series:
-    """Number the stretches in which nobody needs to set anything: only the direction changes."""
+    """Number the visits: consecutive traverses between which only the direction changes."""
     setting = table[["joint", *SWEEP_AXES]].fillna(0.0)
     ends = table[["start", "stop"]]
     setting["low"], setting["high"] = ends.min(axis=1), ends.max(axis=1)
     return (setting != setting.shift()).any(axis=1).cumsum() - 1
 
 
-ALLOWED_YEARS = range(1900, 2200)  # what a log's times can hold, with room for every session
+ALLOWED_YEARS = range(1900, 2200)  # within the range of nanosecond times
 MAX_TRAVERSES = 5_000_000
 MAX_REPEATABILITY_PERCENT = 20.0  # %; beyond, the spread of log(steps) is no relative error any more
 DRIVES = {f"{joint}{direction}": (joint, direction) for joint in JOINTS for direction in DIRECTIONS}
@@ -157,27 +155,27 @@ def _parse_date(value: Any) -> date:
     return value
 
 
-def _time(value: Any) -> time:
+def _parse_time(value: Any) -> time:
     value = time.fromisoformat(value) if isinstance(value, str) else value
     if not isinstance(value, time) or value.tzinfo is not None:
         raise ValueError("no time of day")
     return value.replace(microsecond=0)
 
 
-def _by_drive(value: Any) -> Any:
+def _to_drives(value: Any) -> Any:
     return value if isinstance(value, dict) else dict.fromkeys(DRIVES, value)
 
 
-def _not_falling(ends: list[float]) -> list[float]:
+def _check_order(ends: list[float]) -> list[float]:
     if ends[0] > ends[1]:
         raise ValueError("falling")
     return ends
 
 
 Day = Annotated[date, BeforeValidator(_parse_date)]
-Clock = Annotated[time, BeforeValidator(_time)]
-Patience = Quantity(("s", "min"), (0.0, 86_400.0), "give [lowest, highest], each {}")
-Seconds = Annotated[list[float], Len(2, 2), AfterValidator(_not_falling), Patience]
+Clock = Annotated[time, BeforeValidator(_parse_time)]
+Pause = Quantity(("s", "min"), (0.0, 86_400.0), "give [lowest, highest], each {}")
+Seconds = Annotated[list[float], Len(2, 2), AfterValidator(_check_order), Pause]
 Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 Percent = Annotated[float, Interval(ge=0, le=MAX_REPEATABILITY_PERCENT)]
 Drive = Literal["1+", "1-", "2+", "2-", "3+", "3-"]
@@ -219,7 +217,7 @@ class SessionsTable(Table):
         return tuple(PlannedSession(label, moment) for label, moment in zip(labels, begins, strict=True))
 
     @model_validator(mode="after")
-    def _fit_together(self) -> Self:
+    def _check_sessions(self) -> Self:
         self.sessions()
         return self
 
@@ -240,10 +238,10 @@ class NoiseTable(Table):
 
     repeatability_pct: Annotated[
         dict[Drive, Percent],
-        BeforeValidator(_by_drive, json_schema_input_type=Percent | dict[Drive, Percent]),
+        BeforeValidator(_to_drives, json_schema_input_type=Percent | dict[Drive, Percent]),
         Give(
-            f"give a percentage from 0 to {MAX_REPEATABILITY_PERCENT:g}, or a table of such by joint and direction: "
-            '{"3+" = 0.27, "3-" = 0.3}'
+            f"give a percentage from 0 to {MAX_REPEATABILITY_PERCENT:g}, or a table of such by joint and "
+            'direction: {"3+" = 0.27, "3-" = 0.3}'
         ),
     ]
     """Spread of the counts; one number, or a table such as `{"3+" = 0.27, "3-" = 0.3}`."""
@@ -270,30 +268,20 @@ class PlanFile(Table):
     sweep: Annotated[list[AnySweep], MinLen(1)]
 
     @model_validator(mode="after")
-    def _few_enough(self) -> Self:
-        in_a_session = sum(sweep.configurations() * sweep.in_each() for sweep in self.sweep)
-        total = in_a_session * self.replicates * len(self.sessions.sessions())
+    def _check_size(self) -> Self:
+        counts = [sweep.configurations() * sweep.traverses_per_configuration() for sweep in self.sweep]
+        total = sum(counts) * self.replicates * len(self.sessions.sessions())
         if total > MAX_TRAVERSES:
-            self.refuse(
-                (f"the plan makes {total:,} traverses; keep it to {MAX_TRAVERSES:,}", ("replicates",))
-            )
+            message = f"the plan makes {total:,} traverses; keep it to {MAX_TRAVERSES:,}"
+            self.refuse((message, ("replicates",)))
         return self
 
 
 def read_plan(path: str | Path, machine: Machine) -> Plan:
-    """Read and check a plan.
+    """Read and check a plan, a TOML file with the keys of `PlanFile`.
 
-    Parameters
-    ----------
-    path : path
-        A TOML file with the keys of `PlanFile`.
-    machine : Machine
-        Its ranges fill in full traverses and bound everything else.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
+    The machine's ranges are the ends of full traverses and bound every position. InputError has every issue
+    of the file.
 
     Examples
     --------
@@ -317,19 +305,19 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     1  2012-03-05      3         - -1.57  -1.57
     2  2012-03-05      3         + -1.57   0.00
     """
-    read = read_toml(path, PlanFile, "plan file", machine)
-    noise, (shortest, longest), turn = read.noise, read.timing.pause, read.timing.turn
-    spreads = noise.repeatability_pct.items() if noise else ()
+    content = read_toml(path, PlanFile, "plan file", machine)
+    noise, (shortest, longest), turn = None, content.timing.pause, content.timing.turn
+    if content.noise:
+        percent = content.noise.repeatability_pct.items()
+        noise = Noise({DRIVES[drive]: to_si(value, "%") for drive, value in percent}, content.noise.kind)
     return Plan(
-        name=read.name or Path(path).stem,
-        sessions=read.sessions.sessions(),
-        traverses=traverses_of(read.sweep, machine),
-        replicates=read.replicates,
-        order=read.order,
-        check_every=read.check_every,
-        timing=Timing(read.timing.step_period, (shortest, longest), (turn[0], turn[1])),
-        noise=Noise({DRIVES[drive]: to_si(value, "%") for drive, value in spreads}, noise.kind)
-        if noise
-        else None,
-        seed=read.seed,
+        name=content.name or Path(path).stem,
+        sessions=content.sessions.sessions(),
+        traverses=traverses_of(content.sweep, machine),
+        replicates=content.replicates,
+        order=content.order,
+        check_every=content.check_every,
+        timing=Timing(content.timing.step_period, (shortest, longest), (turn[0], turn[1])),
+        noise=noise,
+        seed=content.seed,
     )

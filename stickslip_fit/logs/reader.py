@@ -21,13 +21,14 @@ import pyarrow as pa
 from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._files import SourcePath, hash_sources, open_sources
-from stickslip_fit.logs._table import FileTable, IssueCollector, IssueMessage, label_codes, run_in_threads
+from stickslip_fit.logs._table import IssueCollector, IssueMessage, label_codes, run_in_threads
 from stickslip_fit.logs.history import add_session_history, steps_before
 from stickslip_fit.logs.log import Log
 from stickslip_fit.logs.plan import read_traverses, report_outside_range
 from stickslip_fit.logs.schema import (
     CHECK_EVERY,
     CONDITIONS,
+    MAX_STEPS,
     LogCells,
     locate_row,
     match_columns,
@@ -43,22 +44,18 @@ _BAD_COUNT_MESSAGE = "is no positive integer; write the steps driven, such as 12
 
 @dataclass(frozen=True)
 class RowKeys:
-    """Rows of all files, one file after the other.
+    """Session, time, joint and steps of the rows of all files, one file after the other, shape (n,).
 
     Attributes
     ----------
     labels : tuple of str
-        All sessions, in alphabetical order.
-    session : array of int, shape (n,)
-        Place of each row's session among the labels.
-    time : array of int, shape (n,)
-        Nanoseconds since 1970.
-    has_zone : array of bool, shape (n,)
-        Whether the time came with a zone (and is UTC).
-    joint, steps : array of int, shape (n,)
-        0 where the cell is faulty.
-    valid : array of bool, shape (n,)
-        Whether session, time and joint can be relied on.
+        All sessions in alphabetical order; `session` has indices.
+    time : array of int
+        Nanoseconds since 1970, UTC where `has_zone`.
+    joint, steps : array of int
+        0 where the cell is bad.
+    valid : array of bool
+        Whether session, time and joint are good.
     """
 
     labels: tuple[str, ...]
@@ -71,7 +68,7 @@ class RowKeys:
 
     @cached_property
     def order(self) -> Int64Array:
-        """Rows by time, joint and session: the one order that doesn't depend on the files'."""
+        """Rows by time, joint and session: an order that does not depend on that of the files."""
         if np.all(self.time[1:] > self.time[:-1]):
             return np.arange(len(self.time))
         return np.lexsort((self.session, self.joint, self.time))
@@ -81,17 +78,10 @@ class RowKeys:
         """Steps of each row's joint in all rows before it; rows in the order of time."""
         return steps_before(self.joint[self.order], self.steps[self.order])
 
-    def take(self, chosen: BoolArray) -> RowKeys:
+    def select(self, subset: BoolArray) -> RowKeys:
         """Only these rows."""
-        return RowKeys(
-            self.labels,
-            self.session[chosen],
-            self.time[chosen],
-            self.has_zone[chosen],
-            self.joint[chosen],
-            self.steps[chosen],
-            self.valid[chosen],
-        )
+        names = ("session", "time", "has_zone", "joint", "steps", "valid")
+        return replace(self, **{name: getattr(self, name)[subset] for name in names})
 
     def columns(self) -> dict[str, pd.Series]:
         """The Log's columns; times are in UTC where the log has zones."""
@@ -105,17 +95,17 @@ class RowKeys:
 
 
 def read_row_keys(files: list[LogCells]) -> RowKeys:
-    """Read the columns by which a row is known, and tell of what is wrong with them."""
+    """Read and check session, time, joint and steps."""
+
+    def counts(field: str, message: str, maximum: int = MAX_STEPS) -> Int64Array:
+        return np.concatenate([cells.counts(field, message, maximum=maximum, needed=True) for cells in files])
+
     read = run_in_threads(
         {
             "sessions": lambda: _read_sessions(files),
             "times": lambda: [cells.times("time") for cells in files],
-            "joint": lambda: np.concatenate(
-                [cells.counts("joint", _BAD_JOINT_MESSAGE, maximum=3, needed=True) for cells in files]
-            ),
-            "steps": lambda: np.concatenate(
-                [cells.counts("steps", _BAD_COUNT_MESSAGE, needed=True) for cells in files]
-            ),
+            "joint": lambda: counts("joint", _BAD_JOINT_MESSAGE, 3),
+            "steps": lambda: counts("steps", _BAD_COUNT_MESSAGE),
         }
     )
     labels, session = read["sessions"]
@@ -136,10 +126,10 @@ def read_row_keys(files: list[LogCells]) -> RowKeys:
 
 def _read_sessions(files: list[LogCells]) -> tuple[tuple[str, ...], Int64Array]:
     encoded = pa.concat_arrays([cells.texts("session") for cells in files]).dictionary_encode()
-    found = np.array(encoded.dictionary.to_pylist(), dtype=object)
-    order = np.argsort(found)
+    unsorted = np.array(encoded.dictionary.to_pylist(), dtype=object)
+    order = np.argsort(unsorted)
     session = np.argsort(order)[encoded.indices.to_numpy()]
-    labels = tuple(found[order])
+    labels = tuple(unsorted[order])
     blank = np.array([not label.strip() for label in labels], np.bool_)[session]
     for cells, blank_here in zip(files, split_by_file(files, blank), strict=True):
         cells.add_issue("session", blank_here, "is empty; write a label, such as the date 2012-03-05")
@@ -147,21 +137,21 @@ def _read_sessions(files: list[LogCells]) -> tuple[tuple[str, ...], Int64Array]:
 
 
 def _report_mixed_zones(files: list[LogCells], zoned: BoolArray, local: BoolArray) -> None:
-    """Tell of zones on some rows only; the rarer kind is held to be the mistake."""
+    """Report zones on some rows only; the rarer kind is taken as the mistake."""
     if not (zoned.any() and local.any()):
         return
     if zoned.sum() < local.sum():
-        wrong, right, said = zoned, local, "has a time zone, but {} has none; give all rows one, or none"
+        wrong, right, message = zoned, local, "has a time zone, but {} has none; give all rows one, or none"
     else:
-        wrong, right, said = local, zoned, "has no time zone, but {} has one; give all rows one, or none"
-    message = said.format(locate_row(files, int(np.argmax(right))))
+        wrong, right, message = local, zoned, "has no time zone, but {} has one; give all rows one, or none"
+    message = message.format(locate_row(files, int(np.argmax(right))))
     for cells, wrong_here in zip(files, split_by_file(files, wrong), strict=True):
         cells.add_issue("time", wrong_here, message)
 
 
 def _report_duplicates(files: list[LogCells], identity: RowKeys) -> None:
     order = identity.order
-    # Times seldom repeat: joint and session need a look only where they do.
+    # Times seldom repeat: joint and session are compared only where they do.
     again = np.flatnonzero(np.diff(identity.time[order]) == 0)
     one, other = order[again], order[again + 1]
     same = identity.valid[one] & identity.valid[other] & (identity.joint[one] == identity.joint[other])
@@ -189,12 +179,9 @@ _EPOCH = datetime(1970, 1, 1)
 
 
 def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike | None) -> BoolArray:
-    """Say which rows belong to the sessions whose first traverse falls in [since, until).
+    """Which rows belong to sessions whose first traverse is in [since, until).
 
-    Raises
-    ------
-    InputError
-        If a bound is no date or time, has a zone where the log has none, or no session is left.
+    InputError for a bound that is no date or time or has a zone where the log has none, and for no session.
     """
     zoned = bool(identity.has_zone.any())
     began = np.full(len(identity.labels), np.iinfo(np.int64).max)
@@ -205,12 +192,9 @@ def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike |
     if until is not None:
         inside &= began < _to_nanoseconds("until", until, zoned)
     if not inside.any():
-        first, last = (
-            np.datetime_as_string(end.view("M8[ns]"), unit="m") for end in (began.min(), began.max())
-        )
-        span = " and ".join(
-            f"{name} {bound}" for name, bound in (("since", since), ("until", until)) if bound
-        )
+        first, last = np.datetime_as_string(np.array([began.min(), began.max()]).view("M8[ns]"), unit="m")
+        bounds = (("since", since), ("until", until))
+        span = " and ".join(f"{name} {bound}" for name, bound in bounds if bound)
         raise InputError(f"no session began {span}; the log's sessions began from {first} to {last}")
     return inside[identity.session]
 
@@ -248,20 +232,10 @@ STATUSES = ("ok", "interrupted", "excluded", "")
 
 
 def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int64Array) -> pd.DataFrame:
-    """Read what a file says of its rows beyond their identity, and tell of what breaks the rules.
+    """Read and check the other columns of the format in one file, in its order.
 
-    Parameters
-    ----------
-    cells : Cells
-    machine : Machine
-        Its ranges bound every position, and end the traverses that say nothing else.
-    joint, steps : array of int, shape (n,)
-        Read already; 0 where faulty.
-
-    Returns
-    -------
-    DataFrame
-        The Log's columns but identity, history and the lab's own, in the file's order.
+    The machine's ranges bound every position and are the ends of traverses without from and to. `joint` and
+    `steps`, shape (n,), are 0 where bad.
     """
     direction = cells.choices("direction", DIRECTIONS, "is no direction; write + or -")
     forward = np.array([1, -1, 0])[direction]
@@ -283,7 +257,7 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
 
 
 def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: int) -> Array:
-    """Where another joint stood; the moving joint's own cell is ignored, whatever it holds."""
+    """Position of another joint; the moving joint's own cell is ignored."""
     field = f"q{other}"
     position = cells.numbers(field, needed=joint > 0, ignored=joint == other)
     report_outside_range(cells, machine, field, other, position)
@@ -293,7 +267,7 @@ def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: 
 def _read_check_every(cells: LogCells, steps: Int64Array) -> Int64Array:
     given = cells.counts("check_every", "is no positive integer; write 5, or 1 where the count is exact")
     check_every = np.where(given > 0, given, CHECK_EVERY)
-    # A faulty cell is no empty one: what 5 would say of its row is beside the point.
+    # Not checked where the cell is bad.
     known = (given > 0) | ~cells.is_filled("check_every")
 
     def message(row: int, value: str) -> str:
@@ -337,9 +311,8 @@ def read_log(
     machine : Machine, optional
         The nominal one if not given.
     since, until : str, date or datetime, optional
-        Select the sessions whose first traverse falls in [since, until); without a zone, they are UTC
-        where the log has zones. Of the other sessions only session, time, joint and steps are looked at,
-        which history needs; of a Parquet file, no other column of their row groups is read.
+        Select the sessions whose first traverse is in [since, until); without a zone, they are UTC where
+        the log has zones. Of other sessions only session, time, joint and steps are read, for history.
 
     Returns
     -------
@@ -353,7 +326,9 @@ def read_log(
     machine = machine or load_machine()
     issues = IssueCollector()
     sources = open_sources(source, issues)
-    files = [_match_table(each.table, issues) for each in sources]
+    tables = [source.table for source in sources]
+    layouts = [match_columns(table.names, table.file, table.header_line, issues) for table in tables]
+    files = [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
     if not files:
         issues.raise_if_any()
     identity = kept = read_row_keys(files)
@@ -361,13 +336,13 @@ def read_log(
     if since is not None or until is not None:
         issues.raise_if_any()
         chosen = select_sessions(identity, since, until)
-        files, kept = _select_rows(files, chosen), identity.take(chosen)
+        files, kept = _select_rows(files, chosen), identity.select(chosen)
     columns, notes = _build_columns(files, kept, machine)
     issues.raise_if_any()
     rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order])
     return Log(
         rows=rows.assign(steps_before=identity.steps_before[chosen[identity.order]]),
-        sources=tuple((each.table.file, each.sha256) for each in sources),
+        sources=tuple((file.table.file, file.sha256) for file in sources),
         sha256=hash_sources(sources),
         machine=machine,
         notes=(
@@ -378,14 +353,10 @@ def read_log(
     )
 
 
-def _match_table(table: FileTable, issues: IssueCollector) -> LogCells:
-    return LogCells(table, match_columns(table.names, table.file, table.header_line, issues), issues)
-
-
 def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:
-    """Only the chosen rows, and only the files that have any."""
+    """Only the selected rows, and only the files that have any."""
     return [
-        replace(cells, table=cells.table.take(np.flatnonzero(subset)))
+        replace(cells, table=cells.table.select(np.flatnonzero(subset)))
         for cells, subset in zip(files, split_by_file(files, chosen), strict=True)
         if subset.any()
     ]
@@ -394,7 +365,7 @@ def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:
 def _build_columns(
     files: list[LogCells], identity: RowKeys, machine: Machine
 ) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
-    """All columns but history, in the files' order, and notes about the lab's own columns."""
+    """All columns but history, in the order of the files, and notes about the lab's own columns."""
     joints, steps = split_by_file(files, identity.joint), split_by_file(files, identity.steps)
     read = run_in_threads(
         {
@@ -403,7 +374,7 @@ def _build_columns(
         }
     )
     own, notes = read["own"]
-    # A single file's columns are not copied: a million rows take their time.
+    # A single file's columns are not copied, for speed.
     checked = read["checked"][0] if len(files) == 1 else pd.concat(read["checked"], ignore_index=True)
     return {**identity.columns(), **dict(checked.items()), **own}, notes
 

@@ -36,17 +36,9 @@ LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of the format.
+    """A quantity of the format: its name in the package, and the stem of its column with the unit suffixes.
 
-    Attributes
-    ----------
-    name : str
-        Inside the program.
-    stem : str
-        In a file, without its unit.
-    suffixes : tuple of str
-        Units it may be written in, the usual one first; none for text and counts.
-    required : bool
+    The usual suffix is the first; text and counts have none.
     """
 
     name: str
@@ -62,16 +54,16 @@ class Field:
 
 @dataclass(frozen=True)
 class Condition(Field):
-    """What the room or the drive is like in a traverse, as far as a log says it.
+    """A recorded condition of a traverse, of the room or the drive; all that is specific to it is here.
 
     Attributes
     ----------
     label : str
-        As sentences have it.
+        In a sentence.
     beyond : float
-        How far one may go beyond a log in which it never changed, SI.
+        How far beyond a log in which it is constant it may vary, SI.
     fault : str
-        What is wrong with a value that is not above 0, SI; empty where any value will do.
+        Message for a value that is not above 0 in SI; empty where any is possible.
     """
 
     label: str = ""
@@ -85,7 +77,7 @@ class Condition(Field):
 
     @property
     def axis(self) -> str:
-        """As the axis of a figure has it, with its unit."""
+        """Label of a figure's axis."""
         return f"{self.stem.replace('_', ' ')} ({self.unit})"
 
 
@@ -107,20 +99,27 @@ FIELDS = (
     Field("check_every", "check_every"),
     Field("status", "status"),
     Condition(
-        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0,
+        "temperature",
+        "temperature",
+        ("C", "K"),
+        label="ambient temperature",
+        beyond=5.0,
         fault="is at or below absolute zero; correct it, or the column's unit",
     ),
     Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
     Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
     Condition(
-        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005,
+        "step_period",
+        "step_period",
+        ("ms", "s"),
+        label="step period",
+        beyond=0.005,
         fault="is no period; write a time above 0",
     ),
     Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
     Field("note", "note"),
-)  # fmt: skip
-# What an empty cell means.
-CHECK_EVERY = 5
+)
+CHECK_EVERY = 5  # where the cell is empty
 CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
 COVARIATE_PREFIX = "covariate:"  # begins the names of the lab's own columns that hold numbers
 
@@ -133,7 +132,7 @@ _FIELD_BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.
 _COUNT_FIELDS = ("joint", "steps", "check_every")
 _STEMS_WITH_UNIT = {field.stem for field in FIELDS if field.suffixes}
 _UNNAMED_MESSAGE = "has no name; give it one, or delete the column"
-# What pandas adds to a Parquet file to remember its row labels: bookkeeping, not a measurement.
+# Row labels that pandas adds to a Parquet file.
 _ROW_LABELS = re.compile(r"__index_level_\d+__")
 
 
@@ -147,90 +146,69 @@ class SourceColumn:
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """What the columns of one file stand for.
-
-    Attributes
-    ----------
-    known : dict of str to Column
-        Field name to column.
-    others : tuple of str
-        The lab's own columns.
-    notes : tuple of str
-        What a person should know about the columns.
-    """
+    """The columns of one file: of the format, by field name; the lab's own; and notes for the user."""
 
     known: dict[str, SourceColumn]
-    others: tuple[str, ...]
+    unknown: tuple[str, ...]
     notes: tuple[str, ...]
 
 
 def match_columns(
     names: tuple[str, ...], file: str, line: int | None, issues: IssueCollector
 ) -> ColumnLayout:
-    """Say what each column of a file stands for.
+    """Match the header `names` of a file, in line `line`, to the format.
 
-    Parameters
-    ----------
-    names : tuple of str
-        The header, as it stands in the file.
-    file : str
-    line : int, optional
-        Line of the header.
-    issues : Faults
-        Told of missing, doubled, unnamed and unit-less columns.
+    Missing, repeated and unnamed columns and those without a unit are added to `issues`.
 
     Examples
     --------
     >>> layout = match_columns(("theta_rad", "pressure_hPa"), "day.csv", 1, IssueCollector())
-    >>> layout.known["theta"], layout.others
-    (Column(name='theta_rad', unit='rad'), ('pressure_hPa',))
+    >>> layout.known["theta"], layout.unknown
+    (SourceColumn(name='theta_rad', unit='rad'), ('pressure_hPa',))
     """
     known: dict[str, SourceColumn] = {}
-    others: list[str] = []
+    unknown: list[str] = []
     notes: list[str] = []
     intended: set[str] = set()
     for name, count in Counter(name for name in names if name.strip()).items():
         field = _FIELD_BY_SPELLING.get(name)
-        fault = _duplicate_message(count) or explain_bad_unit(name)
-        if fault:
-            issues.place(file, fault, line=line, column=name)
+        repeated = f"stands {count} times in the header; rename or delete all but one" if count > 1 else None
+        message = repeated or explain_bad_unit(name)
+        if message:
+            issues.add(file, message, line, name)
             intended |= _intended_fields(name)
         elif _ROW_LABELS.fullmatch(name):
             notes.append(f"{file}: column {name} holds pandas' row labels and is left out")
         elif field is None:
-            others.append(name)
+            unknown.append(name)
         elif field.name in known:
-            fault = f"is a second column for {field.stem}, beside {known[field.name].name}; keep one of them"
-            issues.place(file, fault, line=line, column=name)
+            message = (
+                f"is a second column for {field.stem}, beside {known[field.name].name}; keep one of them"
+            )
+            issues.add(file, message, line, name)
         else:
-            known[field.name] = SourceColumn(name, _unit_of_name(name, field))
+            known[field.name] = SourceColumn(
+                name, SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
+            )
     unnamed = [position for position, name in enumerate(names, start=1) if not name.strip()]
-    issues.lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
+    issues.add_lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
     for field in FIELDS:
         if field.required and field.name not in known and field.name not in intended:
-            message = f"is missing; every log needs it{_spelling_hint(field, others)}"
-            issues.place(file, message, line=line, column=field.spellings[0])
-    notes += _note_lookalikes(file, known, others)
-    return ColumnLayout(known, tuple(others), tuple(notes))
+            message = f"is missing; every log needs it{_spelling_hint(field, unknown)}"
+            issues.add(file, message, line, field.spellings[0])
+    notes += _note_lookalikes(file, known, unknown)
+    return ColumnLayout(known, tuple(unknown), tuple(notes))
 
 
 def holds_numbers(name: str) -> bool:
-    """Say whether a name is a column of the format that holds numbers."""
+    """Whether a name is a column of the format that holds numbers."""
     field = _FIELD_BY_SPELLING.get(name)
     return field is not None and (bool(field.suffixes) or field.name in _COUNT_FIELDS)
 
 
 def is_known(name: str) -> bool:
-    """Say whether a name is a column of the format."""
+    """Whether a name is a column of the format."""
     return name in _FIELD_BY_SPELLING
-
-
-def _unit_of_name(name: str, field: Field) -> str:
-    return SUFFIXES[name.removeprefix(f"{field.stem}_")] if field.suffixes else "1"
-
-
-def _duplicate_message(times: int) -> str | None:
-    return f"stands {times} times in the header; rename or delete all but one" if times > 1 else None
 
 
 def explain_bad_unit(name: str) -> str | None:
@@ -257,21 +235,21 @@ def _unit_choices(stem: str) -> str:
 
 
 def _intended_fields(name: str) -> set[str]:
-    """Fields that a column with a faulty name was meant to be, so that they aren't called missing too."""
+    """Fields that a column with a bad name was meant for, which are then not called missing too."""
     return {field.name for field in FIELDS if field.stem in (name, name.rpartition("_")[0])}
 
 
-def _spelling_hint(field: Field, others: list[str]) -> str:
-    for other in others:
+def _spelling_hint(field: Field, unknown: list[str]) -> str:
+    for other in unknown:
         if _guess_field(other) is field:
             return f" (found {other!r}: write {_closest_spelling(other, field)})"
     return ""
 
 
-def _note_lookalikes(file: str, known: dict[str, SourceColumn], others: list[str]) -> list[str]:
-    """Optional columns that are written almost as the format has them: kept literally, but not silently."""
+def _note_lookalikes(file: str, known: dict[str, SourceColumn], unknown: list[str]) -> list[str]:
+    """Notes on columns that are kept as the lab's own though their names nearly are optional fields."""
     notes = []
-    for other in others:
+    for other in unknown:
         field = _guess_field(other)
         if field and not field.required and field.name not in known:
             spelling = _closest_spelling(other, field)
@@ -282,16 +260,14 @@ def _note_lookalikes(file: str, known: dict[str, SourceColumn], others: list[str
 
 
 def _guess_field(name: str) -> Field | None:
-    plain = _normalize_name(name)
-    for spelling, field in _FIELD_BY_SPELLING.items():
-        if plain in (_normalize_name(spelling), field.stem):
-            return field
-    return None
+    normalized, fields = _normalize_name(name), _FIELD_BY_SPELLING.items()
+    similar = (field for spelling, field in fields if normalized in (_normalize_name(spelling), field.stem))
+    return next(similar, None)
 
 
 def _closest_spelling(name: str, field: Field) -> str:
-    alike = [spelling for spelling in field.spellings if _normalize_name(spelling) == _normalize_name(name)]
-    return (alike or list(field.spellings))[0]
+    same = [spelling for spelling in field.spellings if _normalize_name(spelling) == _normalize_name(name)]
+    return (same or field.spellings)[0]
 
 
 def _normalize_name(name: str) -> str:
@@ -304,31 +280,29 @@ MAX_STEPS = 10**12
 
 @dataclass(frozen=True)
 class LogCells:
-    """One file's columns, by the format's names.
+    """The columns of one file by field name.
 
-    A cell that is empty though needed, or no number where one belongs, is told to `faults` and comes
-    back as NaN (counts: 0, choices: -1), so that what depends on it can be left unchecked. A column
-    that is missing comes back as if all its cells were empty, without complaint: the header was told.
+    A bad cell, or an empty one that is needed, is added to `issues` and read as NaN (counts: 0, choices:
+    -1), so that what depends on it can be left unchecked. A missing column is read as empty cells, without
+    an issue: `match_columns` has added one.
     """
 
     table: FileTable
     layout: ColumnLayout
-    faults: IssueCollector
+    issues: IssueCollector
 
     def has(self, field: str) -> bool:
-        """Say whether the file has a column for this quantity."""
+        """Whether the file has a column for this quantity."""
         return field in self.layout.known
 
     def is_filled(self, field: str) -> BoolArray:
-        """Say where the quantity's cell is not empty."""
-        if not self.has(field):
-            return self._none()
-        return is_filled(self._column(field))
+        """Where the quantity's cell is not empty."""
+        return is_filled(self._column(field)) if self.has(field) else self._none()
 
     def add_issue(self, field: str, wrong: BoolArray, message: IssueMessage) -> None:
-        """Tell of cells of a quantity, unless the file lacks its column."""
+        """Add an issue for cells of a quantity, unless the file lacks its column."""
         if self.has(field):
-            self.faults.cells(self.table, wrong, self.layout.known[field].name, message)
+            self.issues.add_cells(self.table, wrong, self.layout.known[field].name, message)
 
     def numbers(
         self, field: str, *, needed: BoolArray | bool = False, ignored: BoolArray | bool = False
@@ -336,44 +310,45 @@ class LogCells:
         """Read finite numbers in SI, NaN where empty or ignored."""
         if not self.has(field):
             return np.full(self.table.count, np.nan)
-        written = parse_numbers(self._column(field))
+        parsed = parse_numbers(self._column(field))
         with np.errstate(over="ignore"):
-            values = to_si(written.values, self.layout.known[field].unit)
+            values = to_si(parsed.values, self.layout.known[field].unit)
         usable = np.isfinite(values) & np.logical_not(ignored)
-        missed = ~(usable | ignored)
-        self.add_issue(field, missed & ~written.empty, _bad_number_message)
-        self.add_issue(field, missed & written.empty & needed, "is empty; write the number")
+        bad = ~(usable | ignored)
+        self.add_issue(field, bad & ~parsed.empty, _bad_number_message)
+        self.add_issue(field, bad & parsed.empty & needed, "is empty; write the number")
         np.copyto(values, np.nan, where=~usable)
         return values
 
     def counts(
         self, field: str, message: str, *, maximum: int = MAX_STEPS, needed: bool = False
     ) -> Int64Array:
-        """Read integers from 1 to `most`, 0 where empty or bad."""
+        """Read integers from 1 to `maximum`, 0 where empty or bad."""
         if not self.has(field):
             return np.zeros(self.table.count, np.int64)
-        found = parse_numbers(self._column(field))
-        fits = (found.values >= 1) & (found.values <= maximum) & (found.values == np.floor(found.values))
-        self.add_issue(field, ~fits if needed else ~(fits | found.empty), message)
-        return np.where(fits, found.values, 0.0).astype(np.int64)
+        parsed = parse_numbers(self._column(field))
+        values = parsed.values
+        good = (values >= 1) & (values <= maximum) & (values == np.floor(values))
+        self.add_issue(field, ~good if needed else ~(good | parsed.empty), message)
+        return np.where(good, values, 0.0).astype(np.int64)
 
     def choices(self, field: str, choices: tuple[str, ...], message: IssueMessage) -> npt.NDArray[np.int8]:
-        """Find the place of each cell's text among `choices`, -1 where it is none of them."""
+        """Index of each cell's text among `choices`, -1 where it is none of them."""
         if not self.has(field):
             return np.full(self.table.count, -1, np.int8)
-        found = parse_choices(self._column(field), choices)
-        self.add_issue(field, found < 0, message)
-        return found
+        index = parse_choices(self._column(field), choices)
+        self.add_issue(field, index < 0, message)
+        return index
 
     def times(self, field: str) -> ParsedTimes:
         """Read times, 0 where empty or bad."""
         if not self.has(field):
             zeros = np.zeros(self.table.count, np.int64)
             return ParsedTimes(zeros, self._none(), ~self._none(), self._none())
-        found = parse_times(self._column(field))
-        self.add_issue(field, found.empty, "is empty; write when the traverse began")
-        self.add_issue(field, found.bad, "is no date with a time of day; write it like 2012-03-05T09:41:10")
-        return found
+        times = parse_times(self._column(field))
+        self.add_issue(field, times.empty, "is empty; write when the traverse began")
+        self.add_issue(field, times.bad, "is no date with a time of day; write it like 2012-03-05T09:41:10")
+        return times
 
     def texts(self, field: str) -> pa.Array:
         """Read cells as text, literally; empty where the column is missing."""
@@ -389,15 +364,15 @@ class LogCells:
 
 
 def split_by_file(files: list[LogCells], rows: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
-    """Cut an array over the rows of all files into one for each."""
+    """Split an array over the rows of all files into one for each."""
     return np.split(rows, np.cumsum([cells.table.count for cells in files])[:-1])
 
 
 def locate_row(files: list[LogCells], row: int) -> str:
-    """Say where a row of all files stands."""
+    """Where a row of all files stands, in words."""
     counts = [cells.table.count for cells in files]
     which = int(np.searchsorted(np.cumsum(counts), row, side="right"))
-    return files[which].table.place(row - sum(counts[:which]))
+    return files[which].table.locate(row - sum(counts[:which]))
 
 
 def _bad_number_message(row: int, value: str) -> str:
@@ -412,28 +387,21 @@ def _bad_number_message(row: int, value: str) -> str:
 
 
 def read_covariates(files: list[LogCells]) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
-    """Read the columns that the format doesn't know, over all files.
+    """Read the columns that are not of the format, over all files, and note those that are text by few cells.
 
-    A column is numeric if every cell that isn't empty holds a finite number, in whichever file.
-
-    Returns
-    -------
-    columns : dict of str to Series
-        ``covariate:<column>`` (NaN where empty) and ``text:<column>``.
-    notes : tuple of str
-        Columns that are text because of a few cells.
+    A column is numeric, ``covariate:<column>`` with NaN where empty, if every cell that is not empty holds a
+    finite number; else it is ``text:<column>``.
     """
     columns: dict[str, pd.Series] = {}
     notes: list[str] = []
-    for name in dict.fromkeys(name for cells in files for name in cells.layout.others):
+    for name in dict.fromkeys(name for cells in files for name in cells.layout.unknown):
         parts = [_raw_column(cells, name) for cells in files]
         numbers = [parse_numbers(part) for part in parts]
         empty = np.concatenate([part.empty for part in numbers])
         bad = np.concatenate([part.bad for part in numbers])
         if not bad.any() and not empty.all():
-            columns[COVARIATE_PREFIX + name] = pd.Series(
-                np.concatenate([part.values for part in numbers]), copy=False
-            )
+            values = np.concatenate([part.values for part in numbers])
+            columns[COVARIATE_PREFIX + name] = pd.Series(values, copy=False)
             continue
         text = pa.concat_arrays([_text_column(cells, name) for cells in files]).to_pandas()
         columns[f"text:{name}"] = text
@@ -446,10 +414,9 @@ def read_covariates(files: list[LogCells]) -> tuple[dict[str, pd.Series], tuple[
 
 
 def _text_column(cells: LogCells, name: str) -> pa.Array:
-    return cells.table.text(name) if name in cells.layout.others else to_text(_raw_column(cells, name))
+    return cells.table.text(name) if name in cells.layout.unknown else to_text(_raw_column(cells, name))
 
 
 def _raw_column(cells: LogCells, name: str) -> pa.Array:
-    if name in cells.layout.others:
-        return cells.table.column(name)
-    return pa.nulls(cells.table.count, pa.large_string())
+    missing = pa.nulls(cells.table.count, pa.large_string())
+    return cells.table.column(name) if name in cells.layout.unknown else missing

@@ -19,18 +19,9 @@ STANDARD_GRAVITY = 9.80665
 
 
 def inertia_matrix(machine: Machine, q: npt.ArrayLike) -> Array:
-    """The inertia matrix D.
+    """The inertia matrix D at joint positions `q` (rad, rad, m), shape (..., 3) -> (..., 3, 3).
 
-    Parameters
-    ----------
-    machine : Machine
-    q : array_like, shape (..., 3)
-        Joint positions, rad, rad, m.
-
-    Returns
-    -------
-    array, shape (..., 3, 3)
-        kg m^2 for the rotary joints, kg for the prismatic one.
+    kg m^2 for the rotary joints, kg for the prismatic one.
 
     Examples
     --------
@@ -133,7 +124,7 @@ def gravity_forces(
     psi: npt.ArrayLike,
     g: float = STANDARD_GRAVITY,
 ) -> Array:
-    """What the joints must bear against gravity, G = dV/dq: `gravity_scale` times `full_load`.
+    """The joint forces that balance gravity, G = dV/dq: `gravity_scale` times `full_load`.
 
     Parameters
     ----------
@@ -162,10 +153,10 @@ def gravity_forces(
 
 
 def joint_forces(machine: Machine, q: npt.ArrayLike, tip_force: npt.ArrayLike) -> Array:
-    """What the joints must bear against a force on the tip, tau = -J^T F.
+    """The joint forces that balance a force on the tip, tau = -J^T F.
 
     The sign is gravity's: above 0 where moving in `+` goes against the force. A weight hung on the
-    tip is F = -m g `up_in_base`, and bears on the joints as one more mass would.
+    tip is F = -m g `vertical_in_base`, as a further mass would be.
 
     Parameters
     ----------
@@ -240,7 +231,7 @@ def tip_load(
 
 
 def _half_inertia_derivatives(machine: Machine, q2: Array, q3: Array) -> tuple[Array, Array, Array]:
-    """Half of dD11/dq2, dD11/dq3 and dD22/dq3; D has no other slopes."""
+    """Half of dD11/dq2, dD11/dq3 and dD22/dq3; the other derivatives of D are 0."""
     _, fore, hand = machine.links
     sine, cosine, out = np.sin(q2), np.cos(q2), _hand_distance(machine, q3)
     base_by_q2 = cosine * (

@@ -24,13 +24,7 @@ RANGE_TOL = 1e-12
 
 
 def reach(machine: Machine, q2: npt.ArrayLike, q3: npt.ArrayLike) -> Array:
-    """How far the tip is out beyond joint 2's axis, rho = -(l2 + q3) sin q2, in m.
-
-    Parameters
-    ----------
-    machine : Machine
-    q2, q3 : array_like
-        Joint positions, rad and m; they broadcast.
+    """Horizontal distance of the tip from joint 2's axis, rho = -(l2 + q3) sin q2, m; q2, q3 in rad, m.
 
     Examples
     --------
@@ -42,18 +36,7 @@ def reach(machine: Machine, q2: npt.ArrayLike, q3: npt.ArrayLike) -> Array:
 
 
 def forward(machine: Machine, q: npt.ArrayLike) -> Array:
-    """The tip in the base's frame.
-
-    Parameters
-    ----------
-    machine : Machine
-    q : array_like, shape (..., 3)
-        Joint positions, rad, rad, m.
-
-    Returns
-    -------
-    array, shape (..., 3)
-        x, y, z in m.
+    """The tip in the base's frame, m, at joint positions `q` (rad, rad, m), shape (..., 3) -> (..., 3).
 
     Examples
     --------
@@ -68,18 +51,9 @@ def forward(machine: Machine, q: npt.ArrayLike) -> Array:
 
 
 def jacobian(machine: Machine, q: npt.ArrayLike) -> Array:
-    """How the tip moves with each joint, d(x, y, z) / d(q1, q2, q3).
+    """The derivatives d(x, y, z) / d(q1, q2, q3) of the tip, shape (..., 3) -> (..., 3, 3).
 
-    Parameters
-    ----------
-    machine : Machine
-    q : array_like, shape (..., 3)
-        Joint positions, rad, rad, m.
-
-    Returns
-    -------
-    array, shape (..., 3, 3)
-        Column j is the tip's motion with joint j: m/rad, m/rad, m/m.
+    Column j is the tip's motion with joint j: m/rad, m/rad, m/m.
 
     Examples
     --------
@@ -99,12 +73,11 @@ def jacobian(machine: Machine, q: npt.ArrayLike) -> Array:
 
 
 def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None = None) -> list[Array]:
-    """Every way the joints can stand, within their ranges, with the tip at `target`.
+    """Every joint position within the ranges that puts the tip at `target`.
 
-    The arm can reach a point with joint 1 turned towards it, or turned away and bent back over joint
-    1's axis; the thesis's A.4 knows only the first. Within either,
-    q2 = atan2(-d_x, d_y) with d the tip seen from joint 2 in frame 1, and q3 = |d| - l2. The
-    thesis's A.6, q2 = atan2(d_y, d_x), is a quarter of a turn off.
+    The arm can reach a point with joint 1 turned towards it, or turned away and bent back over joint 1's
+    axis; the thesis's A.4 has only the first. In both, q2 = atan2(-d_x, d_y) with d the tip seen from joint
+    2 in frame 1, and q3 = |d| - l2. The thesis's A.6, q2 = atan2(d_y, d_x), is off by a quarter turn.
 
     Parameters
     ----------
@@ -112,14 +85,13 @@ def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None 
     target : array_like, shape (3,)
         Tip in the base's frame, m.
     near : array_like, shape (3,), optional
-        Where the joints stand now, rad, rad, m. It matters only for a target on joint 1's axis, which
-        any q1 reaches: q1 then stays as it is, since moving it would spend steps on nothing.
-        Without `near` it is the middle of its range.
+        Present joint positions, rad, rad, m. Used only for a target on joint 1's axis, which any q1
+        reaches: q1 then stays, or without `near` is the middle of its range.
 
     Returns
     -------
     list of array, shape (3,)
-        At least one; more where both ways, or two turns of a wide range, lead there.
+        At least one; more where both solutions, or two turns of a wide range, are possible.
 
     Raises
     ------
@@ -136,39 +108,23 @@ def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None 
     """
     point = _check_three_numbers(target, "a target", "x, y, z in m")
     solutions = _joint_solutions(machine, point, _undetermined_q1(machine, near))
-    found = [
+    positions = [
         np.array([q1, q2, q3])
         for solution in solutions
         for q1 in _positions_in_range(machine, 1, solution[0])
         for q2 in _positions_in_range(machine, 2, solution[1])
         for q3 in _positions_in_range(machine, PRISMATIC, solution[2])
     ]
-    if not found:
+    if not positions:
         raise InputError(_explain_out_of_reach(machine, point, solutions))
-    return found
+    return positions
 
 
 def nearest_solution(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike) -> Array:
-    """The solution of `inverse` that costs the least driving from where the joints stand.
+    """The solution of `inverse` with the least motion from the joint positions `near`, shape (3,).
 
-    Driving is counted in full ranges of each joint and summed, as joints move one after the other.
-
-    Parameters
-    ----------
-    machine : Machine
-    target : array_like, shape (3,)
-        Tip in the base's frame, m.
-    near : array_like, shape (3,)
-        Where the joints stand now, rad, rad, m.
-
-    Returns
-    -------
-    array, shape (3,)
-
-    Raises
-    ------
-    InputError
-        If the target is out of reach.
+    The motion is the sum over the joints of distance per full range, as joints move one after the other.
+    Parameters, units and errors as in `inverse`.
 
     Examples
     --------
@@ -178,13 +134,13 @@ def nearest_solution(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLik
     >>> np.degrees(q).round(6)
     array([  0., -90.,   0.])
     """
-    stand = np.array(_check_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
+    present = np.array(_check_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
     spans = np.array([machine.span(joint) for joint in JOINTS])
-    return min(inverse(machine, target, stand), key=lambda q: float(np.sum(np.abs(q - stand) / spans)))
+    return min(inverse(machine, target, present), key=lambda q: float(np.sum(np.abs(q - present) / spans)))
 
 
 def _joint_solutions(machine: Machine, point: list[float], free_q1: float) -> list[list[float]]:
-    """Joint positions that put the tip at `point`, whatever the ranges and whole turns aside."""
+    """Joint positions that put the tip at `point`, regardless of ranges and up to whole turns."""
     x, y, z = point
     radial = hypot(x, y)
     if radial <= RANGE_TOL:
@@ -210,24 +166,22 @@ def _undetermined_q1(machine: Machine, near: npt.ArrayLike | None) -> float:
 
 
 def _positions_in_range(machine: Machine, joint: int, position: float) -> list[float]:
-    """The stands of a joint, within its range, that amount to `position`."""
+    """The positions of a joint within its range that equal `position`, up to whole turns if rotary."""
     low, high = machine.ranges[joint]
     if joint == PRISMATIC:
-        stands = [position] if low - RANGE_TOL <= position <= high + RANGE_TOL else []
+        positions = [position] if low - RANGE_TOL <= position <= high + RANGE_TOL else []
     else:
-        fewest = ceil((low - RANGE_TOL - position) / tau)
-        most = floor((high + RANGE_TOL - position) / tau)
-        stands = [position + turns * tau for turns in range(fewest, most + 1)]
-    return [min(max(stand, low), high) for stand in stands]
+        first = ceil((low - RANGE_TOL - position) / tau)
+        last = floor((high + RANGE_TOL - position) / tau)
+        positions = [position + turns * tau for turns in range(first, last + 1)]
+    return [min(max(inside, low), high) for inside in positions]
 
 
 def _explain_out_of_reach(machine: Machine, point: list[float], solutions: list[list[float]]) -> str:
-    """What stops the arm, for the way with the fewest joints stopped, then the one that comes closest."""
+    """Why no solution is within the ranges: the one with the fewest overruns, then the closest tip."""
     tips = [_tip_at_limits(machine, solution) for solution in solutions]
     overruns = [_describe_overruns(machine, solution) for solution in solutions]
-    best = min(
-        range(len(solutions)), key=lambda solution: (len(overruns[solution]), dist(point, tips[solution]))
-    )
+    best = min(range(len(solutions)), key=lambda k: (len(overruns[k]), dist(point, tips[k])))
     missed = from_si(dist(point, tips[best]), "mm")
     return (
         f"the target {_format_point(point)} is out of reach: {' and '.join(overruns[best])}. "
@@ -243,7 +197,7 @@ def _tip_at_limits(machine: Machine, solution: list[float]) -> list[float]:
 
 
 def _describe_overruns(machine: Machine, solution: list[float]) -> list[str]:
-    """What to say of each joint that would leave its range."""
+    """A phrase for each joint that would leave its range."""
     messages = []
     for joint in JOINTS:
         position, (low, high) = _unwind(machine, joint, solution[joint - 1]), machine.ranges[joint]
@@ -275,18 +229,14 @@ def _format_point(point: list[float]) -> str:
 
 
 def _check_three_numbers(values: npt.ArrayLike, what: str, meaning: str) -> list[float]:
-    given = np.asarray(values, float)
-    if given.shape != (3,) or not np.all(np.isfinite(given)):
-        raise InputError(f"{what} is three finite numbers, {meaning}, not {given.tolist()}")
-    return [float(x) for x in given]
+    numbers = np.asarray(values, float)
+    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{what} is three finite numbers, {meaning}, not {numbers.tolist()}")
+    return [float(x) for x in numbers]
 
 
 def vertical_in_base(theta: npt.ArrayLike, psi: npt.ArrayLike) -> Array:
-    """The vertical, seen from the base, for base orientations in rad.
-
-    Returns
-    -------
-    array, shape (..., 3)
+    """The vertical in the base's frame, shape (..., 3), for base orientations in rad.
 
     Examples
     --------
@@ -300,7 +250,7 @@ def vertical_in_base(theta: npt.ArrayLike, psi: npt.ArrayLike) -> Array:
 def published_load(
     joint: int, q1: npt.ArrayLike, q2: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike
 ) -> Array:
-    """The load of the published laws: joints 2 and 3 know nothing of q1 (thesis Eq. 4.5, 6.10).
+    """The load of the published laws: for joints 2 and 3 without the effect of q1 (thesis Eq. 4.5, 6.10).
 
     Parameters
     ----------
@@ -352,9 +302,9 @@ def mean_load(
     ----------
     joint : {1, 2, 3}
     start, stop : array_like
-        Where the traverse begins and ends, rad or m; equal ends give the load there.
+        Ends of the traverse, rad or m; equal ends give the load there.
     q1, q2 : array_like
-        Where the other joints stand, rad; the moving joint's own is ignored and may be NaN.
+        Positions of the other joints, rad; the moving joint's own is ignored and may be NaN.
     theta, psi : array_like
         Orientation of the base, rad. All arrays broadcast.
 
@@ -386,13 +336,7 @@ def mean_load(
 def full_load(
     joint: int, q1: npt.ArrayLike, q2: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike
 ) -> Array:
-    """The load at any q1 (thesis A.111 to A.113); parameters as in `published_load`.
-
-    Raises
-    ------
-    ValueError
-        For a joint other than 1, 2 or 3.
-    """
+    """The load at any q1 (thesis A.111 to A.113); parameters and errors as in `published_load`."""
     q1, q2, theta, psi = (np.asarray(angle, float) for angle in (q1, q2, theta, psi))
     tilt = np.cos(theta) * np.sin(psi)
     if joint == 1:

@@ -55,8 +55,7 @@ def load_machine(path: str | Path | None = None) -> Machine:
     Raises
     ------
     InputError
-        If the file cannot be read, lacks a key, has one too many, or holds a value that cannot be;
-        all of a file's faults together.
+        With every fault: an unreadable file, missing or unknown keys, impossible values.
 
     Examples
     --------
@@ -69,15 +68,14 @@ def load_machine(path: str | Path | None = None) -> Machine:
     nominal = resources.files("stickslip_fit.machine").joinpath("mm3a.toml")
     raw = nominal.read_bytes() if path is None else file_bytes(path, "machine file")
     file = nominal.name if path is None else str(path)
-    read = parse_toml(raw, file, MachineFile)
-    q1, q2, q3 = ((low, high) for low, high in (read.range.q1, read.range.q2, read.range.q3))
-    moments = ((xx, yy, zz) for xx, yy, zz in (link.inertia for link in read.link))
-    base, middle, tip = (Link(link.mass, link.com, own) for link, own in zip(read.link, moments, strict=True))
+    content = parse_toml(raw, file, MachineFile)
+    ranges = content.range.q1, content.range.q2, content.range.q3
+    base, middle, tip = (Link(link.mass, link.com, (*link.inertia,)) for link in content.link)  # type: ignore[arg-type]
     return Machine(
-        name=read.name or Path(file).stem,
-        a1=read.geometry.a1,
-        l2=read.geometry.l2,
-        ranges={1: q1, 2: q2, 3: q3},
+        name=content.name or Path(file).stem,
+        a1=content.geometry.a1,
+        l2=content.geometry.l2,
+        ranges={joint: (low, high) for joint, (low, high) in enumerate(ranges, start=1)},
         links=(base, middle, tip),
         sha256=hashlib.sha256(raw).hexdigest(),
     )

@@ -1,4 +1,4 @@
-"""The keys of a machine file."""
+"""The keys of a machine file, as pydantic models; apart from `machine`, which imports them when needed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class RangeTable(Table):
 
 
 class LinkTable(Table):
-    """What a link weighs; only the dynamics use it."""
+    """Mass properties of a link; only the dynamics use them."""
 
     mass: Annotated[float, Quantity(("g",), (sys.float_info.min, inf), "give a mass in g above 0")]
     com: Annotated[float, Quantity(("mm",), advice="give a distance in mm")]

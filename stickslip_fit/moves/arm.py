@@ -22,25 +22,24 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
-from stickslip_fit.units import to_si
+from stickslip_fit.units import PRISMATIC, to_si
 
 Z_95 = 1.96  # standard deviations on either side of 95 %
 
 
 @dataclass(frozen=True)
 class JointTravel:
-    """What the law says of one joint's way to another position.
+    """One joint's drive to another position, by the law.
 
     Attributes
     ----------
     row : DataFrame
         The traverse, one row of a log.
-    law : StepLaw
     values : array, shape (p,)
     counts : float
-        Steps it takes.
+        Expected steps.
     slopes : array, shape (p,)
-        Relative change of the counts with each parameter.
+        Derivatives of log(counts) by the parameters.
     spread : float
         Relative standard deviation of the counts, from the parameters and the repeatability.
     """
@@ -55,20 +54,18 @@ class JointTravel:
 
 @dataclass(frozen=True)
 class CalibratedArm:
-    """One session of a result, with the base standing one way.
+    """One session of a result, with the base in one orientation.
 
     Attributes
     ----------
-    result : Result
-    session : str
     theta, psi : float
         Orientation of the base, rad.
     conditions : mapping of str to object
-        What a law with causes in it needs to know of a drive besides, by the log's columns, SI: e.g.
-        ``session_seconds``, how long the drive has been running. What is not given has no effect, as for a
-        joint's first drive under mean conditions; what has no such value is asked for.
-    before : mapping of int to mapping of str to object
-        For joints that have been driven since, what their next drive follows, by the log's columns.
+        Other columns of the log on which a law with causes depends, SI: e.g. ``session_seconds``. A missing
+        one has no effect, as in a joint's first drive under mean conditions; `check_conditions` refuses what
+        has no such default.
+    history : mapping of int to mapping of str to object
+        For joints that have been driven, the history columns of their next drive.
     """
 
     result: Result
@@ -76,47 +73,40 @@ class CalibratedArm:
     theta: float = 0.0
     psi: float = 0.0
     conditions: Mapping[str, Any] = field(default_factory=dict)
-    before: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    history: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def machine(self) -> Machine:
         """The manipulator that the result was fitted for."""
         return self.result.machine
 
-    def drive(self, q: Array, joint: int, stop: float) -> pd.DataFrame:
-        """The traverse that takes `joint` from where it stands in `q` to `stop`; one row of a log."""
+    def drive_row(self, q: Array, joint: int, stop: float) -> pd.DataFrame:
+        """The traverse of `joint` from its position in `q` to `stop`, one row of a log."""
         direction = "+" if stop > q[joint - 1] else "-"
-        return pd.DataFrame(
-            {
-                "session": [self.session], "joint": [joint], "direction": [direction],
-                "q1": [q[0]], "q2": [q[1]], "q3": [q[2]], "theta": [self.theta], "psi": [self.psi],
-                "start": [q[joint - 1]], "stop": [stop],
-            }
-        ).assign(**{**self.conditions, **self.before.get(joint, {})})  # fmt: skip
+        row = {"session": self.session, "joint": joint, "direction": direction}
+        row |= {"q1": q[0], "q2": q[1], "q3": q[2], "theta": self.theta, "psi": self.psi}
+        row |= {"start": q[joint - 1], "stop": stop}
+        return pd.DataFrame([row]).assign(**{**self.conditions, **self.history.get(joint, {})})
 
-    def driven(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
-        """The same after a drive, `row` as `drive` gives it; how long that takes is not counted."""
-        joint, counted = int(row["joint"].iloc[0]), row.get("steps_before")
-        travel_columns = {
-            name: row[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi")
-        }
-        follows: dict[str, Any] = {
-            "before_direction": row["direction"].iloc[0],
-            "before_load": float(mean_load(joint, **travel_columns)[0]),
-        }
-        if counted is not None:
-            follows["steps_before"] = counted.iloc[0] + steps
-        return replace(self, before={**self.before, joint: follows})
+    def after_drive(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
+        """The arm after a drive, `row` as `drive_row` returns it; session_seconds stays the same."""
+        joint = int(row["joint"].iloc[0])
+        travel = {name: row[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi")}
+        load = float(mean_load(joint, **travel)[0])
+        history = {"before_direction": row["direction"].iloc[0], "before_load": load}
+        if "steps_before" in row:
+            history["steps_before"] = row["steps_before"].iloc[0] + steps
+        return replace(self, history={**self.history, joint: history})
 
-    def traverse(self, q: Array, joint: int, stop: float) -> JointTravel:
-        """What the law says of `joint` going from where it stands in `q` to `stop`, which lies elsewhere.
+    def joint_travel(self, q: Array, joint: int, stop: float) -> JointTravel:
+        """The drive of `joint` from its position in `q` to another one, `stop`.
 
         Raises
         ------
         InputError
-            If the law is not known, or stalls on the way.
+            If the law is not calibrated, or stalls on the way.
         """
-        row = self.drive(q, joint, stop)
+        row = self.drive_row(q, joint, stop)
         law, values, covariance, repeatability = self.law(joint, str(row["direction"].iloc[0]))
         counts, slopes = law.counts(row, values)
         if not np.isfinite(counts[0]):
@@ -130,22 +120,22 @@ class CalibratedArm:
     def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
         """The law of a joint in motion, its parameters, their covariance, and the repeatability.
 
-        Steps that are lost in hearing the stop are left out: a drive that ends before it hears none.
+        Steps lost in detecting the stop are left out: a drive that ends before the stop loses none.
 
         Raises
         ------
         InputError
-            If this session's log did not make them known.
+            If the session has no calibration, or not all parameters.
         """
         fit = self.result.joints.get(joint)
         group = fit.groups if fit else pd.DataFrame({"session": [], "direction": []})
-        found = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
-        if fit is None or not len(found):
+        positions = np.flatnonzero((group["session"] == self.session) & (group["direction"] == direction))
+        if fit is None or not len(positions):
             raise InputError(
                 f"joint {joint} has no calibration for session {self.session!r}, direction {direction}: "
                 "the log holds no such traverse; measure some or choose another session"
             )
-        index = int(found[0])
+        index = int(positions[0])
         if not fit.known[index].all():
             reasons = [
                 InputIssue(flag.message)
@@ -156,8 +146,8 @@ class CalibratedArm:
         values, covariance = fit.values[index], fit.covariance[index]
         if isinstance(fit.law, ExtendedLaw):
             moving = fit.law.in_motion(np.stack([values, np.full_like(values, np.nan)]))
-            values, counts = moving[0], np.isnan(moving[1])
-            covariance = covariance * np.outer(counts, counts)
+            values, varied = moving[0], np.isnan(moving[1])
+            covariance = covariance * np.outer(varied, varied)
         return fit.law, values, covariance, fit.repeatability[direction].value
 
 
@@ -168,7 +158,7 @@ def calibrated_arm(
     psi: float = 0.0,
     conditions: Mapping[str, Any] | None = None,
 ) -> CalibratedArm:
-    """The calibration of a session, the latest unless named; see `Calibrated` for the others.
+    """The calibration of a session, by default the latest; see `CalibratedArm` for the others.
 
     Raises
     ------
@@ -184,6 +174,11 @@ def calibrated_arm(
     return CalibratedArm(result, session, theta, psi, conditions or {})
 
 
+def as_calibrated_arm(arm: CalibratedArm | Result) -> CalibratedArm:
+    """An arm as it is; a Result as the arm of its latest session, the base at theta = psi = 0."""
+    return calibrated_arm(arm) if isinstance(arm, Result) else arm
+
+
 CONDITION_KEYS = {
     "session_min": ("session_seconds", "min"),
     "session_s": ("session_seconds", "s"),
@@ -195,10 +190,8 @@ CONDITION_MEANINGS = {
     "session_seconds": "how long the session has run",
     "steps_before": NEEDED["steps_before"],
 }
-# What follows from the drives themselves, and from which session is asked for.
-OWN_COLUMNS = ("session", *FIRST)
-# What is asked for, or a plan's own.
-REQUIRED_CONDITIONS = (*NEEDED, "step_period")
+OWN_COLUMNS = ("session", *FIRST)  # follow from the drives and the session
+REQUIRED_CONDITIONS = (*NEEDED, "step_period")  # given, or the plan's
 
 
 def required_columns(laws: Iterable[StepLaw]) -> tuple[str, ...]:
@@ -214,75 +207,74 @@ def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[
     ----------
     texts : iterable of str
     result : Result
-        A condition at which none of its laws looks is refused, since it would change nothing.
+        A condition on which none of its laws depends is refused, since it would have no effect.
     option : str
-        As messages call it.
+        Its name in messages.
 
     Raises
     ------
     InputError
     """
-    wanted, found = _result_columns(result), dict[str, float]()
+    columns, conditions = _result_columns(result), dict[str, float]()
     known = CONDITION_KEYS | {
         name.removeprefix(COVARIATE_PREFIX): (name, "1")
-        for name in wanted
+        for name in columns
         if name.startswith(COVARIATE_PREFIX)
     }
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         column, unit = known.get(name, ("", "1"))
-        if column not in wanted:
-            told = ", ".join(map(column_key, wanted)) or "nothing beside positions and angles"
-            message = f"this law looks at {told}; leave {name or text} out"
+        if column not in columns:
+            column_names = ", ".join(map(column_key, columns)) or "nothing beside positions and angles"
+            message = f"this law depends on {column_names}; leave {name or text} out"
             raise InputError(InputIssue(message, column=option, value=text))
         try:
-            found[column] = to_si(float(value), unit)
+            conditions[column] = to_si(float(value), unit)
         except ValueError:
             message = f"give a number, e.g. {name}=20"
             raise InputError(InputIssue(message, column=option, value=text)) from None
-    return found
+    return conditions
 
 
 def check_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> None:
-    """Ask for what no law can do without.
+    """Refuse conditions without those that have no default.
 
     Raises
     ------
     InputError
-        Naming each such condition as `conditions_from` reads it.
+        Naming each missing condition as `parse_conditions` reads it.
     """
-    lacking = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
-    if lacking:
+    missing = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
+    if missing:
+        message = "the law depends on {}: give {} {}=NUMBER"
         raise InputError(
             [
-                InputIssue(
-                    f"the law looks at {CONDITION_MEANINGS[name]}: say {option} {column_key(name)}=NUMBER"
-                )
-                for name in lacking
+                InputIssue(message.format(CONDITION_MEANINGS[name], option, column_key(name)))
+                for name in missing
             ]
         )
 
 
 def describe_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> str:
-    """What is taken for granted because it was not given; empty where there is nothing."""
-    standing_in = [
+    """Which conditions were not given and have their default; empty where there are none."""
+    defaults = [
         f"{option} {column_key(name)}"
         for name in _result_columns(result)
         if name not in {*conditions, *REQUIRED_CONDITIONS}
     ]
-    return f"as on average in the log, since not given: {', '.join(standing_in)}" if standing_in else ""
+    return f"as on average in the log, since not given: {', '.join(defaults)}" if defaults else ""
 
 
 def column_key(column: str) -> str:
-    """A column as a person types it, the usual unit in its name.
+    """A column's key in `parse_conditions`, with its usual unit.
 
     Examples
     --------
     >>> [column_key(name) for name in ("temperature", "session_seconds", "covariate:pressure_hPa")]
     ['temperature_C', 'session_min', 'pressure_hPa']
     """
-    usual = [typed for typed, (name, _) in CONDITION_KEYS.items() if name == column]
-    return usual[0] if usual else column.removeprefix(COVARIATE_PREFIX)
+    keys = [typed for typed, (name, _) in CONDITION_KEYS.items() if name == column]
+    return keys[0] if keys else column.removeprefix(COVARIATE_PREFIX)
 
 
 def _result_columns(result: Result) -> tuple[str, ...]:
@@ -295,13 +287,10 @@ def check_positions(machine: Machine, q: Array, name: str) -> None:
     Raises
     ------
     InputError
-        Naming the first such joint, with where it stands and its range.
+        Naming the first such joint, with its position and its range.
     """
     for joint, (low, high) in machine.ranges.items():
         if not low - 1e-9 <= q[joint - 1] <= high + 1e-9:
-            shown = [_format_joint_position(joint, value) for value in (q[joint - 1], low, high)]
-            raise InputError(f"{name} q{joint} = {shown[0]} is outside its range, {shown[1]} to {shown[2]}")
-
-
-def _format_joint_position(joint: int, value: float) -> str:
-    return format_value(value, "mm" if joint == 3 else "deg", 2)
+            unit = "mm" if joint == PRISMATIC else "deg"
+            texts = [format_value(value, unit, 2) for value in (q[joint - 1], low, high)]
+            raise InputError(f"{name} q{joint} = {texts[0]} is outside its range, {texts[1]} to {texts[2]}")

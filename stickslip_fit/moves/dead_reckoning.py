@@ -1,8 +1,8 @@
 """Dead reckoning: the pose after a sequence of drives, its uncertainty, and when to go back to a stop.
 
 Errors of a law's parameters are common to all drives of a joint and direction and add up; the
-repeatability is independent in each drive. A stop that is surely reached makes the joint's position
-known again. The position after N steps is found by Newton's method on the law's counts.
+repeatability is independent in each drive. A drive into a stop makes the joint's position known again.
+The position after N steps is the root of the law's counts, by Newton's method.
 """
 
 from __future__ import annotations
@@ -17,25 +17,27 @@ import numpy.typing as npt
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import Result
 from stickslip_fit.laws import Rows, StepLaw, float_column
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, check_positions
+from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.simulation.truth import Group
+from stickslip_fit.units import JOINTS
 
 MAX_ITERATIONS = 60
-STEP_TOL = 1e-6  # of a step; Newton's method doubles the digits once more as it settles
+STEP_TOL = 1e-6  # of a step; the last Newton step makes the error far smaller
 
 
 def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike) -> Array:
-    """Positions of the moving joint after so many steps from where each traverse starts.
+    """Positions of the moving joint after so many steps from the start of each traverse.
 
-    Solves counts(start, x) = steps for x by Newton's method, whose derivative is 1 / step size, kept
-    between what is known to be too short and too far.
+    Solves counts(start, x) = steps for x by Newton's method, with derivative 1 / step size, safeguarded by
+    bisection.
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
-        Traverses in a log's columns; a joint that meets its row's stop stays there.
+        Traverses in a log's columns; a joint that reaches its row's stop stays there.
     values : array, shape (p,) or (n, p)
         The law's parameters.
     steps : array_like, shape (n,) or ()
@@ -49,7 +51,7 @@ def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike
     Raises
     ------
     InputError
-        If a joint comes to a halt on its way.
+        If a joint stalls.
 
     Examples
     --------
@@ -61,34 +63,34 @@ def position_after(law: StepLaw, rows: Rows, values: Array, steps: npt.ArrayLike
     """
     start, stop = float_column(rows, "start"), float_column(rows, "stop")
     values = np.broadcast_to(values, (len(start), len(law.parameters)))
-    known = {name: np.asarray(rows[name]) for name in (*law.columns, "start", "stop") if name in rows}
+    columns = {name: np.asarray(rows[name]) for name in (*law.columns, "start", "stop") if name in rows}
     steps = np.broadcast_to(np.asarray(steps, float), start.shape)
-    sign, whole = np.sign(stop - start), np.abs(stop - start)
-    short, far = np.zeros(len(start)), np.full(len(start), np.inf)
-    gamma = law.step_size(known, start[:, None], values)[:, 0]
-    gone = np.minimum(steps * gamma, whole)
-    left = np.flatnonzero((steps > 0) & (whole > 0))
-    _check_no_stall(law, gamma[left])
+    sign, total = np.sign(stop - start), np.abs(stop - start)
+    lower, upper = np.zeros(len(start)), np.full(len(start), np.inf)
+    gamma = law.step_size(columns, start[:, None], values)[:, 0]
+    travelled = np.minimum(steps * gamma, total)
+    active = np.flatnonzero((steps > 0) & (total > 0))
+    _check_no_stall(law, gamma[active])
     for _ in range(MAX_ITERATIONS):
-        here, there = {name: of[left] for name, of in known.items()}, gone[left]
-        at = here["start"] + sign[left] * there
-        excess = _traverse_counts(law, here | {"stop": at}, values[left]) - steps[left]
-        gamma = law.step_size(here, at[:, None], values[left])[:, 0]
+        rows_here, distance = {name: of[active] for name, of in columns.items()}, travelled[active]
+        position = rows_here["start"] + sign[active] * distance
+        excess = _traverse_counts(law, rows_here | {"stop": position}, values[active]) - steps[active]
+        gamma = law.step_size(rows_here, position[:, None], values[active])[:, 0]
         _check_no_stall(law, np.where(np.isnan(excess), 0.0, gamma))
-        short[left] = np.where(excess > 0, short[left], there)
-        far[left] = np.where(excess > 0, there, far[left])
-        better = there - excess * gamma
-        middle = (short[left] + np.minimum(far[left], whole[left])) / 2
-        better = np.where((better < short[left]) | (better > far[left]), middle, better)
-        gone[left] = np.minimum(better, whole[left])
-        left = left[np.abs(gone[left] - there) > STEP_TOL * gamma]
-        if not len(left):
+        lower[active] = np.where(excess > 0, lower[active], distance)
+        upper[active] = np.where(excess > 0, distance, upper[active])
+        newton = distance - excess * gamma
+        bisection = (lower[active] + np.minimum(upper[active], total[active])) / 2
+        newton = np.where((newton < lower[active]) | (newton > upper[active]), bisection, newton)
+        travelled[active] = np.minimum(newton, total[active])
+        active = active[np.abs(travelled[active] - distance) > STEP_TOL * gamma]
+        if not len(active):
             break
-    return np.where(gone >= whole, stop, start + sign * gone)
+    return np.where(travelled >= total, stop, start + sign * travelled)
 
 
 def _traverse_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
-    """Steps over each traverse; where a cause adds some, they may be 0 or fewer."""
+    """Steps of each traverse; with those that a cause adds they may be 0 or negative."""
     return law.steps(rows)(values) if isinstance(law, ExtendedLaw) else law.counts(rows, values)[0]
 
 
@@ -110,7 +112,7 @@ class DriveCommand:
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Where everything stands after the drives.
+    """The pose after a sequence of drives.
 
     Attributes
     ----------
@@ -122,7 +124,7 @@ class PoseEstimate:
         m^2.
     at_stop : tuple of int
         Joints whose last drive took them into a mechanical stop: their error is none again.
-    before : mapping of int to mapping of str to object
+    history : mapping of int to mapping of str to object
         What each joint's next drive follows, see `Calibrated`.
     """
 
@@ -131,7 +133,7 @@ class PoseEstimate:
     tip: Array
     tip_covariance: Array
     at_stop: tuple[int, ...]
-    before: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    history: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def tip_error(self) -> float:
@@ -139,77 +141,60 @@ class PoseEstimate:
         return float(np.sqrt(max(np.linalg.eigvalsh(self.tip_covariance)[-1], 0.0)))
 
 
-@dataclass(frozen=True)
-class _DriveDisplacement:
-    """One drive's displacement (signed), and its relative slopes by the law's parameters."""
-
-    distance: float
-    slopes: Array
+_Displacement = tuple[float, Array]
+"""A drive's signed displacement, and the derivatives of its logarithm by the law's parameters."""
 
 
-def dead_reckon(arm: CalibratedArm, start: Array, drives: Sequence[DriveCommand]) -> PoseEstimate:
-    """Follow a run of drives from joints that stand where `start` says, without error.
+def dead_reckon(
+    arm: CalibratedArm | Result, start: npt.ArrayLike, drives: Sequence[DriveCommand]
+) -> PoseEstimate:
+    """The pose after a sequence of drives, with its uncertainty.
 
-    Errors of a law's parameters are the same in every drive of its joint and direction and so add up;
-    what does not repeat is new in every drive. A drive that surely reaches a stop ends there, known. Each
-    drive follows the one before it of the same joint, which is what some causes look at.
+    Errors of a law's parameters are the same in every drive of its joint and direction and add up; the
+    repeatability is independent. A drive that reaches a stop with certainty ends there without error. Each
+    drive's history is the joint's previous one.
 
     Parameters
     ----------
-    arm : Calibrated
-    start : array, shape (3,)
-        Joint positions, rad, rad, m; best a stop.
-    drives : sequence of Drive
-
-    Returns
-    -------
-    Whereabouts
+    arm : CalibratedArm or Result
+        A Result stands for its latest session, see `calibrated_arm`.
+    start : array_like, shape (3,)
+        Joint positions, rad, rad, m, taken as exact; best at stops.
+    drives : sequence of DriveCommand
 
     Raises
     ------
     InputError
-        If a drive may or may not have reached the stop, so that nobody can say where the joint is.
+        If a drive may or may not have reached the stop, so that the joint's position is unknown.
     """
-    check_positions(arm.machine, start, "start")
-    q = np.array(start, dtype=float)
-    displacements: dict[tuple[int, str], list[_DriveDisplacement]] = {}
+    arm, q = as_calibrated_arm(arm), np.array(start, dtype=float)
+    check_positions(arm.machine, q, "start")
+    displacements: dict[Group, list[_Displacement]] = {}
     at_stop: set[int] = set()
     for drive in drives:
-        reached, part = _follow_drive(arm, q, drive, _joint_variance(arm, drive.joint, displacements))
-        if reached != q[drive.joint - 1]:
-            arm = arm.driven(arm.drive(q, drive.joint, reached), drive.steps)
-        q[drive.joint - 1] = reached
-        if part is None:
-            displacements = {key: parts for key, parts in displacements.items() if key[0] != drive.joint}
-            at_stop.add(drive.joint)
+        joint = drive.joint
+        position, displacement = _follow_drive(arm, q, drive, _joint_variance(arm, joint, displacements))
+        if position != q[joint - 1]:
+            arm = arm.after_drive(arm.drive_row(q, joint, position), drive.steps)
+        q[joint - 1] = position
+        if displacement is None:
+            displacements = {group: own for group, own in displacements.items() if group[0] != joint}
+            at_stop.add(joint)
         else:
-            at_stop.discard(drive.joint)
-            displacements.setdefault((drive.joint, drive.direction), []).append(part)
-    variance = np.array([_joint_variance(arm, joint, displacements) for joint in (1, 2, 3)])
-    slope = jacobian(arm.machine, q)
+            at_stop.discard(joint)
+            displacements.setdefault((joint, drive.direction), []).append(displacement)
+    variance = np.array([_joint_variance(arm, joint, displacements) for joint in JOINTS])
+    tip, slope = forward(arm.machine, q), jacobian(arm.machine, q)
     tip_covariance = slope @ np.diag(variance) @ slope.T
-    tip, stops = forward(arm.machine, q), tuple(sorted(at_stop))
-    return PoseEstimate(q, np.sqrt(variance), tip, tip_covariance, stops, arm.before)
+    return PoseEstimate(q, np.sqrt(variance), tip, tip_covariance, tuple(sorted(at_stop)), arm.history)
 
 
 def steps_before_recalibration(
     arm: CalibratedArm, pose: PoseEstimate, joint: int, direction: str, tolerance: float
 ) -> int | None:
-    """Further steps of a joint before the tip is no longer known to within `tolerance` at 95 %.
+    """Further steps of a joint until the tip's 95 % uncertainty exceeds a tolerance in m.
 
-    Parameters
-    ----------
-    arm : Calibrated
-    pose : Whereabouts
-    joint, direction
-        What would be driven next.
-    tolerance : float
-        m.
-
-    Returns
-    -------
-    int or None
-        0 where it is not known so well even now: go back to a stop. None where the joint's stop comes first.
+    0 where it exceeds the tolerance now; None where the joint reaches its stop first.
     """
     low, high = arm.machine.ranges[joint]
     end = high if direction == "+" else low
@@ -217,59 +202,56 @@ def steps_before_recalibration(
         return None
     if pose.tip_error * Z_95 > tolerance:
         return 0
-    arm = replace(arm, before=pose.before)
-    joint_travel = arm.traverse(pose.q, joint, end)
+    arm = replace(arm, history=pose.history)
     lever = jacobian(arm.machine, pose.q)[:, joint - 1]
-    per_travel = joint_travel.spread**2 * np.outer(lever, lever)
+    relative = arm.joint_travel(pose.q, joint, end).spread ** 2 * np.outer(lever, lever)
 
     def excess(travel: float) -> float:
-        covered = pose.tip_covariance + per_travel * travel**2
-        return Z_95 * float(np.sqrt(np.linalg.eigvalsh(covered)[-1])) - tolerance
+        covariance = pose.tip_covariance + relative * travel**2
+        return Z_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) - tolerance
 
-    whole = abs(end - pose.q[joint - 1])
-    if excess(whole) <= 0:
+    distance = abs(end - pose.q[joint - 1])
+    if excess(distance) <= 0:
         return None
     from scipy.optimize import brentq
 
-    travel = brentq(excess, 0.0, whole)
-    sign = 1.0 if direction == "+" else -1.0
-    return int(arm.traverse(pose.q, joint, float(pose.q[joint - 1] + sign * travel)).counts)
+    stop = pose.q[joint - 1] + np.sign(end - pose.q[joint - 1]) * brentq(excess, 0.0, distance)
+    return int(arm.joint_travel(pose.q, joint, float(stop)).counts)
 
 
 def _follow_drive(
-    arm: CalibratedArm, q: Array, drive: DriveCommand, before: float
-) -> tuple[float, _DriveDisplacement | None]:
-    """Where a drive takes its joint; no travelled part where it ends at a stop."""
+    arm: CalibratedArm, q: Array, drive: DriveCommand, variance: float
+) -> tuple[float, _Displacement | None]:
+    """A joint's position after a drive, and its displacement; None at a stop."""
     low, high = arm.machine.ranges[drive.joint]
     end = high if drive.direction == "+" else low
-    here = float(q[drive.joint - 1])
-    if here == end:
+    position = float(q[drive.joint - 1])
+    if position == end:
         return end, None
-    joint_travel = arm.traverse(q, drive.joint, end)
-    margin = (
-        Z_95 * float(np.hypot(joint_travel.spread, np.sqrt(before) / abs(end - here))) * joint_travel.counts
-    )
-    if drive.steps >= joint_travel.counts + margin:
+    travel = arm.joint_travel(q, drive.joint, end)
+    counts = travel.counts
+    margin = Z_95 * float(np.hypot(travel.spread, np.sqrt(variance) / abs(end - position))) * counts
+    if drive.steps >= counts + margin:
         return end, None
-    if drive.steps > joint_travel.counts - margin:
+    if drive.steps > counts - margin:
         raise InputError(
             f"{drive.steps} steps of joint {drive.joint} in {drive.direction} may or may not reach its stop "
-            f"({joint_travel.counts:.0f} ± {margin:.0f} steps away): drive {joint_travel.counts + margin:.0f} or more to be at "
-            f"the stop for sure, or {joint_travel.counts - margin:.0f} or fewer to stay short of it"
+            f"({counts:.0f} ± {margin:.0f} steps away): drive {counts + margin:.0f} or more to be at "
+            f"the stop for sure, or {counts - margin:.0f} or fewer to stay short of it"
         )
-    reached = float(position_after(joint_travel.law, joint_travel.row, joint_travel.values, drive.steps)[0])
-    return reached, _DriveDisplacement(reached - here, arm.traverse(q, drive.joint, reached).slopes)
+    final = float(position_after(travel.law, travel.row, travel.values, drive.steps)[0])
+    return final, (final - position, arm.joint_travel(q, drive.joint, final).slopes)
 
 
 def _joint_variance(
-    arm: CalibratedArm, joint: int, displacements: dict[tuple[int, str], list[_DriveDisplacement]]
+    arm: CalibratedArm, joint: int, displacements: Mapping[Group, Sequence[_Displacement]]
 ) -> float:
+    """Variance of a joint's position after drives, rad^2 or m^2."""
     total = 0.0
-    for (which, direction), parts in displacements.items():
-        if which != joint:
-            continue
-        _, _, covariance, repeatability = arm.law(joint, direction)
-        shared = sum(part.distance * part.slopes for part in parts)
-        total += float(shared @ covariance @ shared)
-        total += sum((repeatability * part.distance) ** 2 for part in parts)
+    for group, own in displacements.items():
+        if group[0] == joint:
+            _, _, covariance, repeatability = arm.law(*group)
+            gradient = sum(distance * slopes for distance, slopes in own)
+            total += float(gradient @ covariance @ gradient)
+            total += sum((repeatability * distance) ** 2 for distance, _ in own)
     return total

@@ -1,14 +1,15 @@
 """Planning of moves: the steps for a move of the tip, joint by joint, and of paths driven open loop.
 
 `plan_move` plans one move with its uncertainty. `plan_steps` plans c sessions times m paths at once in
-whole steps, carrying the rounding over to the next drive; `simulate_open_loop` says where the joints
-truly end under known laws.
+whole steps, adding the rounding error to the joint's next drive; `simulate_open_loop` computes where the
+joints end under known laws.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,14 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, check_positions
+from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
 from stickslip_fit.moves.dead_reckoning import DriveCommand, position_after
 from stickslip_fit.moves.path import PathSegment, TipPaths
+from stickslip_fit.simulation.truth import Group
 from stickslip_fit.units import JOINTS
 
 
@@ -33,16 +36,14 @@ class MoveSegment:
 
     Attributes
     ----------
-    joint : int
-    direction : str
     start, stop : float
         rad or m.
     steps : int
         To command; the nearest whole number.
     low, high : float
-        Where 95 % of such moves would have taken the joint all the way.
+        95 % interval of the steps that the drive takes.
     error : float
-        Standard deviation of where the joint ends, rad or m, the half step of rounding included.
+        Standard deviation of the joint's final position, rad or m, rounding to whole steps included.
     """
 
     joint: int
@@ -61,12 +62,12 @@ class MovePlan:
 
     Attributes
     ----------
-    segments : tuple of Leg
+    segments : tuple of MoveSegment
         In the order in which they are to be driven.
     tip : array, shape (3,)
-        Where the tip ends, base frame, m.
+        Final position of the tip, base frame, m.
     tip_covariance : array, shape (3, 3)
-        m^2; of the move alone, from a start that is known.
+        m^2; from a start without error.
     """
 
     segments: tuple[MoveSegment, ...]
@@ -79,32 +80,32 @@ class MovePlan:
         return float(np.sqrt(max(np.linalg.eigvalsh(self.tip_covariance)[-1], 0.0)))
 
 
-def plan_move(arm: CalibratedArm, start: Array, target: Array, order: Sequence[int] = (1, 2, 3)) -> MovePlan:
+def plan_move(
+    arm: CalibratedArm | Result, start: npt.ArrayLike, target: npt.ArrayLike, order: Sequence[int] = JOINTS
+) -> MovePlan:
     """The steps that take the joints from `start` to `target`, one joint after the other.
 
-    A joint's step size depends on where the others stand, so the order matters: each leg is worked
-    out with the joints as the legs before it left them.
+    The order matters: a joint's step size depends on the positions of the others, as earlier segments left
+    them.
 
     Parameters
     ----------
-    arm : Calibrated
-    start, target : array, shape (3,)
+    arm : CalibratedArm or Result
+        A Result stands for its latest session, see `calibrated_arm`.
+    start, target : array_like, shape (3,)
         Joint positions, rad, rad, m.
     order : sequence of int, optional
-        Which joint moves first.
-
-    Returns
-    -------
-    Move
+        Of the joints.
 
     Raises
     ------
     InputError
-        If a position is outside its joint's range or a law is not known.
+        If a position is outside its joint's range or a law is not calibrated.
     """
-    for q, name in ((start, "start"), (target, "target")):
-        check_positions(arm.machine, q, name)
-    q = np.array(start, dtype=float)
+    arm = as_calibrated_arm(arm)
+    q, target = np.array(start, dtype=float), np.asarray(target, dtype=float)
+    check_positions(arm.machine, q, "start")
+    check_positions(arm.machine, target, "target")
     segments, variance = [], np.zeros(3)
     for joint in order:
         if target[joint - 1] == q[joint - 1]:
@@ -118,45 +119,39 @@ def plan_move(arm: CalibratedArm, start: Array, target: Array, order: Sequence[i
 
 
 def _plan_segment(arm: CalibratedArm, q: Array, joint: int, stop: float) -> MoveSegment:
-    joint_travel = arm.traverse(q, joint, stop)
-    final_step = float(
-        joint_travel.law.step_size(joint_travel.row, np.array([[stop]]), joint_travel.values)[0, 0]
-    )
-    travel = abs(stop - q[joint - 1])
+    travel = arm.joint_travel(q, joint, stop)
+    final_step = float(travel.law.step_size(travel.row, np.array([[stop]]), travel.values)[0, 0])
+    distance = abs(stop - q[joint - 1])
     return MoveSegment(
         joint=joint,
-        direction=str(joint_travel.row["direction"].iloc[0]),
+        direction=str(travel.row["direction"].iloc[0]),
         start=float(q[joint - 1]),
         stop=stop,
-        steps=round(joint_travel.counts),
-        low=joint_travel.counts * float(np.exp(-Z_95 * joint_travel.spread)),
-        high=joint_travel.counts * float(np.exp(Z_95 * joint_travel.spread)),
-        error=float(np.hypot(joint_travel.spread * travel, final_step / np.sqrt(12.0))),
+        steps=round(travel.counts),
+        low=travel.counts * float(np.exp(-Z_95 * travel.spread)),
+        high=travel.counts * float(np.exp(Z_95 * travel.spread)),
+        error=float(np.hypot(travel.spread * distance, final_step / np.sqrt(12.0))),
     )
-
-
-Group = tuple[int, str]
-"""Joint and direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueLaws:
-    """How the joints truly step in c sessions.
+    """The true laws of c sessions.
 
     Attributes
     ----------
     sessions : sequence of str, length c
-        Labels, as a cause may look at them; those of several campaigns may be alike.
+        Labels, on which causes may depend; not necessarily different.
     laws : mapping of int to StepLaw
-        Of each joint; a law may have causes in it.
+        Of each joint, with or without causes.
     values : mapping of (int, str) to array, shape (p,) or (c, p)
         Parameters of each joint and direction, SI.
     factor : mapping of (int, str) to array, shape (c,)
-        By which each session's step sizes differ from these; 1 where nothing is said.
+        Multiplies each session's step sizes; 1 by default.
     repeatability : mapping of (int, str) to float
-        Standard deviation of log(steps); none where nothing is said.
-    conditions : mapping of str to array_like that goes with (c, m)
-        What a law looks at besides, by a log's columns, SI: ``session_seconds``, ``temperature``, ...
+        Standard deviation of log(steps); 0 by default.
+    conditions : mapping of str to array_like, broadcast to (c, m)
+        Other columns of a log on which a law depends, SI: ``session_seconds``, ``temperature``, ...
     """
 
     sessions: Sequence[str]
@@ -177,13 +172,13 @@ class TrueLaws:
         return np.broadcast_to(self.factor.get(group, 1.0), len(self.sessions))
 
     def added(self, group: Group, rows: Any, values: Array) -> Array | float:
-        """Steps that causes add to drives, shape (n,); a session's factor changes none of them."""
+        """Steps that causes add to drives, shape (n,); the session's factor does not apply to them."""
         law = self.laws[group[0]]
         return law.added(rows, values) if isinstance(law, ExtendedLaw) else 0.0
 
 
 StepModel = Callable[[pd.DataFrame], Array]
-"""Rows of a log to the steps that their drives take, shape (n,); NaN where that is not known."""
+"""From rows of a log to the steps of their drives, shape (n,); NaN where they are not calibrated."""
 
 
 def plan_steps(
@@ -196,71 +191,58 @@ def plan_steps(
 
     Parameters
     ----------
-    paths : Paths
     steps_for : mapping of (int, str) to callable
-        Of each joint and direction: rows to steps. Rows are the drives as planned, in a log's columns; all
-        moves of the first session come first, and `number` is the place of the session among the c.
+        Of each joint and direction: rows to steps. Rows are the planned drives, in a log's columns; all
+        moves of the first session come first, and `number` is the index of the session.
     sessions, conditions
-        See `Truth`.
+        See `TrueLaws`.
 
     Returns
     -------
     array, shape (c, m, k)
-        0 where a joint need not move; NaN where the calibration does not know.
+        0 where a joint does not move; NaN where the calibration gives none.
 
     Raises
     ------
     InputError
-        If a joint and direction that is to be driven has no calibration.
+        If a joint and direction of a drive has no calibration.
     """
     count = len(sessions)
-    steps, carried = np.zeros((count, len(paths), len(paths.order))), np.zeros((count, len(paths), 3))
-    for segment in paths.parts:
+    steps, remainder = np.zeros((count, len(paths), len(paths.order))), np.zeros((count, len(paths), 3))
+    for segment in paths.segments:
         if (segment.joint, segment.direction) not in steps_for:
             raise InputError(f"joint {segment.joint} has no calibration in direction {segment.direction}")
-        q, stop = paths.joint_positions[segment.moves, segment.drive], segment.stop
+        q, stop = paths.joint_positions[segment.moves, segment.drive_index], segment.stop
         rows = build_drive_rows(segment, paths, q, sessions, conditions) | {"stop": stop}
-        rows = {name: np.broadcast_to(of, (count, len(stop))).ravel() for name, of in rows.items()}
-        wanted = np.asarray(steps_for[segment.joint, segment.direction](pd.DataFrame(rows)), float)
-        whole, left = round_steps(
-            wanted.reshape(count, len(stop)),
-            stop - segment.start,
-            carried[:, segment.moves, segment.joint - 1],
-        )
-        steps[:, segment.moves, segment.drive], carried[:, segment.moves, segment.joint - 1] = whole, left
+        rows = {name: np.broadcast_to(column, (count, len(stop))).ravel() for name, column in rows.items()}
+        exact = np.asarray(steps_for[segment.joint, segment.direction](pd.DataFrame(rows)), float)
+        own = (slice(None), segment.moves, segment.joint - 1)
+        rounded, left_over = round_steps(exact.reshape(count, -1), stop - segment.start, remainder[own])
+        steps[:, segment.moves, segment.drive_index], remainder[own] = rounded, left_over
     return steps
 
 
-def round_steps(wanted: Array, displacement: Array, carried: Array) -> tuple[Array, Array]:
-    """Steps to the nearest whole one, where what rounding left undone before is made up for.
+def round_steps(exact: Array, displacement: Array, remainder: Array) -> tuple[Array, Array]:
+    """Whole steps of a displacement, with the remainder of earlier roundings added to it.
 
-    Parameters
-    ----------
-    wanted : array
-        Steps that the way takes.
-    displacement, carried : array
-        Signed, rad or m.
-
-    Returns
-    -------
-    steps, carried : array
-        To command, 0 or more, and what they leave undone, rad or m.
+    `exact` are the steps of the displacement. Returned are the steps to command, 0 or more, and the
+    displacement that they leave undone; displacements and remainders are signed, rad or m.
 
     Examples
     --------
-    >>> steps, owed = round_steps(np.array(10.4), np.array(-1.04e-3), np.array(0.0))
-    >>> print(steps, owed.round(9), round_steps(np.array(10.4), np.array(-1.04e-3), owed)[0])
+    >>> steps, remainder = round_steps(np.array(10.4), np.array(-1.04e-3), np.array(0.0))
+    >>> print(steps, remainder.round(9), round_steps(np.array(10.4), np.array(-1.04e-3), remainder)[0])
     10.0 -4e-05 11.0
     """
-    length = displacement / wanted
-    steps = np.maximum(np.rint(wanted + carried / length), 0.0)
-    return steps, carried + (wanted - steps) * length
+    length = displacement / exact
+    steps = np.maximum(np.rint(exact + remainder / length), 0.0)
+    return steps, remainder + (exact - steps) * length
 
 
 def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
-    """Steps by a law with parameters of its own for each session, shape (c, p), or (p,) for all.
+    """Steps by a law with parameters for each session, shape (c, p), or for all, shape (p,).
 
-    Steps that are lost in hearing the stop are left out: a drive that ends before it hears none.
+    Steps lost in detecting the stop are left out: a drive that ends before the stop loses none.
     """
     if isinstance(law, FixedCauseLaw):
         return step_model_from_parameters(law.extended, law.whole(np.asarray(values, float)))
@@ -274,19 +256,15 @@ def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
 
 
 def step_models_from_truth(truth: TrueLaws) -> dict[Group, StepModel]:
-    """The calibration that is right: all that it leaves is whole steps and what does not repeat."""
-    return {group: _true_step_model(truth, group) for group in truth.values}
+    """The true calibration, whose errors are rounding to whole steps and repeatability only."""
+    return {group: partial(_true_steps, truth, group) for group in truth.values}
 
 
-def _true_step_model(truth: TrueLaws, group: Group) -> StepModel:
-    law, values = truth.laws[group[0]], truth.session_values(group)
-
-    def steps_for(rows: pd.DataFrame) -> Array:
-        number = rows["number"].to_numpy()
-        lost = truth.added(group, rows, values[number])
-        return lost + (np.exp(law.predict(rows, values[number])) - lost) / truth.factors(group)[number]
-
-    return steps_for
+def _true_steps(truth: TrueLaws, group: Group, rows: pd.DataFrame) -> Array:
+    number = rows["number"].to_numpy()
+    values = truth.session_values(group)[number]
+    added, steps = truth.added(group, rows, values), np.exp(truth.laws[group[0]].predict(rows, values))
+    return added + (steps - added) / truth.factors(group)[number]
 
 
 def build_drive_rows(
@@ -296,41 +274,46 @@ def build_drive_rows(
     sessions: Sequence[str],
     conditions: Mapping[str, npt.ArrayLike],
 ) -> dict[str, Any]:
-    """A drive's columns with the joints at q, shape (..., 3); every column goes with (c, part.moves)."""
+    """A drive's columns with the joints at q, shape (..., 3), each broadcast to (c, segment.moves)."""
     shape = len(sessions), len(paths)
-    given = {name: np.broadcast_to(of, shape)[:, segment.moves] for name, of in conditions.items()}
+    covariates = {name: np.broadcast_to(of, shape)[:, segment.moves] for name, of in conditions.items()}
     joints = {f"q{joint}": q[..., joint - 1] for joint in JOINTS} | {f"q{segment.joint}": np.nan}
-    return given | joints | {
-        "session": np.array(sessions, dtype=object)[:, None], "number": np.arange(len(sessions))[:, None],
-        "joint": segment.joint, "direction": segment.direction, "start": q[..., segment.joint - 1],
-        "theta": paths.theta[segment.moves], "psi": paths.psi[segment.moves],
-        "before_direction": segment.before_direction, "before_load": segment.before_load,
-    }  # fmt: skip
+    columns = dict(
+        session=np.array(sessions, dtype=object)[:, None],
+        number=np.arange(len(sessions))[:, None],
+        joint=segment.joint,
+        direction=segment.direction,
+        start=q[..., segment.joint - 1],
+        theta=paths.theta[segment.moves],
+        psi=paths.psi[segment.moves],
+        before_direction=segment.before_direction,
+        before_load=segment.before_load,
+    )
+    return covariates | joints | columns
 
 
 def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
-    """What to command for a straight move; `where_after` says where that takes the tip, and how sure.
+    """Commands for a straight move; `dead_reckon` gives where they take the tip, with its uncertainty.
 
     Parameters
     ----------
-    arm : Calibrated
-    path : Paths
-        Of one move, see `straight_path`; the base stands as `arm` has it.
+    path : TipPaths
+        Of one move, see `straight_path`; the base is oriented as in `arm`.
 
     Raises
     ------
     InputError
-        If a law is not known, or stalls on the way.
+        If a law is not calibrated, or stalls on the way.
 
     Examples
     --------
-    A millimetre upwards, in two legs, by the latest session of the reference campaign:
+    A millimetre upwards, in two segments, by the latest session of the reference campaign:
 
     >>> from stickslip_fit.estimation import fit_least_squares
     >>> from stickslip_fit.logs import read_log
     >>> from stickslip_fit.moves import calibrated_arm, dead_reckon, straight_path
     >>> arm = calibrated_arm(fit_least_squares(read_log("data/reference/campaign.csv")))
-    >>> path = straight_path(arm.machine, [0.0, -1.2, 0.004], [0.0, 0.0, 1.0], 1e-3, legs=2)
+    >>> path = straight_path(arm.machine, [0.0, -1.2, 0.004], [0.0, 0.0, 1.0], 1e-3, n_segments=2)
     >>> drives = plan_drives(arm, path)
     >>> for drive in drives:
     ...     print(f"joint {drive.joint}: {drive.steps} steps in {drive.direction}")
@@ -338,43 +321,39 @@ def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
     joint 3: 258 steps in +
     joint 2: 141 steps in +
     joint 3: 267 steps in +
-    >>> found = dead_reckon(arm, path.joint_positions[0, 0], drives)
-    >>> off = np.linalg.norm(found.tip - path.tips[0, -1])
-    >>> print(f"{off * 1e6:.1f} µm off for whole steps, and ± {found.tip_error * 1e6:.1f} µm (1 sd)")
-    0.7 µm off for whole steps, and ± 2.0 µm (1 sd)
+    >>> pose = dead_reckon(arm, path.joint_positions[0, 0], drives)
+    >>> error = np.linalg.norm(pose.tip - path.tips[0, -1])
+    >>> print(f"{error * 1e6:.1f} µm by rounding, and ± {pose.tip_error * 1e6:.1f} µm (1 sd)")
+    0.7 µm by rounding, and ± 2.0 µm (1 sd)
     """
     if len(path) != 1:
         raise InputError(f"drives are worked out for one move at a time, not for {len(path)}")
-    owed, drives = np.zeros(3), []
-    for segment in path.parts:
-        joint_travel = arm.traverse(
-            path.joint_positions[0, segment.drive], segment.joint, float(segment.stop[0])
-        )
-        steps, left = round_steps(
-            np.array(joint_travel.counts), segment.stop - segment.start, owed[segment.joint - 1]
-        )
-        owed[segment.joint - 1] = left[0]
-        drives.append(DriveCommand(segment.joint, segment.direction, int(steps[0])))
-        arm = arm.driven(joint_travel.row, drives[-1].steps)
+    remainder, drives = np.zeros(3), []
+    for segment in path.segments:
+        joint, q = segment.joint, path.joint_positions[0, segment.drive_index]
+        travel = arm.joint_travel(q, joint, float(segment.stop[0]))
+        displacement = segment.stop - segment.start
+        steps, left_over = round_steps(np.array(travel.counts), displacement, remainder[joint - 1])
+        remainder[joint - 1] = left_over[0]
+        drives.append(DriveCommand(joint, segment.direction, int(steps[0])))
+        arm = arm.after_drive(travel.row, drives[-1].steps)
     return tuple(drives)
 
 
 def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Array | None = None) -> Array:
-    """Where the joints truly stand after so many steps.
+    """Joint positions under the true laws after so many steps.
 
-    Every drive begins where the ones before have truly left the joints, and ends at a mechanical stop if it
-    meets one. What a cause does to hearing the stop plays no part.
+    Every drive starts from the joints' true positions and ends at a mechanical stop if it reaches one.
+    Effects on detecting the stop play no part.
 
     Parameters
     ----------
-    paths : Paths
-        Where the moves start, and which way each drive goes.
-    truth : Truth
+    paths : TipPaths
+        Starts of the moves, and directions of their drives.
     steps : array, shape (c, m, k)
-        As `steps_to_command` returns them.
+        As `plan_steps` returns them.
     noise : array, shape (c, m, k), optional
-        Departures of log(steps) with standard deviation 1, see `simulate.draw_noise`; without it every drive
-        goes as far as it does on average.
+        Deviations of log(steps) with standard deviation 1, see `simulation.draw_noise`; none by default.
 
     Returns
     -------
@@ -384,32 +363,29 @@ def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Ar
     Raises
     ------
     InputError
-        If a joint truly comes to a halt.
+        If a joint stalls.
     """
     q = np.broadcast_to(paths.joint_positions[:, 0], (len(steps), len(paths), 3)).copy()
-    for segment in paths.parts:
-        group, steps_made = (segment.joint, segment.direction), steps[:, segment.moves, segment.drive]
+    for segment in paths.segments:
+        group, drive = (segment.joint, segment.direction), (slice(None), segment.moves, segment.drive_index)
+        effective = steps[drive]
         if noise is not None:
-            steps_made = steps_made * np.exp(
-                -truth.repeatability.get(group, 0.0) * noise[:, segment.moves, segment.drive]
-            )
-        end = paths.machine.ranges[segment.joint][segment.direction == "+"]
-        rows = build_drive_rows(segment, paths, q[:, segment.moves], truth.sessions, truth.conditions) | {
-            "stop": end
-        }
-        rows = {name: np.broadcast_to(of, steps_made.shape).ravel() for name, of in rows.items()}
-        reached = _true_positions(truth, group, rows, steps_made.ravel())
-        q[:, segment.moves, segment.joint - 1] = reached.reshape(steps_made.shape)
+            effective = effective * np.exp(-truth.repeatability.get(group, 0.0) * noise[drive])
+        rows = build_drive_rows(segment, paths, q[:, segment.moves], truth.sessions, truth.conditions)
+        rows["stop"] = paths.machine.ranges[segment.joint][segment.direction == "+"]
+        rows = {name: np.broadcast_to(column, effective.shape).ravel() for name, column in rows.items()}
+        position = _true_positions(truth, group, rows, effective.ravel())
+        q[:, segment.moves, segment.joint - 1] = position.reshape(effective.shape)
     return q
 
 
 def _true_positions(truth: TrueLaws, group: Group, rows: dict[str, Any], steps_made: Array) -> Array:
-    """Where drives truly end after so many steps, shape (n,); NaN for steps that are."""
+    """True final positions of drives after so many steps, shape (n,); NaN where steps are."""
     law, reached = truth.laws[group[0]], np.full(len(steps_made), np.nan)
     moving = np.isfinite(steps_made) & np.isfinite(rows["start"])
     rows, steps_made = {name: of[moving] for name, of in rows.items()}, steps_made[moving]
     values = truth.session_values(group)[rows["number"]]
-    lost = truth.added(group, rows, values)
-    effective = lost + (steps_made - lost) * truth.factors(group)[rows["number"]]
+    added = truth.added(group, rows, values)
+    effective = added + (steps_made - added) * truth.factors(group)[rows["number"]]
     reached[moving] = position_after(law, rows, values, np.maximum(effective, 0.0))
     return reached

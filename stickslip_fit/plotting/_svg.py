@@ -23,13 +23,10 @@ from stickslip_fit.plotting._style import report_style
 Element = ElementTree.Element
 
 LINE_ENDS = {"stroke-linejoin": "round", "stroke-linecap": "butt"}  # as matplotlib's own style sheet has it
-INHERITED = frozenset(
-    {
-        "clip-rule", "fill", "fill-opacity", "font-family", "font-size", "font-style", "font-weight",
-        "stroke", "stroke-dasharray", "stroke-dashoffset", "stroke-linecap", "stroke-linejoin",
-        "stroke-opacity", "stroke-width", "text-anchor",
-    }
-)  # fmt: skip
+INHERITED = {"clip-rule", "text-anchor"} | {
+    *("fill", "fill-opacity", "font-family", "font-size", "font-style", "font-weight", "stroke"),
+    *(f"stroke-{name}" for name in ("dasharray", "dashoffset", "linecap", "linejoin", "opacity", "width")),
+}
 GEOMETRY = frozenset({"d", "x", "y", "width", "height", "points", "transform", "viewBox"})
 TRAVERSES_PREFIX = "traverses-"
 
@@ -39,23 +36,13 @@ _REFERENCE = re.compile(r"#([^)]+)")
 
 
 def name_traverses(points: Artist, rows: Iterable[int]) -> None:
-    """Say which of the log's usable traverses the markers of a line are, in their order.
-
-    The page's script finds the number at the group that holds the markers.
-    """
+    """Number the markers of a line, in their order, by the log's usable traverses, for the page's script."""
     points.set_gid(TRAVERSES_PREFIX + ".".join(map(str, rows)))
 
 
-def compact_svg(drawn: str, key: str) -> str:
-    """An SVG document of matplotlib's as an element for a page.
-
-    Parameters
-    ----------
-    drawn : str
-    key : str
-        Begins every name, so that no two figures of a page share one.
-    """
-    root = ElementTree.fromstring(_INVALID_XML.sub("\N{REPLACEMENT CHARACTER}", drawn))
+def compact_svg(document: str, key: str) -> str:
+    """A matplotlib SVG document as an element for a page; every name in it begins with `key`."""
+    root = ElementTree.fromstring(_INVALID_XML.sub("\N{REPLACEMENT CHARACTER}", document))
     for element in root.iter():
         _simplify_element(element)
     _remove_styles(root)
@@ -68,24 +55,23 @@ def compact_svg(drawn: str, key: str) -> str:
 
 
 def _simplify_element(element: Element) -> None:
-    """Names without their namespaces, styles as attributes, short numbers, no space between tags."""
+    """Names without namespaces, styles as attributes, short numbers, no whitespace between tags."""
     element.tag = element.tag.rpartition("}")[2]
-    given = {name.rpartition("}")[2]: value for name, value in element.attrib.items()}
-    for entry in filter(None, given.pop("style", "").split("; ")):
+    attributes = {name.rpartition("}")[2]: value for name, value in element.attrib.items()}
+    for entry in filter(None, attributes.pop("style", "").split("; ")):
         name, _, value = entry.partition(": ")
-        given[name] = value.rstrip(";")
-    element.attrib.clear()
-    element.attrib.update(
-        {name: _shorten_numbers(value) if name in GEOMETRY else value for name, value in given.items()}
-    )
+        attributes[name] = value.rstrip(";")
+    element.attrib = {
+        name: _shorten_numbers(value) if name in GEOMETRY else value for name, value in attributes.items()
+    }
     element.tail = None
     if element.tag not in ("text", "tspan"):
         element.text = None
 
 
 def _shorten_numbers(value: str) -> str:
-    """Coordinates to hundredths of a point; an exponent is the rest of a rounding."""
-    return " ".join(_DECIMALS.sub(lambda found: f"{float(found[0]):.2f}", value).split())
+    """Coordinates to hundredths of a point; an exponent is a rounding error."""
+    return " ".join(_DECIMALS.sub(lambda match: f"{float(match[0]):.2f}", value).split())
 
 
 def _remove_styles(root: Element) -> None:
@@ -96,7 +82,7 @@ def _remove_styles(root: Element) -> None:
 
 
 def _rename_ids(root: Element, key: str) -> None:
-    """Groups lose their names, unless these say which traverses they show; the rest get short ones."""
+    """Groups lose their ids, unless these number traverses; other elements get short ones."""
     numbers, names = count(), dict[str, str]()
     for element in root.iter():
         name = element.attrib.pop("id", "")
@@ -109,12 +95,12 @@ def _rename_ids(root: Element, key: str) -> None:
     for element in root.iter():
         for attribute in ("href", "clip-path"):
             if attribute in element.attrib:
-                renamed = _REFERENCE.sub(lambda found: f"#{names[found[1]]}", element.attrib[attribute])
-                element.set(attribute, renamed)
+                value = element.attrib[attribute]
+                element.set(attribute, _REFERENCE.sub(lambda match: f"#{names[match[1]]}", value))
 
 
 def _hoist_attributes(group: Element) -> None:
-    """What all children of a group share becomes the group's own."""
+    """Attributes that all children of a group share become the group's."""
     for name, value in list(group[0].attrib.items()) if len(group) else []:
         movable = name in INHERITED or (name == "clip-path" and name not in group.attrib)
         if movable and all(child.get(name) == value for child in group):
@@ -131,10 +117,8 @@ class Picture:
     ----------
     key : str
         Short name, unique within a page.
-    title : str
     caption : str
         What to see, with this log's numbers; where `svg` is None, what the log lacks.
-    svg : Markup or None
     """
 
     key: str
@@ -154,13 +138,9 @@ def make_missing_picture(key: str, title: str, lacking: str) -> Picture:
 
 
 def to_svg(figure: Figure, key: str) -> str:
-    """A figure as inline SVG.
-
-    The same figure gives the same text; nothing refers outside of it, and no name in it clashes with
-    another figure's of the same page.
-    """
+    """A figure as inline SVG; the same figure and key give the same text, and nothing refers outside it."""
     stream = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with report_style(), mpl.rc_context({"svg.hashsalt": key}):
-        figure.savefig(stream, format="svg", metadata=nothing)
+        figure.savefig(stream, format="svg", metadata=nothing, facecolor="none")
     return compact_svg(stream.getvalue(), key)

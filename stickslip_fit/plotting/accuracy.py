@@ -11,34 +11,33 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from stickslip_fit._format import format_configuration as configuration
-from stickslip_fit._format import format_direction as way
-from stickslip_fit._format import format_percent as percent
-from stickslip_fit._format import joint_name
-from stickslip_fit._format import pluralize as count
-from stickslip_fit.errors import shorten
+from stickslip_fit._format import (
+    format_configuration,
+    format_direction,
+    format_percent,
+    joint_name,
+    pluralize,
+)
 from stickslip_fit.estimation import Result
-from stickslip_fit.estimation.traverses import choose_repeatability, select_recent
+from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
-    GREY,
     INK,
-    LEGEND_LINE,
     LETTER_WIDTH,
     MARKERS,
     TITLE_LINE,
-    add_legend,
-    count_legend_rows,
+    direction_entries,
+    direction_styles,
     make_figure,
     make_legend_entry,
     report_style,
-    set_log_ticks,
+    select_recent,
+    set_log_axis,
+    sweep_entries,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
-from stickslip_fit.plotting.sweeps import direction_styles
 from stickslip_fit.units import from_si
 
 MAX_CURVE_POINTS = 300
@@ -53,14 +52,14 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
             key, title, "It would need traverses beside those that the calibration uses."
         )
     joints = sorted(errors["joint"].unique())
-    told = [
-        f"{joint_name(joint)}: {percent(_error_quantile(errors, joint, 'law'))} by the law, "
-        f"{percent(_error_quantile(errors, joint, 'constant'))} by the constant step"
+    quantiles = [
+        f"{joint_name(joint)}: {_format_quantile(errors, joint, 'law')} by the law, "
+        f"{_format_quantile(errors, joint, 'constant')} by the constant step"
         for joint in joints
     ]
     caption = (
-        f"{count(len(errors), 'traverse')}. The further left, the better. Nine traverses in ten are "
-        f"predicted to within: {'; '.join(told)}. Dotted: repeatability, which no law can beat."
+        f"{pluralize(len(errors), 'traverse')}. The further left, the better. Nine traverses in ten are "
+        f"predicted to within: {'; '.join(quantiles)}. Dotted: repeatability, which no law can beat."
     )
     noise = {
         (joint, sign): choose_repeatability(joint, sign, calibration, fit).value
@@ -74,16 +73,13 @@ def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float]) -> Fi
     """One panel for each joint."""
     joints = sorted(errors["joint"].unique())
     with report_style():
-        entries = [
-            *(
-                make_legend_entry(f"direction {way(sign)}", colour, line="-")
-                for sign, colour in DIRECTION_COLOURS.items()
-            ),
+        legend = [
+            *direction_entries(line="-"),
             make_legend_entry("law", INK, line="-"),
             make_legend_entry("constant step", INK, line="--"),
             make_legend_entry("repeatability", INK, line=":"),
         ]
-        figure, axes = make_figure([2.2], len(joints), top=LEGEND_LINE + TITLE_LINE + 0.14, bottom=0.5)
+        figure, axes = make_figure([2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5)
         for axis, joint in zip(axes[0], joints, strict=True):
             axis.set_title(joint_name(joint))
             for direction, colour in DIRECTION_COLOURS.items():
@@ -92,12 +88,11 @@ def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float]) -> Fi
                     axis.step(*_cumulative_shares(subset, model), where="post", color=colour, ls=line)
                 if np.isfinite(noise[joint, direction]):
                     axis.axvline(100 * noise[joint, direction], color=colour, ls=":", lw=1.0)
-            set_log_ticks(axis, (0.1, 1, 10, 100))
+            set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
             axis.set_xlim(MIN_ERROR, 250)
             axis.set_ylim(0, 101)
         axes[0, 0].set_ylabel("traverses predicted better (%)")
         figure.supxlabel("error of the mean step size (%)", y=0.02, va="bottom", size=8, color=INK)
-        add_legend(figure, entries)
     return figure
 
 
@@ -105,12 +100,14 @@ def _sort_relative_errors(errors: pd.DataFrame, model: str) -> np.ndarray:
     return np.sort(np.abs(errors[model] / errors["measured"] - 1.0).to_numpy())
 
 
-def _error_quantile(errors: pd.DataFrame, joint: int, model: str) -> float:
-    return float(np.quantile(_sort_relative_errors(errors[errors["joint"] == joint], model), 0.9))
+def _format_quantile(errors: pd.DataFrame, joint: int, model: str) -> str:
+    return format_percent(
+        float(np.quantile(_sort_relative_errors(errors[errors["joint"] == joint], model), 0.9))
+    )
 
 
 def _cumulative_shares(errors: pd.DataFrame, model: str) -> tuple[np.ndarray, np.ndarray]:
-    """Error (%) and the share of traverses (%) that is no further off, at so many places as a curve needs."""
+    """Errors (%) and the share of traverses (%) within each, at as many points as a curve needs."""
     sizes = np.maximum(100 * _sort_relative_errors(errors, model), MIN_ERROR)
     share = 100 * np.arange(1, len(sizes) + 1) / len(sizes) if len(sizes) else sizes
     keep = np.unique(np.linspace(0, len(sizes) - 1, min(len(sizes), MAX_CURVE_POINTS)).round().astype(int))
@@ -126,21 +123,24 @@ def configurations_picture(summary: pd.DataFrame, machine_span: float) -> Pictur
     Parameters
     ----------
     summary : DataFrame
-        As `fit.summarise` returns it for one joint, by direction and configuration.
+        As `estimation.summarize_errors` returns it for one joint, by direction and configuration.
     machine_span : float
         Full travel of the joint, rad or m.
     """
     joint = int(summary["joint"].iloc[0])
-    shown = summary.sort_values("law_rms_relative", ascending=False).head(MAX_CONFIGURATIONS)
-    labels = [f"{configuration(row, machine_span)} ({way(row['direction'])})" for _, row in shown.iterrows()]
-    first = shown.iloc[0]
+    worst = summary.sort_values("law_rms_relative", ascending=False).head(MAX_CONFIGURATIONS)
+    labels = [
+        f"{format_configuration(row, machine_span)} ({format_direction(row['direction'])})"
+        for _, row in worst.iterrows()
+    ]
+    first = worst.iloc[0]
     title = f"Error by configuration, worst first, {joint_name(joint)}"
     caption = (
-        f"The {len(shown)} of {len(summary):,} configurations and directions in which the law is furthest "
-        f"off (rms over sessions and replicates). Worst: {percent(first['law_rms_relative'])} at "
-        f"{labels[0]}; a constant step is off by {percent(first['constant_rms_relative'])} there."
+        f"The {len(worst)} of {len(summary):,} configurations and directions in which the law is furthest "
+        f"off (rms over sessions and replicates). Worst: {format_percent(first['law_rms_relative'])} at "
+        f"{labels[0]}; a constant step is off by {format_percent(first['constant_rms_relative'])} there."
     )
-    return make_picture(f"configurations-{joint}", title, caption, draw_configurations(shown, labels))
+    return make_picture(f"configurations-{joint}", title, caption, draw_configurations(worst, labels))
 
 
 def draw_configurations(summary: pd.DataFrame, labels: list[str]) -> Figure:
@@ -153,30 +153,25 @@ def draw_configurations(summary: pd.DataFrame, labels: list[str]) -> Figure:
     left = 0.2 + LETTER_WIDTH * max(map(len, labels))
     colours = [DIRECTION_COLOURS[sign] for sign in summary["direction"]]
     with report_style():
-        entries = [
-            *(
-                make_legend_entry(f"direction {way(sign)}", colour, marker="o")
-                for sign, colour in DIRECTION_COLOURS.items()
-            ),
+        legend = [
+            *direction_entries(marker="o"),
             make_legend_entry("law", INK, marker="o"),
             make_legend_entry("constant step", INK, marker="o"),
         ]
-        entries[-1].set_markerfacecolor("white")
-        figure, axes = make_figure(
-            [0.19 * len(summary) + 0.1], 1, left=left, top=LEGEND_LINE + 0.1, bottom=0.42, right=0.15
-        )
+        legend[-1].set_markerfacecolor("white")
+        height = 0.19 * len(summary) + 0.1
+        figure, axes = make_figure([height], 1, legend, left=left, top=0.1, bottom=0.42, right=0.15)
         axis = axes[0, 0]
         axis.hlines(y, law, constant, color="#cccccc", lw=1.0, zorder=1)
         axis.scatter(law, y, c=colours, s=18, zorder=2)
         axis.scatter(constant, y, facecolors="white", edgecolors=colours, s=18, linewidths=0.9, zorder=2)
         axis.set_yticks(y, labels)
         axis.set_ylim(-0.6, len(summary) - 0.4)
-        set_log_ticks(axis, (0.1, 1, 10, 100))
+        set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
         axis.set_xlabel("rms error of the mean step size (%)")
         axis.spines["left"].set_visible(False)
         axis.tick_params(axis="y", length=0)
         axis.grid(visible=False, axis="y")
-        add_legend(figure, entries)
     return figure
 
 
@@ -185,31 +180,33 @@ METHOD_OFFSET = 0.25  # mm between sessions at the same q3
 
 
 def load_coefficient_picture(table: pd.DataFrame, fit: Result) -> Picture:
-    """Draw the table of `load_coefficients`, or say what it lacks."""
+    """Draw the table of `tabulate_load_coefficients`, or say what it lacks."""
     if table.empty:
         needed = "full traverses of joint 2 at psi = 0 with theta = −90° and with theta = 0, at the same q3"
         return make_missing_picture(PICTURE_KEY, PICTURE_TITLE, f"It would need {needed}.")
-    shown = select_recent(table)
+    recent = select_recent(table)
     worst_quadratic = from_si(float((table["quadratic"] - table["d"]).abs().max()), "µrad")
     worst_iteration = from_si(float((table["iteration_1"] - table["d"]).abs().max()), "µrad")
     caption = (
-        f"{count(len(shown), 'pair')} of full traverses with and without load, replicates averaged; bars: "
-        "one standard error. Lines: the least-squares law, which has both linear in q3. Right: what the "
-        f"thesis's shortcuts add to d; Eq. 6.6 is off by up to {worst_quadratic:.2g} µrad, the thesis's "
+        f"{pluralize(len(recent), 'pair')} of full traverses with and without load, replicates averaged; "
+        "bars: one standard error. Lines: the least-squares law, which has both linear in q3. Right: what "
+        f"the thesis's shortcuts add to d; Eq. 6.6 is off by up to {worst_quadratic:.2g} µrad, the thesis's "
         f"iteration after one pass by up to {worst_iteration:.2g} µrad, solving the integral by nothing "
         "(grey bars: its error from the counts)."
     )
-    return make_picture(PICTURE_KEY, PICTURE_TITLE, caption, draw_load_coefficients(shown, fit))
+    return make_picture(PICTURE_KEY, PICTURE_TITLE, caption, draw_load_coefficients(recent, fit))
 
 
 def draw_load_coefficients(table: pd.DataFrame, fit: Result) -> Figure:
-    """gamma0, d, and the shortcuts' errors side by side."""
+    """gamma0, d, and the errors of the thesis's shortcuts side by side."""
     sessions = list(table["session"].unique())
     with report_style():
-        entries = _legend_entries(sessions)
-        figure, axes = make_figure(
-            [2.1], 3, top=LEGEND_LINE * count_legend_rows(entries) + 0.3, across=0.55, share_y=False, left=0.5
-        )
+        legend = [
+            *sweep_entries(direction_styles(2), sessions),
+            make_legend_entry("Eq. 6.6", INK, marker="x"),
+            make_legend_entry("iteration, one pass", INK, marker="+"),
+        ]
+        figure, axes = make_figure([2.1], 3, legend, top=0.3, across=0.55, share_y=False, left=0.5)
         for direction, colour in DIRECTION_COLOURS.items():
             for index, session in enumerate(sessions):
                 subset = table[(table["session"] == session) & (table["direction"] == direction)]
@@ -231,7 +228,6 @@ def draw_load_coefficients(table: pd.DataFrame, fit: Result) -> Figure:
             axis.set_xlabel("q3 (mm)")
         axes[0, 1].axhline(0.0, color=INK, lw=0.6)
         axes[0, 2].axhline(0.0, color=INK, lw=0.6)
-        add_legend(figure, entries)
     return figure
 
 
@@ -266,19 +262,3 @@ def _draw_law(left: Axes, right: Axes, sessions: list[str], fit: Result) -> None
             colour = DIRECTION_COLOURS[group.direction]
             left.plot(from_si(ends, "mm"), from_si(gamma0, "µrad"), color=colour, lw=0.8, zorder=1)
             right.plot(from_si(ends, "mm"), from_si(d, "µrad"), color=colour, lw=0.8, zorder=1)
-
-
-def _legend_entries(sessions: list[str]) -> list[Line2D]:
-    entries = [
-        make_legend_entry(kind.label, kind.colour, marker="o", line="-")
-        for kind in direction_styles(2).values()
-    ]
-    if len(sessions) > 1:
-        entries += [
-            make_legend_entry(shorten(name, 18), GREY, marker=MARKERS[k]) for k, name in enumerate(sessions)
-        ]
-    return [
-        *entries,
-        make_legend_entry("Eq. 6.6", INK, marker="x"),
-        make_legend_entry("iteration, one pass", INK, marker="+"),
-    ]

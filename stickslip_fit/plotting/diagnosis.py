@@ -8,16 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from stickslip_fit._format import format_percent as percent
-from stickslip_fit._format import pluralize as count
+from stickslip_fit._format import format_percent, pluralize
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis import Diagnosis, Finding, Gain
+from stickslip_fit.diagnosis import Diagnosis, Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
-from stickslip_fit.diagnosis.selection import SelectedCause
 from stickslip_fit.diagnosis.separability import (
     MAX_CONFUSION_DESIGN,
     SeparabilityMatrix,
@@ -30,42 +27,37 @@ from stickslip_fit.plotting._style import (
     FIGURE_WIDTH,
     GREY,
     INK,
-    LEGEND_LINE,
     LETTER_WIDTH,
+    MAX_HORIZONTAL_LABELS,
+    MAX_SESSIONS,
     TITLE_LINE,
     VERMILLION,
-    add_legend,
+    label_sessions,
     make_figure,
     make_legend_entry,
     report_style,
-    set_white_background,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
 from stickslip_fit.plotting.residuals import draw_finding
 
 MAX_CAUSES = 8
-MIN_LOG10_PROBABILITY = -12.0  # powers of ten; less likely is drawn there
-CHANCE_LABEL = "chance alone"
+MIN_LOG10_PROBABILITY = -12.0  # smaller ones are drawn there
 MAX_NAME_LENGTH = 24
-NAMED_LABEL, RIVAL_LABEL, OTHER_LABEL, NULL_LABEL = (
-    "named",
-    "cannot be told from it",
-    "another cause",
-    CHANCE_LABEL,
-)
+NAMED_LABEL, ALIASED_LABEL, OTHER_LABEL = "named", "aliased with it", "another cause"
+CHANCE_LABEL = "chance alone"
 LABEL_STYLES = {
     NAMED_LABEL: (BLUE, "o"),
-    RIVAL_LABEL: (VERMILLION, "s"),
+    ALIASED_LABEL: (VERMILLION, "s"),
     OTHER_LABEL: (GREY, "^"),
-    NULL_LABEL: (INK, "D"),
+    CHANCE_LABEL: (INK, "D"),
 }
 
 
 def ranking_picture(diagnosis: Diagnosis) -> Picture:
-    """Causes at each look at the residuals, likeliest first."""
+    """Probabilities of the causes at each step of the selection, likeliest first."""
     key, title = "ranking", "How likely each cause is"
-    looks = list_selection_steps(diagnosis)
-    if not looks[0][1].log_evidence_by_cause:
+    steps = list_selection_steps(diagnosis)
+    if not steps[0][1].log_evidence_by_cause:
         return make_missing_picture(
             key, title, "It would need more traverses; see what could not have been seen."
         )
@@ -73,97 +65,86 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
         "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing "
         "is as likely beforehand as all causes together. "
         + (
-            f"{count(len(looks), 'look')} at the residuals, one after the other: what was named is in the "
-            "law at the next. What stands close to what was named is its rival."
-            if len(looks) > 1
-            else "Nothing that stands clear of chance alone."
+            f"{pluralize(len(steps), 'step')} of the selection: a cause named in one step is in the law of "
+            "the next. Causes with nearly the same probability as the named one are aliased with it."
+            if len(steps) > 1
+            else "No cause is much likelier than chance alone."
         )
     )
-    return make_picture(key, title, caption, draw_ranking(diagnosis))
-
-
-def plot_ranking(diagnosis: Diagnosis) -> Figure:
-    """The ranking by itself."""
-    return set_white_background(draw_ranking(diagnosis))
+    return make_picture(key, title, caption, plot_ranking(diagnosis))
 
 
 def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, tuple[str, ...]]]:
-    """Each look: its title, the evidence, what was named and what that cannot be told from."""
+    """Each step of the selection: its title, the misfit, the cause named and those aliased with it."""
     equivalent = {finding.cause: finding.equivalent for finding in diagnosis.findings}
-    found = [each for each in diagnosis.search.found if each.misfit is not None and diagnosis.findings]
-    looks, known = [], ""
-    for each in found:
-        assert each.misfit is not None
-        rivals = equivalent.get(each.cause, ())
-        looks.append((known or "the published law", each.misfit, each.cause, rivals))
-        known = f"with {each.cause}" if not known else f"{known}, {each.cause}"
-    if not found or diagnosis.search.last is not found[-1].misfit:
-        looks.append((known or "the published law", diagnosis.search.last, "", ()))
-    return looks
+    selected = [cause for cause in diagnosis.search.found if cause.misfit is not None and diagnosis.findings]
+    steps, title = [], "the published law"
+    for index, cause in enumerate(selected):
+        assert cause.misfit is not None
+        steps.append((title, cause.misfit, cause.cause, equivalent.get(cause.cause, ())))
+        title = f"{title}, {cause.cause}" if index else f"with {cause.cause}"
+    if not selected or diagnosis.search.last is not selected[-1].misfit:
+        steps.append((title, diagnosis.search.last, "", ()))
+    return steps
 
 
-def draw_ranking(diagnosis: Diagnosis) -> Figure:
-    """One panel for each look, below one another."""
-    looks = list_selection_steps(diagnosis)
-    ranked = [_rank_causes(misfit, named, rivals) for _, misfit, named, rivals in looks]
-    longest = max(len(shorten(cause, MAX_NAME_LENGTH)) for each in ranked for cause, *_ in each)
-    kinds = [kind for kind in LABEL_STYLES if any(kind == found for each in ranked for *_, found in each)]
+def plot_ranking(diagnosis: Diagnosis) -> Figure:
+    """One panel for each step of the selection, below one another."""
+    steps = list_selection_steps(diagnosis)
+    rankings = [_rank_causes(misfit, named, aliased) for _, misfit, named, aliased in steps]
+    longest = max(len(shorten(cause, MAX_NAME_LENGTH)) for ranking in rankings for cause, *_ in ranking)
+    labels = {label for ranking in rankings for *_, label in ranking}
     with report_style():
         figure, axes = make_figure(
-            [0.17 * len(each) + 0.1 for each in ranked], 1, left=0.2 + LETTER_WIDTH * longest,
-            top=LEGEND_LINE + TITLE_LINE + 0.14, down=0.2 + TITLE_LINE, share_y=False,
-        )  # fmt: skip
-        for axis, (title, *_), each in zip(axes[:, 0], looks, ranked, strict=True):
+            [0.17 * len(ranking) + 0.1 for ranking in rankings],
+            1,
+            [
+                make_legend_entry(label, colour, marker=marker, line="-")
+                for label, (colour, marker) in LABEL_STYLES.items()
+                if label in labels
+            ],
+            left=0.2 + LETTER_WIDTH * longest,
+            top=TITLE_LINE + 0.14,
+            down=0.2 + TITLE_LINE,
+            share_y=False,
+        )
+        for axis, (title, *_), ranking in zip(axes[:, 0], steps, rankings, strict=True):
             axis.set_title(shorten(title, 80), loc="left")
-            _draw_bars(axis, each)
+            _draw_probabilities(axis, ranking)
         axes[-1, 0].set_xlabel("probability")
         axes[-1, 0].xaxis.set_major_formatter(FuncFormatter(lambda power, _: _format_power(power)))
-        add_legend(figure, [_make_entry(kind) for kind in kinds])
     return figure
 
 
-def _rank_causes(misfit: Misfit, named: str, rivals: Sequence[str]) -> list[tuple[str, float, str]]:
-    """Name, log10 of the probability, and what it is here; likeliest first."""
+def _rank_causes(misfit: Misfit, named: str, aliased: Sequence[str]) -> list[tuple[str, float, str]]:
+    """Name, log10 of the probability, and label; likeliest first."""
     if not misfit.log_evidence_by_cause:
-        return [(CHANCE_LABEL, 0.0, NULL_LABEL)]
+        return [(CHANCE_LABEL, 0.0, CHANCE_LABEL)]
     causes = [*misfit.log_evidence_by_cause, CHANCE_LABEL]
     logs = np.array([*misfit.log_evidence_by_cause.values(), np.log(len(misfit.log_evidence_by_cause))])
     powers = (logs - np.logaddexp.reduce(logs)) / np.log(10.0)
     order = sorted(range(len(causes)), key=lambda k: -powers[k])
-    shown = [k for k in order if causes[k] != CHANCE_LABEL][:MAX_CAUSES]
-    kept = [k for k in order if k in shown or causes[k] == CHANCE_LABEL]
-    return [(causes[k], float(powers[k]), _classify(causes[k], named, rivals)) for k in kept]
+    likeliest = [k for k in order if causes[k] != CHANCE_LABEL][:MAX_CAUSES]
+    labels = {CHANCE_LABEL: CHANCE_LABEL, named: NAMED_LABEL} | dict.fromkeys(aliased, ALIASED_LABEL)
+    return [
+        (causes[k], float(powers[k]), labels.get(causes[k], OTHER_LABEL))
+        for k in order
+        if k in likeliest or causes[k] == CHANCE_LABEL
+    ]
 
 
-def _classify(cause: str, named: str, rivals: Sequence[str]) -> str:
-    if cause == CHANCE_LABEL:
-        return NULL_LABEL
-    return NAMED_LABEL if cause == named else RIVAL_LABEL if cause in rivals else OTHER_LABEL
-
-
-def _draw_bars(axis: Axes, ranked: Sequence[tuple[str, float, str]]) -> None:
-    for place, (_, power, kind) in enumerate(ranked):
-        colour, marker = LABEL_STYLES[kind]
+def _draw_probabilities(axis: Axes, ranking: Sequence[tuple[str, float, str]]) -> None:
+    for place, (_, power, label) in enumerate(ranking):
+        colour, marker = LABEL_STYLES[label]
         end = max(power, MIN_LOG10_PROBABILITY)
+        marker = "<" if power < MIN_LOG10_PROBABILITY else marker
         axis.plot([MIN_LOG10_PROBABILITY - 0.5, end], [place, place], color=colour, lw=0.8)
-        axis.plot(
-            end,
-            place,
-            color=colour,
-            marker="<" if power < MIN_LOG10_PROBABILITY else marker,
-            ms=4.0,
-            clip_on=False,
-        )
-    axis.set_yticks(range(len(ranked)), [shorten(cause, MAX_NAME_LENGTH) for cause, *_ in ranked])
-    axis.set_ylim(len(ranked) - 0.5, -0.5)
+        axis.plot(end, place, color=colour, marker=marker, ms=4.0, clip_on=False)
+    axis.set_yticks(range(len(ranking)), [shorten(cause, MAX_NAME_LENGTH) for cause, *_ in ranking])
+    axis.set_ylim(len(ranking) - 0.5, -0.5)
     axis.set_xlim(MIN_LOG10_PROBABILITY - 0.5, 0.3)
     axis.set_xticks(np.arange(MIN_LOG10_PROBABILITY, 1.0, 2.0))
     axis.grid(visible=False, axis="y")
-
-
-def _make_entry(kind: str) -> Line2D:
-    colour, marker = LABEL_STYLES[kind]
-    return make_legend_entry(kind, colour, marker=marker, line="-")
 
 
 def _format_power(power: float) -> str:
@@ -173,66 +154,56 @@ def _format_power(power: float) -> str:
     return f"10⁻{f'{-power:.0f}'.translate(digits)}"
 
 
-MAX_SESSIONS = 30
-CROWDED_SESSIONS, MAX_SESSION_LABELS = 6, 12  # session names: side by side; and that there is room for
 FLOOR_LABEL = "repeatability and rounding"
 
 
 def gain_picture(diagnosis: Diagnosis) -> Picture:
-    """What the extended law gains in each session."""
+    """Held-out errors of the published and the extended law in each session."""
     key, title, gain = "gain", "Errors on held-out traverses, by session", diagnosis.gain
     if gain is None or gain.by_session.empty or not diagnosis.findings:
         return make_missing_picture(
             key, title, "It would need a named cause, and traverses beside those that fit it."
         )
     sessions = len(gain.by_session)
-    caption = f"The latest {MAX_SESSIONS} of {count(sessions, 'session')}. " * (sessions > MAX_SESSIONS)
+    caption = f"The latest {MAX_SESSIONS} of {pluralize(sessions, 'session')}. " * (sessions > MAX_SESSIONS)
     caption += (
         "Each traverse predicted by laws to which it contributed nothing, the search for causes "
-        f"included: {percent(gain.baseline)} rms by the published law, {percent(gain.extended)} by the "
-        f"extended one, over all sessions. No law can be better than the line, {percent(gain.noise_floor)}."
+        f"included: {format_percent(gain.baseline)} rms by the published law, "
+        f"{format_percent(gain.extended)} by the extended one, over all sessions. No law can be better than "
+        f"the line, {format_percent(gain.noise_floor)}."
     )
-    return make_picture(key, title, caption, draw_gain(gain))
+    return make_picture(key, title, caption, plot_gain(diagnosis))
 
 
 def plot_gain(diagnosis: Diagnosis) -> Figure:
-    """The chart by itself.
+    """A pair of points for each session.
 
     Raises
     ------
     InputError
-        If nothing was named, so that nothing was gained.
+        If no cause was named, so that there is no gain.
     """
-    if diagnosis.gain is None or diagnosis.gain.by_session.empty:
+    gain = diagnosis.gain
+    if gain is None or gain.by_session.empty:
         raise InputError("there is no gain to draw: no cause was named, or no traverse could be held out")
-    return set_white_background(draw_gain(diagnosis.gain))
-
-
-def draw_gain(gain: Gain) -> Figure:
-    """A pair of points for each session."""
-    shown = gain.by_session.tail(MAX_SESSIONS)
-    place, crowded = np.arange(len(shown)), len(shown) > CROWDED_SESSIONS
-    before, after = (100 * shown[name].to_numpy(float) for name in ("baseline", "extended"))
+    recent = gain.by_session.tail(MAX_SESSIONS)
+    place, crowded = np.arange(len(recent)), len(recent) > MAX_HORIZONTAL_LABELS
+    before, after = (100 * recent[name].to_numpy(float) for name in ("baseline", "extended"))
+    legend = [
+        make_legend_entry("published law", VERMILLION, marker="s"),
+        make_legend_entry("extended law", BLUE, marker="o"),
+        make_legend_entry(FLOOR_LABEL, INK, line="--"),
+    ]
     with report_style():
-        figure, axes = make_figure([1.6], 1, top=LEGEND_LINE + 0.12, bottom=0.9 if crowded else 0.3)
+        figure, axes = make_figure([1.6], 1, legend, top=0.12, bottom=0.9 if crowded else 0.3)
         axis = axes[0, 0]
         axis.vlines(place, after, before, color=GREY, lw=0.9)
         axis.plot(place, before, ls="", marker="s", ms=4.5, color=VERMILLION)
         axis.plot(place, after, ls="", marker="o", ms=4.5, color=BLUE)
         axis.axhline(100 * gain.noise_floor, color=INK, lw=0.8, ls="--")
-        every = -(-len(shown) // MAX_SESSION_LABELS)
-        names = [shorten(str(name), 14) for name in shown["session"]]
-        axis.set_xticks(place[::every], names[::every], rotation=90 if crowded else 0)
-        axis.set_xlim(-0.5, len(shown) - 0.5)
+        label_sessions(axis, list(recent["session"]), vertical=crowded)
         axis.set_ylim(0.0, 1.1 * max(float(before.max()), float(after.max())))
         axis.set_ylabel("rms error (%)")
-        axis.grid(visible=False, axis="x")
-        entries = [
-            make_legend_entry("published law", VERMILLION, marker="s"),
-            make_legend_entry("extended law", BLUE, marker="o"),
-            make_legend_entry(FLOOR_LABEL, INK, line="--"),
-        ]
-        add_legend(figure, entries)
     return figure
 
 
@@ -244,25 +215,25 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     InputError
         If there is no such finding, or it has no shape.
     """
-    found = {each.cause: each for each in diagnosis.search.found}
     if not 0 <= finding < len(diagnosis.findings):
         raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
     chosen = diagnosis.findings[finding]
-    if found[chosen.cause].misfit is None:
+    selected = next(cause for cause in diagnosis.search.found if cause.cause == chosen.cause)
+    if selected.misfit is None:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
-    shape = compute_shape(found[chosen.cause], diagnosis.search.problem.study())
-    left = compare_residuals(diagnosis.search, diagnosis.seed)
-    return set_white_background(draw_finding(chosen, found[chosen.cause], shape, left)[1])
+    shape = compute_shape(selected, diagnosis.search.problem.study())
+    return draw_finding(chosen, selected, shape, compare_residuals(diagnosis.search, diagnosis.seed))[1]
 
 
-MAX_RATE, DARK_RATE = 0.5, 0.3  # a coin; beyond that numbers are white
-MIN_RATE = 0.01  # not worth a picture
+MAX_RATE, DARK_RATE = 0.5, 0.3  # a toss of a coin; white numbers from there on
+MIN_RATE = 0.01  # below, there is no picture
 CELL_SIZE = 0.55, 0.3  # inches
+TITLE_HEIGHT = 0.3  # inches
 
 
 def confusion_picture(diagnosis: Diagnosis) -> Picture:
-    """The causes that come nearest to what was found, and how often they would be confused."""
-    key, title = "likeness", "What could be told apart"
+    """The causes most similar to the one found, and how often they would be confused."""
+    key, title = "likeness", "Which causes could be confused"
     chosen = _choose_causes(diagnosis)
     if chosen is None:
         return make_missing_picture(key, title, "It would need a named cause that another one resembles.")
@@ -271,32 +242,33 @@ def confusion_picture(diagnosis: Diagnosis) -> Picture:
     if np.nanmax(rates) < MIN_RATE:
         lacking = (
             f"{finding.cause} is so strong here that it resembles no other cause: fewer than 1 in 100 such "
-            "logs would confuse any two of those likest to it."
+            "logs would confuse any two of those most similar to it."
         )
         return make_missing_picture(key, title, lacking)
     caption = (
-        f"The named cause and those likest to it. For an effect as strong as {finding.cause} is here: the "
-        "share of logs of this design, %, in which one would pass for the other, if each may take the shape "
-        "in which they are most alike. 50 is a toss of a coin."
+        f"The named cause and those most similar to it. For an effect as strong as {finding.cause} is here: "
+        "the share of logs of this design, %, in which one would be taken for the other, if each may take "
+        "the shape in which they are most alike. 50 is a toss of a coin."
     )
     return make_picture(key, title, caption, draw_confusion_matrix(causes, rates))
 
 
 def effect_strength(finding: Finding, diagnosis: Diagnosis) -> float:
     """Effect over noise, all rows together."""
-    rows = len(diagnosis.search.problem)
-    return float(np.sqrt(rows) * finding.effect.estimate / diagnosis.repeatability)
+    n_rows = len(diagnosis.search.problem)
+    return float(np.sqrt(n_rows) * finding.effect.estimate / diagnosis.repeatability)
 
 
 def compute_confusion_rates(causes: list[str], misfit: Misfit, strength: float) -> Array:
     """Rates of confusion, shape (causes, causes); NaN on the diagonal."""
-    shapes = {
-        cause: [each for each in misfit.hypotheses if classify_cause(each) == cause] for cause in causes
+    hypotheses = {
+        cause: [hypothesis for hypothesis in misfit.hypotheses if classify_cause(hypothesis) == cause]
+        for cause in causes
     }
     rates = np.full((len(causes), len(causes)), np.nan)
     for row, one in enumerate(causes):
         for column, other in enumerate(causes[:row]):
-            cosine = max(largest_cosine(a, b) for a in shapes[one] for b in shapes[other])
+            cosine = max(largest_cosine(a, b) for a in hypotheses[one] for b in hypotheses[other])
             rates[row, column] = confusion_rate(strength, cosine)
     return rates
 
@@ -304,88 +276,68 @@ def compute_confusion_rates(causes: list[str], misfit: Misfit, strength: float) 
 def draw_confusion_matrix(causes: list[str], rates: Array) -> Figure:
     """The lower triangle, a number in each cell."""
     names = [shorten(cause, MAX_NAME_LENGTH) for cause in causes]
-    left = 0.2 + LETTER_WIDTH * max(map(len, names))
+    left, (width, height) = 0.2 + LETTER_WIDTH * max(map(len, names)), CELL_SIZE
+    right = 7.1 - left - width * len(causes)
     with report_style():
         figure, axes = make_figure(
-            [CELL_SIZE[1] * (len(causes) - 1)], 1, left=left, right=7.1 - left - CELL_SIZE[0] * len(causes), top=0.08,
-            bottom=left,
-        )  # fmt: skip
-        axis = axes[0, 0]
-        colours = LinearSegmentedColormap.from_list("confused", ["#f7f7f4", VERMILLION])
-        axis.imshow(rates[1:, :-1], cmap=colours, vmin=0.0, vmax=MAX_RATE, aspect="auto")
-        for row, column in zip(*np.nonzero(np.isfinite(rates[1:, :-1])), strict=True):
-            rate = rates[row + 1, column]
-            colour = "white" if rate > DARK_RATE else INK
-            axis.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", color=colour)
-        axis.set_xticks(range(len(causes) - 1), names[:-1], rotation=90)
-        axis.set_yticks(range(len(causes) - 1), names[1:])
-        axis.tick_params(length=0)
-        axis.grid(visible=False)
-        for side in ("left", "bottom"):
-            axis.spines[side].set_visible(False)
+            [height * (len(causes) - 1)], 1, left=left, right=right, top=0.08, bottom=left
+        )
+        _draw_rates(axes[0, 0], names, rates[1:, :-1])
     return figure
 
 
+def _draw_rates(axis: Axes, names: Sequence[str], rates: Array, lowest: float = 0.0) -> None:
+    """Rates of confusion of each two causes as colours, and in per cent from `lowest` on."""
+    colours = LinearSegmentedColormap.from_list("confused", ["#f7f7f4", VERMILLION])
+    axis.imshow(rates, cmap=colours, vmin=0.0, vmax=MAX_RATE, aspect="auto")
+    for row, column in zip(*np.nonzero(rates >= lowest), strict=True):
+        colour, size = "white" if rates[row, column] > DARK_RATE else INK, 6.5 if lowest else 8.0
+        text = f"{100 * rates[row, column]:.0f}"
+        axis.text(column, row, text, ha="center", va="center", color=colour, fontsize=size)
+    axis.set_xticks(range(len(rates)), names[:-1], rotation=90)
+    axis.set_yticks(range(len(rates)), names[1:])
+    axis.tick_params(length=0)
+    axis.grid(visible=False)
+    axis.spines[["left", "bottom"]].set_visible(False)
+
+
 def _choose_causes(diagnosis: Diagnosis) -> tuple[Finding, Misfit, list[str]] | None:
-    """The first named finding, the look that found it, and the causes likest to it."""
-    by_cause: dict[str, SelectedCause] = {each.cause: each for each in diagnosis.search.found}
+    """The first named finding, the misfit that named it, and the causes most similar to it."""
+    selected = {cause.cause: cause for cause in diagnosis.search.found}
     for finding in diagnosis.findings:
-        misfit = by_cause[finding.cause].misfit
+        misfit = selected[finding.cause].misfit
         if misfit is None or finding.cause == UNKNOWN:
             continue
         best = misfit.best_hypothesis(finding.cause)
-        alike: dict[str, float] = {}
-        for each in misfit.hypotheses:
-            if each.version is not None and each.cause != finding.cause:
-                alike[each.cause] = max(largest_cosine(best, each), alike.get(each.cause, 0.0))
-        near = sorted(alike, key=lambda cause: -alike[cause])
-        others = [*finding.equivalent, *(cause for cause in near if cause not in finding.equivalent)]
+        cosines: dict[str, float] = {}
+        for hypothesis in misfit.hypotheses:
+            if hypothesis.version is not None and hypothesis.cause != finding.cause:
+                cosine = largest_cosine(best, hypothesis)
+                cosines[hypothesis.cause] = max(cosine, cosines.get(hypothesis.cause, 0.0))
+        similar = sorted(cosines, key=lambda cause: -cosines[cause])
+        others = [*finding.equivalent, *(cause for cause in similar if cause not in finding.equivalent)]
         if others:
             return finding, misfit, [finding.cause, *others][:MAX_CAUSES]
     return None
 
 
-PLAN_MAX_RATE = 0.5  # a coin
-PLAN_DARK_RATE = 0.3  # beyond, numbers are white
-TITLE_HEIGHT = 0.3  # inches
-
-
-def plot_separability(found: SeparabilityMatrix, strength: float) -> Figure:
-    """Rate of confusion of each pair of causes, at one strength.
-
-    Parameters
-    ----------
-    found : Matrix
-        Of two causes or more.
-    strength : float
-    """
-    causes = found.causes
+def plot_separability(matrix: SeparabilityMatrix, strength: float) -> Figure:
+    """Rate of confusion of each pair of two causes or more, at one strength of their effects."""
+    causes = matrix.causes
     margin = 0.15 + LETTER_WIDTH * max(map(len, causes))
     cell = (FIGURE_WIDTH - margin - 0.1) / (len(causes) - 1)
     rates = np.full((len(causes) - 1, len(causes) - 1), np.nan)
     for row, one in enumerate(causes[1:]):
         for column, other in enumerate(causes[: row + 1]):
-            rates[row, column] = found.rate(one, other, strength)
+            rates[row, column] = matrix.rate(one, other, strength)
     with report_style():
         figure, axes = make_figure(
             [min(cell, 0.3) * len(rates)], 1, left=margin, right=0.1, top=TITLE_HEIGHT, bottom=margin
         )
-        axis = axes[0, 0]
-        colours = LinearSegmentedColormap.from_list("confused", ["#f7f7f4", VERMILLION])
-        axis.imshow(rates, cmap=colours, vmin=0.0, vmax=PLAN_MAX_RATE, aspect="auto")
-        for row, column in zip(*np.nonzero(rates >= MAX_CONFUSION_DESIGN), strict=True):
-            rate = rates[row, column]
-            colour = "white" if rate > PLAN_DARK_RATE else INK
-            axis.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", fontsize=6.5, color=colour)
-        axis.set_xticks(range(len(rates)), causes[:-1], rotation=90)
-        axis.set_yticks(range(len(rates)), causes[1:])
-        axis.tick_params(length=0)
-        axis.grid(visible=False)
-        for side in ("left", "bottom"):
-            axis.spines[side].set_visible(False)
-        figure.suptitle(
+        _draw_rates(axes[0, 0], causes, rates, MAX_CONFUSION_DESIGN)
+        title = (
             f"Logs in which the two are confused (%), effects of strength {strength:.0f}; "
-            f"numbers from {100 * MAX_CONFUSION_DESIGN:.0f} %",
-            x=0.01, y=0.995, ha="left", va="top",
-        )  # fmt: skip
-    return set_white_background(figure)
+            f"numbers from {100 * MAX_CONFUSION_DESIGN:.0f} %"
+        )
+        figure.suptitle(title, x=0.01, y=0.995, ha="left", va="top")
+    return figure

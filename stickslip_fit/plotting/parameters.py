@@ -17,10 +17,7 @@ from scipy.stats import f as fisher
 from scipy.stats import gaussian_kde
 from scipy.stats import t as student_t
 
-from stickslip_fit._format import format_direction as way
-from stickslip_fit._format import join_words as listed
-from stickslip_fit._format import joint_name
-from stickslip_fit._format import pluralize as count
+from stickslip_fit._format import format_direction, join_words, joint_name, pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import JointFit, Result
@@ -32,15 +29,16 @@ from stickslip_fit.plotting._style import (
     INK,
     LEGEND_LINE,
     LETTER_WIDTH,
+    MAX_SESSIONS,
     TITLE_LINE,
     DisplayedFigure,
     add_legend,
     grid_height,
+    label_sessions,
     make_figure,
     make_grid,
     make_legend_entry,
     report_style,
-    set_white_background,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
 from stickslip_fit.units import from_si
@@ -48,19 +46,14 @@ from stickslip_fit.units import from_si
 if TYPE_CHECKING:
     from stickslip_fit.bayes import Posterior
 
-CONTROL_MAX_SESSIONS = 30
-MAX_SESSION_LABELS = 12  # session names that an axis has room for
-MAX_BAR_LENGTH = 2.5  # of the spread of the estimates: bars and limits that say little are cut there
-PANEL_HEIGHT = 1.15  # inches
-MARGINS = {
-    "left": 0.62, "right": 0.08, "top": 2 * TITLE_LINE + 0.10, "bottom": 0.85, "across": 0.58, "down": 0.12
-}  # fmt: skip
+MAX_BAR_LENGTH = 2.5  # times the range of the estimates: longer bars and limits are cut
+PANEL_HEIGHT, TOP, BOTTOM, DOWN = 1.15, 2 * TITLE_LINE + 0.10, 0.85, 0.12  # inches
 LIMITS_COLOUR, LATEST_LIMITS_COLOUR = "#e4e4e0", "#c4c4be"
 OUTSIDE_LABEL = "outside"
 
 
 def control_picture(joint: int, fit: Result) -> Picture:
-    """How the parameters of a joint change from session to session, and when that is more than usual."""
+    """The control chart of one joint's parameters, session by session."""
     key, title = f"parameters-{joint}", f"Parameters of {joint_name(joint)} by session"
     chart = control_chart(fit)
     chart = chart[chart["joint"] == joint]
@@ -73,57 +66,55 @@ def control_picture(joint: int, fit: Result) -> Picture:
 
 
 def plot_control(result: Result) -> Figure:
-    """The chart of all joints of a result."""
+    """The control chart of all joints of a result."""
     chart = control_chart(result)
     if chart.empty:
         raise InputError(
             "no parameter is known in any session, so there is nothing to chart; see the remarks"
         )
-    return set_white_background(draw_control(result, chart))
+    return draw_control(result, chart)
 
 
 def draw_control(result: Result, chart: pd.DataFrame) -> Figure:
     """One block for each joint of the chart: directions down, parameters across."""
-    joints = list(chart["joint"].unique())
     blocks = [
-        (
-            result.joints[joint].groups["session"].unique()[-CONTROL_MAX_SESSIONS:],
-            chart[chart["joint"] == joint],
-        )
-        for joint in joints
+        (list(result.joints[int(joint)].groups["session"].unique()[-MAX_SESSIONS:]), subset)
+        for joint, subset in chart.groupby("joint", sort=False)
+    ]
+    legend = [make_legend_entry("session, bar 95 %", GREY, marker="o", line="-")]
+    if chart["expected_low"].notna().any():
+        label = "expected from the sessions before (99 %)"
+        legend += [
+            make_legend_entry(label, LATEST_LIMITS_COLOUR, line="-", width=6.0),
+            make_legend_entry(OUTSIDE_LABEL, INK, marker="X"),
+        ]
+    heights = [
+        grid_height([PANEL_HEIGHT] * subset["direction"].nunique(), TOP, BOTTOM, DOWN) for _, subset in blocks
     ]
     with report_style():
-        talls = [_figure_height(subset) for _, subset in blocks]
-        ratios = [LEGEND_LINE + 0.08, *talls]
-        figure = DisplayedFigure(figsize=(FIGURE_WIDTH, sum(ratios)))
-        top, *parts = figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0]
-        add_legend(top, _legend_entries(chart))
+        heights.insert(0, LEGEND_LINE + 0.08)
+        figure = DisplayedFigure(figsize=(FIGURE_WIDTH, sum(heights)))
+        top, *parts = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+        add_legend(top, legend)
         for part, (sessions, subset) in zip(parts, blocks, strict=True):
-            _draw_control_joint(part, subset[subset["session"].isin(sessions)], list(sessions))
+            _draw_control_joint(part, subset[subset["session"].isin(sessions)], sessions)
     return figure
-
-
-def _figure_height(chart: pd.DataFrame) -> float:
-    return grid_height(
-        [PANEL_HEIGHT] * chart["direction"].nunique(), MARGINS["top"], MARGINS["bottom"], MARGINS["down"]
-    )
-
-
-def _legend_entries(chart: pd.DataFrame) -> list[Line2D]:
-    entries = [make_legend_entry("session, bar 95 %", GREY, marker="o", line="-")]
-    if chart["expected_low"].notna().any():
-        expected = make_legend_entry(
-            "expected from the sessions before (99 %)", LATEST_LIMITS_COLOUR, line="-"
-        )
-        expected.set_linewidth(6)
-        entries += [expected, make_legend_entry(OUTSIDE_LABEL, INK, marker="X")]
-    return entries
 
 
 def _draw_control_joint(part: SubFigure, chart: pd.DataFrame, sessions: list[str]) -> None:
     names, directions = chart["name"].unique(), [sign for sign in "+-" if (chart["direction"] == sign).any()]
     axes = make_grid(
-        part, [PANEL_HEIGHT] * len(directions), len(names), **MARGINS, share_x=True, share_y=False
+        part,
+        [PANEL_HEIGHT] * len(directions),
+        len(names),
+        left=0.62,
+        right=0.08,
+        top=TOP,
+        bottom=BOTTOM,
+        across=0.58,
+        down=DOWN,
+        share_x=True,
+        share_y=False,
     )
     part.suptitle(
         joint_name(int(chart["joint"].iloc[0])), x=0.0, y=1.0, ha="left", va="top", fontweight="bold"
@@ -132,19 +123,18 @@ def _draw_control_joint(part: SubFigure, chart: pd.DataFrame, sessions: list[str
         for column, name in enumerate(names):
             subset = chart[(chart["name"] == name) & (chart["direction"] == sign)]
             _draw_control_panel(axes[row, column], subset, sessions, DIRECTION_COLOURS[sign])
-        axes[row, 0].set_ylabel(f"direction {way(sign)}")
+        axes[row, 0].set_ylabel(f"direction {format_direction(sign)}")
     for column, name in enumerate(names):
         unit = chart.loc[chart["name"] == name, "unit"].iloc[0]
         axes[0, column].set_title(name if unit == "1" else f"{name} ({unit})")
-        _label_sessions(axes[-1, column], sessions)
+        label_sessions(axes[-1, column], sessions)
 
 
 def _draw_control_panel(axes: Axes, chart: pd.DataFrame, sessions: list[str], colour: str) -> None:
-    axes.set_xlim(-0.5, len(sessions) - 0.5)
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.grid(visible=False, axis="x")
     if chart.empty:
-        axes.text(0.5, 0.5, "not known", transform=axes.transAxes, ha="center", va="center", color=GREY)
+        _write_not_known(axes)
         axes.set_yticks([])
         return
     unit = chart["unit"].iloc[0]
@@ -152,63 +142,59 @@ def _draw_control_panel(axes: Axes, chart: pd.DataFrame, sessions: list[str], co
     numbers = chart[["estimate", "low", "high", "expected_low", "expected_high"]]
     y, low, high, expected_low, expected_high = from_si(numbers.to_numpy(float), unit).T
     latest = x == len(sessions) - 1
-    for which, shade in ((~latest, LIMITS_COLOUR), (latest, LATEST_LIMITS_COLOUR)):
-        axes.bar(
-            x[which], (expected_high - expected_low)[which], 1.0, expected_low[which], color=shade, lw=0.4
-        )
+    for selected, shade in ((~latest, LIMITS_COLOUR), (latest, LATEST_LIMITS_COLOUR)):
+        height, bottom = (expected_high - expected_low)[selected], expected_low[selected]
+        axes.bar(x[selected], height, 1.0, bottom, color=shade, lw=0.4)
     axes.vlines(x, low, high, color=colour, lw=0.7)
-    odd = chart["surprising"].to_numpy(bool)
-    axes.plot(x[~odd], y[~odd], ls="", marker="o", color=colour)
-    axes.plot(x[odd], y[odd], ls="", marker="X", ms=6.0, mec="white", mew=0.5, color=INK)
+    outside = chart["surprising"].to_numpy(bool)
+    axes.plot(x[~outside], y[~outside], ls="", marker="o", color=colour)
+    axes.plot(x[outside], y[outside], ls="", marker="X", ms=6.0, mec="white", mew=0.5, color=INK)
     _limit_view(axes, y, np.concatenate([low, high, expected_low, expected_high]))
 
 
+def _write_not_known(axes: Axes) -> None:
+    axes.text(0.5, 0.5, "not known", transform=axes.transAxes, ha="center", va="center", color=GREY)
+
+
 def _limit_view(axes: Axes, y: np.ndarray, ends: np.ndarray) -> None:
-    """Estimates decide what is in view: what hardly anything is known of must not flatten all else."""
+    """Limits from the estimates, so that one long bar does not flatten the others."""
     ends = ends[np.isfinite(ends)]
-    room = MAX_BAR_LENGTH * np.ptp(y) if len(y) > 1 and np.ptp(y) > 0 else np.inf
-    low = max(min(ends, default=y.min()), y.min() - room)
-    high = min(max(ends, default=y.max()), y.max() + room)
+    extent = MAX_BAR_LENGTH * np.ptp(y) if len(y) > 1 and np.ptp(y) > 0 else np.inf
+    low = max(min(ends, default=y.min()), y.min() - extent)
+    high = min(max(ends, default=y.max()), y.max() + extent)
     low, high = min(low, y.min()), max(high, y.max())
     margin = 0.08 * (high - low) if high > low else 0.01 * abs(high) or 1.0
     axes.set_ylim(low - margin, high + margin)
 
 
-def _label_sessions(axes: Axes, sessions: list[str]) -> None:
-    every = -(-len(sessions) // MAX_SESSION_LABELS)
-    places = list(range(len(sessions) - 1, -1, -every))
-    axes.set_xticks(places, [shorten(str(sessions[k]), 12) for k in places], rotation=90)
-
-
 def _write_caption(chart: pd.DataFrame, sessions: list[str]) -> str:
-    shown = sessions[-CONTROL_MAX_SESSIONS:]
-    latest = "" if shown == sessions else f"The latest {len(shown)} of "
+    recent = sessions[-MAX_SESSIONS:]
+    of_latest = "" if recent == sessions else f"The latest {len(recent)} of "
     points = (
-        f"{latest}{count(len(sessions), 'session')} in order of time, each parameter by least squares over "
-        "all the session's traverses; bars: 95 %, cut short where they would hide the rest."
+        f"{of_latest}{pluralize(len(sessions), 'session')} in order of time, each parameter by least squares "
+        "over all the session's traverses; bars: 95 %, cut short where they would hide the rest."
     )
-    told = chart[chart["expected_low"].notna()]
-    if told.empty:
+    limited = chart[chart["expected_low"].notna()]
+    if limited.empty:
         return f"{points} Limits, from what the sessions before lead one to expect, begin with the fourth."
     band = (
         "Grey: where the sessions before it lead one to expect it, dark for the latest; in 99 of 100 "
         "sessions all parameters lie there."
     )
-    return f"{points} {band} {_describe_outliers(told[told['session'].isin(shown)], shown[-1])}"
+    return f"{points} {band} {_describe_outliers(limited[limited['session'].isin(recent)], recent[-1])}"
 
 
-def _describe_outliers(told: pd.DataFrame, latest: str) -> str:
-    odd = told[told["surprising"]]
-    if odd.empty:
-        return f"Of {count(len(told), 'point')} with limits none is outside."
-    outside = (
-        f"Of {count(len(told), 'point')} with limits {len(odd):,} {'is' if len(odd) == 1 else 'are'} outside"
-    )
-    today = odd[odd["session"] == latest]
-    if today.empty:
-        return f"{outside} (crosses), none of them in the latest session."
-    names = listed([f"{row.name} ({way(row.direction)})" for row in today.itertuples(index=False)])
-    return f"{outside} (crosses); in the latest session {names}: calibrate again, or look for what changed."
+def _describe_outliers(limited: pd.DataFrame, latest: str) -> str:
+    outside = limited[limited["surprising"]]
+    points = f"Of {pluralize(len(limited), 'point')} with limits"
+    if outside.empty:
+        return f"{points} none is outside."
+    points += f" {len(outside):,} {'is' if len(outside) == 1 else 'are'} outside (crosses)"
+    today = outside[outside["session"] == latest].itertuples(index=False)
+    names = join_words([f"{row.name} ({format_direction(row.direction)})" for row in today])
+    if not names:
+        return f"{points}, none of them in the latest session."
+    return f"{points}; in the latest session {names}: calibrate again, or look for what changed."
 
 
 FOREST_MAX_SESSIONS = 24
@@ -218,14 +204,14 @@ BAND_COLOUR = "#d9d9d4"
 
 
 def plot_forest(result: Result, joint: int, campaign: pd.DataFrame | None = None) -> Figure:
-    """Draw one joint of a result.
+    """One joint's parameters across; directions and, within them, sessions down, the latest at the bottom.
 
     Parameters
     ----------
     result : Result
     joint : int
     campaign : DataFrame, optional
-        Means that sessions scatter about: name, joint, direction, estimate, low, high, SI.
+        Means of the campaign: name, joint, direction, estimate, low, high, SI.
 
     Raises
     ------
@@ -240,15 +226,10 @@ def plot_forest(result: Result, joint: int, campaign: pd.DataFrame | None = None
     if campaign is not None:
         bands = pd.concat([bands, campaign[campaign["joint"] == joint]])
     sessions = [str(name) for name in result.joints[joint].groups["session"].unique()]
-    shown = sessions[-FOREST_MAX_SESSIONS:]
     title = joint_name(joint)
-    if len(shown) < len(sessions):
-        title += f", the latest {len(shown)} of {len(sessions):,} sessions"
-    return set_white_background(draw_forest(table, bands, shown, title))
-
-
-def draw_forest(table: pd.DataFrame, bands: pd.DataFrame, sessions: list[str], title: str) -> Figure:
-    """Directions and, within them, sessions down, the latest at the bottom; parameters across."""
+    if len(sessions) > FOREST_MAX_SESSIONS:
+        title += f", the latest {FOREST_MAX_SESSIONS} of {len(sessions):,} sessions"
+        sessions = sessions[-FOREST_MAX_SESSIONS:]
     names = list(table["name"].unique())
     directions = [sign for sign in "+-" if (table["direction"] == sign).any()]
     longest = max(min(len(name), MAX_NAME_LENGTH) for name in sessions)
@@ -267,15 +248,18 @@ def draw_forest(table: pd.DataFrame, bands: pd.DataFrame, sessions: list[str], t
         for row, sign in enumerate(directions):
             for column, name in enumerate(names):
                 subset, band = (
-                    each[(each["name"] == name) & (each["direction"] == sign)] for each in (table, bands)
+                    rows[(rows["name"] == name) & (rows["direction"] == sign)] for rows in (table, bands)
                 )
                 _draw_forest_panel(axes[row, column], subset, band, sessions, DIRECTION_COLOURS[sign])
-            axes[row, 0].set_ylabel(f"direction {way(sign)}")
+            axes[row, 0].set_ylabel(f"direction {format_direction(sign)}")
         for axis, name in zip(axes[0], names, strict=True):
             unit = table.loc[table["name"] == name, "unit"].iloc[0]
             axis.set_title(name if unit == "1" else f"{name}\n({unit})")
         figure.text(0.005, 1 - 0.02 / figure.get_figheight(), title, va="top", fontweight="bold")
-        _add_forest_legend(figure, bands)
+        legend = [make_legend_entry("session, bar 95 %", GREY, marker="o", line="-")]
+        if len(bands):
+            legend.append(make_legend_entry("campaign, 95 %", BAND_COLOUR, line="-", width=6.0))
+        add_legend(figure, legend, top=1 - LEGEND_LINE / figure.get_figheight())
     return figure
 
 
@@ -292,7 +276,7 @@ def _draw_forest_panel(
     axes.hlines(y, low, high, color=colour)
     axes.plot(estimate, y, ls="", marker="o", color=colour)
     if own.empty and band.empty:
-        axes.text(0.5, 0.5, "not known", transform=axes.transAxes, ha="center", va="center", color=GREY)
+        _write_not_known(axes)
         axes.set_xticks([])
     axes.set_yticks(range(len(sessions)), [shorten(name, MAX_NAME_LENGTH) for name in sessions])
     axes.set_ylim(len(sessions) - 0.4, -0.6)
@@ -300,15 +284,6 @@ def _draw_forest_panel(
     axes.locator_params(axis="x", nbins=4)
     axes.ticklabel_format(axis="x", useOffset=False)
     axes.grid(visible=False, axis="y")
-
-
-def _add_forest_legend(figure: Figure, bands: pd.DataFrame) -> None:
-    entries = [make_legend_entry("session, bar 95 %", GREY, marker="o", line="-")]
-    if len(bands):
-        entries.append(make_legend_entry("campaign, 95 %", BAND_COLOUR, line="-"))
-        entries[-1].set_linewidth(6)
-    below_title = 1 - LEGEND_LINE / figure.get_figheight()
-    add_legend(figure, entries, below_title)
 
 
 REGION_LEVELS = (0.68, 0.95)
@@ -319,17 +294,15 @@ N_BINS, SMOOTHING_BINS = 36, 1.2  # of a histogram in two dimensions, and its bl
 
 @dataclass(frozen=True, eq=False)
 class CornerData:
-    """What a fit knows of p parameters, in people's units.
+    """Estimates of p parameters, in the labels' units.
 
     Attributes
     ----------
-    labels : tuple of str
     centre, error : array, shape (p,)
     interval : array, shape (p, 2)
         95 %.
     title, kind : str
         Of which session, and what the curves are.
-    colour : str
     """
 
     labels: tuple[str, ...]
@@ -344,47 +317,47 @@ class CornerData:
 def plot_covariance_corner(result: Result, joint: int, direction: str, session: str | None = None) -> Figure:
     """Regions and curves that a result's covariance gives; see `Result.plot_corner`."""
     fit, index, which = _find_group(result, joint, direction, session)
-    cloud = _make_corner_data(fit, index, which, "from the covariance (Student's t, ellipses)")
-    factor = cloud.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
+    data = _make_corner_data(fit, index, which, "from the covariance (Student's t, ellipses)")
+    factor = data.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
     covariance = fit.covariance[index][np.ix_(which, which)] * factor * factor[:, None]
     df = fit.repeatability[direction].df
     with report_style():
-        figure, axes = _draw_corner(cloud, [make_legend_entry("68 % and 95 %", cloud.colour, line="-")])
+        figure, axes = _draw_corner(data, [make_legend_entry("68 % and 95 %", data.colour, line="-")])
         for k in range(len(which)):
-            x = cloud.centre[k] + cloud.error[k] * np.linspace(-VIEW_HALF_WIDTH, VIEW_HALF_WIDTH, 201)
-            density = student_t.pdf(x, df, cloud.centre[k], cloud.error[k])
-            axes[k, k].plot(x, density, color=cloud.colour)
+            x = data.centre[k] + data.error[k] * np.linspace(-VIEW_HALF_WIDTH, VIEW_HALF_WIDTH, 201)
+            density = student_t.pdf(x, df, data.centre[k], data.error[k])
+            axes[k, k].plot(x, density, color=data.colour)
             for j in range(k):
                 for level in REGION_LEVELS:
-                    x, y = _compute_ellipse(cloud.centre, covariance, [j, k], level, df)
-                    axes[k, j].plot(x, y, color=cloud.colour)
-                axes[k, j].plot(cloud.centre[j], cloud.centre[k], "+", color=INK)
-    return set_white_background(figure)
+                    x, y = _compute_ellipse(data.centre, covariance, [j, k], level, df)
+                    axes[k, j].plot(x, y, color=data.colour)
+                axes[k, j].plot(data.centre[j], data.centre[k], "+", color=INK)
+    return figure
 
 
 def plot_draws_corner(posterior: Posterior, joint: int, direction: str, session: str | None = None) -> Figure:
     """Histograms of a posterior's draws over the prior's; see `Posterior.plot_corner`."""
     fit, index, which = _find_group(posterior.result, joint, direction, session)
     name = str(fit.groups["session"].iloc[index])
-    cloud = _make_corner_data(fit, index, which, "draws of the posterior")
+    data = _make_corner_data(fit, index, which, "draws of the posterior")
     place = posterior.sessions(joint, direction).index(name)
-    scale = cloud.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
+    scale = data.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
     draws = posterior.draws(joint, direction, "parameters")[:, place, which] * scale
     prior = posterior.prior_draws(joint, direction, "parameters")[:, place, which] * scale
     entries = [
-        make_legend_entry("68 % and 95 %", cloud.colour, line="-"),
+        make_legend_entry("68 % and 95 %", data.colour, line="-"),
         make_legend_entry("prior", GREY, line=":"),
     ]
     with report_style():
-        figure, axes = _draw_corner(cloud, entries)
+        figure, axes = _draw_corner(data, entries)
         for k in range(len(which)):
-            axes[k, k].hist(draws[:, k], N_BINS, density=True, color=cloud.colour, alpha=0.35)
+            axes[k, k].hist(draws[:, k], N_BINS, density=True, color=data.colour, alpha=0.35)
             low, high = axes[k, k].get_xlim()
             x = np.linspace(low, high, 201)
             axes[k, k].plot(x, gaussian_kde(prior[:, k])(x), color=GREY, ls=":")
             for j in range(k):
-                _draw_contours(axes[k, j], draws[:, j], draws[:, k], cloud.colour)
-    return set_white_background(figure)
+                _draw_contours(axes[k, j], draws[:, j], draws[:, k], data.colour)
+    return figure
 
 
 def _find_group(
@@ -394,9 +367,9 @@ def _find_group(
     fit = result.joints.get(joint)
     if fit is None or not (fit.groups["direction"] == direction).any():
         fitted = ", ".join(
-            f"{joint} {sign}"
-            for joint, each in result.joints.items()
-            for sign in each.groups["direction"].unique()
+            f"{fitted_joint} {sign}"
+            for fitted_joint, joint_fit in result.joints.items()
+            for sign in joint_fit.groups["direction"].unique()
         )
         raise InputError(f"joint {joint}, direction {direction} was not fitted; fitted were {fitted}")
     subset = np.flatnonzero(fit.groups["direction"] == direction)
@@ -418,24 +391,28 @@ def _make_corner_data(fit: JointFit, index: int, which: npt.NDArray[np.intp], ki
     numbers = np.column_stack(
         [fit.values[index], np.sqrt(np.diagonal(fit.covariance[index])), fit.interval[index]]
     )[which]
-    shown = np.array(
-        [from_si(row, each.unit) for row, each in zip(numbers, parameters, strict=True)], dtype=float
-    )
+    centre, error, *interval = np.array(
+        [from_si(row, parameter.unit) for row, parameter in zip(numbers, parameters, strict=True)], float
+    ).T
     session, sign = (str(fit.groups[name].iloc[index]) for name in ("session", "direction"))
+    where = f"{joint_name(fit.law.joint)}, direction {format_direction(sign)}"
     return CornerData(
-        labels=tuple(each.name if each.unit == "1" else f"{each.name} ({each.unit})" for each in parameters),
-        centre=shown[:, 0],
-        error=shown[:, 1],
-        interval=shown[:, 2:],
-        title=f"{joint_name(fit.law.joint)}, direction {way(sign)}\nsession {shorten(session, 30)}",
+        labels=tuple(
+            parameter.name if parameter.unit == "1" else f"{parameter.name} ({parameter.unit})"
+            for parameter in parameters
+        ),
+        centre=centre,
+        error=error,
+        interval=np.column_stack(interval),
+        title=f"{where}\nsession {shorten(session, 30)}",
         kind=kind,
         colour=DIRECTION_COLOURS[sign],
     )
 
 
-def _draw_corner(cloud: CornerData, entries: Sequence[Line2D]) -> tuple[Figure, npt.NDArray[np.object_]]:
-    """Empty axes that show what lies within reach, labelled; the 95 % intervals marked."""
-    p = len(cloud.labels)
+def _draw_corner(data: CornerData, entries: Sequence[Line2D]) -> tuple[Figure, npt.NDArray[np.object_]]:
+    """Empty axes with limits and labels; the 95 % intervals marked."""
+    p = len(data.labels)
     left, across = 0.75, 0.12
     cell = min((FIGURE_WIDTH - left - 0.1 - across * (p - 1)) / p, MAX_CELL_SIZE)
     rest = FIGURE_WIDTH - left - cell * p - across * (p - 1)
@@ -443,7 +420,7 @@ def _draw_corner(cloud: CornerData, entries: Sequence[Line2D]) -> tuple[Figure, 
         [cell] * p, p, left=left, right=rest, top=0.12, bottom=0.45, across=across, down=across,
         share_x=False, share_y=False,
     )  # fmt: skip
-    low, high = cloud.centre - VIEW_HALF_WIDTH * cloud.error, cloud.centre + VIEW_HALF_WIDTH * cloud.error
+    low, high = data.centre - VIEW_HALF_WIDTH * data.error, data.centre + VIEW_HALF_WIDTH * data.error
     for row in range(p):
         for column in range(p):
             axis: Axes = axes[row, column]
@@ -455,26 +432,26 @@ def _draw_corner(cloud: CornerData, entries: Sequence[Line2D]) -> tuple[Figure, 
             if column == row:
                 axis.set_yticks([])
                 axis.spines["left"].set_visible(False)
-                for end in cloud.interval[row]:
+                for end in data.interval[row]:
                     axis.axvline(end, color=INK, lw=0.7, ls="--")
             else:
                 axis.set_ylim(low[row], high[row])
                 axis.tick_params(axis="y", labelleft=column == 0)
-        axes[-1, row].set_xlabel(cloud.labels[row])
+        axes[-1, row].set_xlabel(data.labels[row])
         if row:
-            axes[row, 0].set_ylabel(cloud.labels[row])
+            axes[row, 0].set_ylabel(data.labels[row])
     figure.align_ylabels(axes[:, 0])
-    _annotate_corner(figure, cloud, entries, (left + cell + 0.25) / FIGURE_WIDTH)
+    _annotate_corner(figure, data, entries, (left + cell + 0.25) / FIGURE_WIDTH)
     return figure, axes
 
 
-def _annotate_corner(figure: Figure, cloud: CornerData, entries: Sequence[Line2D], x: float) -> None:
+def _annotate_corner(figure: Figure, data: CornerData, entries: Sequence[Line2D], x: float) -> None:
     """Title and legend in the upper right, where a corner plot has nothing to show."""
     top = 1 - 0.1 / figure.get_figheight()
-    figure.text(x, top, cloud.title, va="top", fontweight="bold", linespacing=1.4)
+    figure.text(x, top, data.title, va="top", fontweight="bold", linespacing=1.4)
     figure.legend(
         handles=[*entries, make_legend_entry("95 % interval", INK, line="--")],
-        title=cloud.kind,
+        title=data.kind,
         title_fontsize=7.5,
         alignment="left",
         loc="upper left",
@@ -501,6 +478,6 @@ def _draw_contours(axes: Axes, x: Array, y: Array, colour: str) -> None:
     places = [
         np.clip(np.digitize(draws, edges) - 1, 0, N_BINS - 1) for draws, edges in ((x, x_edges), (y, y_edges))
     ]
-    around = [float(np.quantile(density[places[0], places[1]], 1 - level)) for level in REGION_LEVELS[::-1]]
-    middles = [(each[1:] + each[:-1]) / 2 for each in (x_edges, y_edges)]
-    axes.contour(*middles, density.T, levels=around, colors=colour)
+    levels = [float(np.quantile(density[places[0], places[1]], 1 - level)) for level in REGION_LEVELS[::-1]]
+    centres = [(edges[1:] + edges[:-1]) / 2 for edges in (x_edges, y_edges)]
+    axes.contour(*centres, density.T, levels=levels, colors=colour)

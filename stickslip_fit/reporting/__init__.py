@@ -1,30 +1,19 @@
-"""Pages for people: the report of a log. Reads results, computes none."""
+"""Pages for people: the report of a log, made by `report`, and texts for moves and session sheets."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.errors import InputError
-    from stickslip_fit.estimation import Result
-    from stickslip_fit.logs import Log
-    from stickslip_fit.strategies import Comparison
+    from stickslip_fit.reporting.page import Report, report
 
-__all__ = ["report_html"]
+__all__ = ["Report", "report"]
 
 
-def report_html(
-    log: Log,
-    calibration: Result,
-    constant: Result,
-    fit: Result,
-    *,
-    diagnosis: Diagnosis | InputError | None = None,
-    comparison: Comparison | InputError | None = None,
-    command: str = "",
-) -> str:
-    """The report of a log; see `page.report_html`."""
-    from stickslip_fit.reporting.page import render_report as build
+def __getattr__(name: str) -> Any:
+    """What `page` has: it loads matplotlib, which texts do without."""
+    if name in __all__:
+        from stickslip_fit.reporting import page
 
-    return build(log, calibration, constant, fit, diagnosis=diagnosis, comparison=comparison, command=command)
+        return getattr(page, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -21,7 +21,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.estimation import Result, summarize_errors
 from stickslip_fit.estimation.prediction import assess_held_out
-from stickslip_fit.estimation.traverses import choose_repeatability, has_enough_replicates
+from stickslip_fit.estimation.result import choose_repeatability, has_enough_replicates
 from stickslip_fit.laws import expected_steps
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine

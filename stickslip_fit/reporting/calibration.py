@@ -17,7 +17,7 @@ from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.estimation import NoiseLevel, Result
 from stickslip_fit.estimation._summary import own_parameters
 from stickslip_fit.estimation.load_coefficient import THESIS_ITERATIONS
-from stickslip_fit.estimation.traverses import select_recent
+from stickslip_fit.plotting._style import select_recent
 
 MAX_SESSIONS = 8
 DISAGREEMENT_MARK = "*"

@@ -1,12 +1,13 @@
-"""The report of a log as one self-contained HTML page: sections in order, figures, provenance.
+"""The report of a log: what it needs is fitted and tested, then laid out as one HTML page with figures.
 
 The page makes no request and runs only its own script. The same input gives the same page.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from html import escape
 from math import ceil, isfinite, log10
 from pathlib import Path
 from typing import Any
@@ -22,27 +23,28 @@ from stickslip_fit._format import (
     step_unit,
     typeset_text,
 )
-from stickslip_fit._summary import Summary, Table, embed_json, load_page_assets, load_template
+from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
+from stickslip_fit._summary import Table, embed_json, load_page_assets, load_template
 from stickslip_fit._typing import Array
 from stickslip_fit.anova import Anova, analyze_variance
-from stickslip_fit.anova._summary import CAUTIONS, sentences_by_joint
-from stickslip_fit.diagnosis import Diagnosis
+from stickslip_fit.causes import Cause
+from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.errors import InputError, shorten
-from stickslip_fit.estimation import Result
-from stickslip_fit.estimation import held_out_errors as errors_of
+from stickslip_fit.estimation import (
+    Result,
+    fit_closed_form,
+    fit_constant_step,
+    fit_least_squares,
+    held_out_errors,
+)
 from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
-from stickslip_fit.estimation.traverses import (
-    POSITION_COLUMNS,
-    choose_repeatability,
-    collect_traverses,
-    select_recent,
-    thin_rows,
-)
+from stickslip_fit.estimation.prediction import POSITION_COLUMNS, collect_traverses
+from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.logs import Log
+from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.accuracy import configurations_picture, errors_picture, load_coefficient_picture
-from stickslip_fit.plotting.anova import factor_pictures
 from stickslip_fit.plotting.parameters import control_picture
 from stickslip_fit.plotting.residuals import (
     FIT_MAX_POINTS,
@@ -67,182 +69,141 @@ from stickslip_fit.reporting.calibration import (
     parameter_tables,
     repeatability_table,
 )
-from stickslip_fit.reporting.diagnosis import make_diagnosis_section
-from stickslip_fit.reporting.strategies import make_comparison_section
-from stickslip_fit.strategies import Comparison
+from stickslip_fit.reporting.sections import (
+    make_anova_section,
+    make_comparison_section,
+    make_diagnosis_section,
+)
+from stickslip_fit.strategies import (
+    Comparison,
+    causes_from_other_sessions,
+    compare_strategies,
+    default_strategies,
+    default_strategies_with_causes,
+)
 from stickslip_fit.strategies.claims import claims_table
 from stickslip_fit.units import from_si
 
-
-def accuracy_pictures(log: Log, calibration: Result, fit: Result, errors: pd.DataFrame) -> list[Picture]:
-    """Errors of the two models over all traverses, and where the law is worst."""
-    joints = sorted(errors["joint"].unique())
-    worst = [
-        configurations_picture(summarize_configurations(errors, joint), log.machine.span(joint))
-        for joint in joints
-    ]
-    return [errors_picture(errors, calibration, fit), *worst]
+SLOW_SECTIONS = ("diagnosis", "strategies")
+MAX_COMPARED_SESSIONS = 12  # each is calibrated from all others, so that many sessions take hours
 
 
-def joint_pictures(
-    joint: int, log: Log, calibration: Result, fit: Result, coefficients: pd.DataFrame
-) -> list[Picture]:
-    """One joint's sweeps, what the law leaves over, and its parameters."""
-    rows = collect_traverses(joint, log, calibration, fit)
-    sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
-    d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
-    return [fit_residuals_picture(rows), *sweeps, *d, control_picture(joint, fit)]
+@dataclass(frozen=True)
+class Report:
+    """A page that needs nothing but itself: it makes no request and says the same without its script.
 
-
-def make_figure_groups(
-    log: Log, calibration: Result, fit: Result, errors: pd.DataFrame, coefficients: pd.DataFrame
-) -> list[tuple[str, list[Picture]]]:
-    """Headed groups of figures."""
-    groups = [("Accuracy", accuracy_pictures(log, calibration, fit, errors))]
-    for joint in fit.joints:
-        pictures = joint_pictures(joint, log, calibration, fit, coefficients)
-        groups.append((joint_name(joint).capitalize(), pictures))
-    return groups
-
-
-MAX_TRAVERSES, MAX_OUTLYING = 5000, 500  # traverses of a joint
-SIGNIFICANT_DIGITS = 4  # of the largest value on an axis: finer than a screen
-MAX_NOTE_LENGTH = 200
-
-
-def make_traverses_payload(log: Log, calibration: Result, fit: Result) -> dict[str, Any]:
-    """What a page tells of each traverse that can be pointed at.
-
-    Of a joint with more than `MOST` traverses it is those that the figures draw, the furthest from the law,
-    and others by lot.
-
-    Returns
-    -------
-    dict
-        sessions (names); begun (s since 1970, the zero of all times); and joints, each with its number,
-        name, unit, how many traverses it has in all, repeatability by direction, and columns that belong
-        together: row (its number among the log's usable traverses), session (which of the names), time (s),
-        sign, configuration (which of the texts), steps, seen and law (step sizes times `per`), and of each
-        quantity its values times `per`; None where something is not known.
+    Attributes
+    ----------
+    title : str
+    html : str
     """
-    sessions = list(log.sessions)
-    begun = log.rows["time"].min()
-    joints = [_joint_payload(joint, log, calibration, fit, sessions, begun) for joint in fit.joints]
-    return {"sessions": sessions, "begun": int(begun.timestamp()), "joints": joints}
+
+    title: str
+    html: str = field(repr=False)
+
+    def save(self, path: str | Path) -> None:
+        """Write the page.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written.
+        """
+        write_atomically(path, self.html)
+
+    def _repr_html_(self) -> str:
+        page = escape(self.html)
+        return (
+            f'<iframe srcdoc="{page}" title="{escape(self.title)}" style="width:100%;height:80vh"></iframe>'
+        )
 
 
-def thin_traverses(rows: pd.DataFrame) -> pd.DataFrame:
-    """As many of a joint's traverses as a page holds."""
-    if len(rows) <= MAX_TRAVERSES:
-        return rows
-    extreme_levels = rows["departure"].abs().nlargest(MAX_OUTLYING).index
-    drawn = thin_rows(select_recent(rows), MAX_TRAVERSES // 2).index.union(
-        thin_rows(rows, FIT_MAX_POINTS).index
-    )
-    chosen = drawn.union(extreme_levels)
-    others = rows.drop(index=chosen)
-    return rows.loc[chosen.union(thin_rows(others, max(MAX_TRAVERSES - len(chosen), 0)).index)]
-
-
-def _joint_payload(
-    joint: int, log: Log, calibration: Result, fit: Result, sessions: Sequence[str], begun: pd.Timestamp
-) -> dict[str, Any]:
-    everything = collect_traverses(joint, log, calibration, fit)
-    rows, unit = thin_traverses(everything), step_unit(joint)
-    places, texts = _number_configurations(rows, log.machine.span(joint))
-    per = 10 ** (STEP_DECIMALS[unit] + 1)
-    return {
-        "joint": joint,
-        "name": joint_name(joint),
-        "unit": unit,
-        "all": len(everything),
-        "repeatability": [
-            _format_share(choose_repeatability(joint, sign, calibration, fit).value) for sign in "+-"
-        ],
-        "per": per,
-        "configurations": texts,
-        "row": [int(row) for row in rows.index],
-        "session": rows["session"].astype(object).map({name: k for k, name in enumerate(sessions)}).tolist(),
-        "time": [int(passed) for passed in (rows["time"] - begun).dt.total_seconds()],
-        "sign": "".join(map(format_direction, rows["direction"])),
-        "configuration": places,
-        "steps": rows["steps"].astype(int).tolist(),
-        "seen": _scale_to_integers(from_si(rows["step_size"].to_numpy(float), unit), per),
-        "law": _scale_to_integers(from_si(rows["model"].to_numpy(float), unit), per),
-        "notes": {
-            str(row): shorten(str(note), MAX_NOTE_LENGTH) for row, note in rows["note"].items() if note
-        },
-        "quantities": [_quantity_payload(label, values) for label, values in _axis_payload(rows).items()],
-    }
-
-
-def _number_configurations(rows: pd.DataFrame, span: float) -> tuple[list[int], list[str]]:
-    """Which configuration each row has, and all of them in words."""
-    names = ["joint", *POSITION_COLUMNS, "start", "stop"]
-    places = rows.groupby(names, sort=False, dropna=False).ngroup()
-    first = rows.loc[~places.duplicated(), names]
-    texts = [format_configuration(row, span) for _, row in first.iterrows()]
-    different = list(dict.fromkeys(texts))  # both directions of a full traverse read alike
-    return [different.index(texts[place]) for place in places], different
-
-
-def _axis_payload(rows: pd.DataFrame) -> dict[str, Array]:
-    """What varied; the hours where nothing did."""
-    return collect_covariates(rows) or {SESSION_HOURS: from_si(rows["session_seconds"].to_numpy(float), "h")}
-
-
-def _quantity_payload(label: str, values: Array) -> dict[str, Any]:
-    largest = float(np.nanmax(np.abs(values)))
-    per = 10.0 ** (SIGNIFICANT_DIGITS - ceil(log10(largest))) if largest > 0 else 1.0
-    return {"label": label, "per": per, "values": _scale_to_integers(values, per)}
-
-
-def _scale_to_integers(values: Array, per: float) -> list[int | None]:
-    return [round(value * per) if isfinite(value) else None for value in values.tolist()]
-
-
-def _format_share(value: float) -> float | None:
-    return round(value, 6) if isfinite(value) else None
-
-
-def render_report(
+def report(
     log: Log,
-    calibration: Result,
-    constant: Result,
-    fit: Result,
     *,
-    diagnosis: Diagnosis | InputError | None = None,
-    comparison: Comparison | InputError | None = None,
+    calibration: Result | None = None,
+    fit: Result | None = None,
+    anova: Anova | None = None,
+    diagnosis: Diagnosis | None = None,
+    comparison: Comparison | None = None,
+    causes: Sequence[Cause] = (),
+    sections: Collection[str] = SLOW_SECTIONS,
     command: str = "",
-) -> str:
-    """The report of a log.
+    progress: ProgressCallback = ignore_progress,
+) -> Report:
+    """The report of a log; what is not given is made.
+
+    A section for which this log is too small says why.
 
     Parameters
     ----------
     log : Log
-    calibration : Result
-        Closed form.
-    constant : Result
-        The constant step of each session and direction.
-    fit : Result
-        Least squares.
-    diagnosis : Diagnosis or InputError, optional
-        For a section on what the laws get wrong; or why this log has none.
-    comparison : Comparison or InputError, optional
-        For a section on calibration strategies; or why this log has none.
+    calibration, fit : Result, optional
+        In closed form, and by least squares.
+    anova : Anova, optional
+    diagnosis : Diagnosis, optional
+    comparison : Comparison, optional
+        Of strategies; made of the default ones on the latest 12 sessions.
+    causes : sequence of Cause, optional
+        Extend the laws of what is made.
+    sections : collection of {"diagnosis", "strategies"}, optional
+        Which slow sections to make where no result is given for them.
     command : str, optional
         As typed; where empty, the fit's own.
+    progress : callable, optional
+        Called with each step and the share of the work done.
 
-    Returns
-    -------
-    str
-        An HTML page that needs nothing but itself: it makes no request, runs no script but its own, and says
-        the same without that. The same input gives the same page.
+    Raises
+    ------
+    InputError
+        If a section is unknown, or the log has no traverse to fit.
     """
-    errors = errors_of(log, calibration, constant)
+    if unknown := set(sections) - set(SLOW_SECTIONS):
+        raise InputError(f"no section {', '.join(sorted(unknown))}; sections are {', '.join(SLOW_SECTIONS)}")
+    found: Diagnosis | InputError | None = diagnosis
+    compared: Comparison | InputError | None = comparison
+    if diagnosis is None and "diagnosis" in sections:
+        found = _try_section(lambda: diagnose(log, progress=lambda step, done: progress(step, 0.7 * done)))
+    if comparison is None and "strategies" in sections:
+        progress("comparing strategies", 0.7)
+        compared = _try_section(lambda: _compare_strategies(log, causes, command))
+    progress("fitting and drawing", 0.9)
+    if fit is None:
+        fit = fit_least_squares(log, causes=causes, command=command)
+    if calibration is None:
+        calibration = fit_closed_form(log, causes_from=fit if causes else None, command=command)
+    html = _render(log, calibration, fit, anova or analyze_variance(log), found, compared, command)
+    return Report(_write_title(log), html)
+
+
+def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
+    """A section of the report, or why this log has none, which leaves the other sections as they are."""
+    try:
+        return make()
+    except InputError as error:
+        return error
+
+
+def _compare_strategies(log: Log, causes: Sequence[Cause], command: str) -> Comparison:
+    log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
+    strategies = default_strategies()
+    if causes:
+        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes))
+    return compare_strategies(log, strategies, command=command)
+
+
+def _render(
+    log: Log,
+    calibration: Result,
+    fit: Result,
+    anova: Anova,
+    diagnosis: Diagnosis | InputError | None,
+    comparison: Comparison | InputError | None,
+    command: str,
+) -> str:
+    errors = held_out_errors(log, calibration, fit_constant_step(log, calibration))
     coefficients = tabulate_load_coefficients(log, calibration, fit)
     both = compare_estimators(calibration, fit)
-    variance = analyze_variance(log)
     traverses = make_traverses_payload(log, calibration, fit)
     return load_template("report.html.j2").render(
         title=_write_title(log),
@@ -253,38 +214,25 @@ def render_report(
         parameters=[*parameter_tables(both, fit), *departures_tables(fit)],
         repeatability=repeatability_table(calibration, fit),
         d_table=load_coefficient_table(coefficients) if len(coefficients) else None,
-        figures=make_figure_groups(log, calibration, fit, errors, coefficients),
+        figures=_figure_groups(log, calibration, fit, errors, coefficients),
         accuracy_explained=explain_tables(errors),
         accuracy=_accuracy_sections(errors, log),
         claims=claims_table(errors) if len(errors) else None,
-        factors=factors(variance),
+        factors=make_anova_section(anova),
         diagnosed=make_diagnosis_section(diagnosis) if isinstance(diagnosis, Diagnosis) else None,
         not_diagnosed=_explain_missing(diagnosis),
-        compared=make_comparison_section(comparison, len(log.sessions))
-        if isinstance(comparison, Comparison)
-        else None,
+        compared=(
+            make_comparison_section(comparison, len(log.sessions))
+            if isinstance(comparison, Comparison)
+            else None
+        ),
         not_compared=_explain_missing(comparison),
         flags=flags(calibration, fit),
         provenance=_provenance(log, fit, command),
         joints=traverses["joints"],
         traverses=embed_json(traverses),
-        trusted=load_page_assets(script=True),
+        assets=load_page_assets(script=True),
     )
-
-
-def factors(variance: Anova) -> Summary:
-    """The section on factors, each joint's sentences and figures beside its tables."""
-    summary, sentences = variance.summary(), sentences_by_joint(variance)
-    sections = [
-        replace(
-            section,
-            paragraphs=tuple(map(typeset_text, sentences[joint])),
-            figures=tuple(factor_pictures(joint, variance.answers)),
-        )
-        for joint, section in zip(sentences, summary.sections, strict=False)
-    ]
-    rest = [section for section in summary.sections if section.title == CAUTIONS]
-    return replace(summary, headline=(), sections=(*sections, *rest))
 
 
 def _explain_missing(section: object) -> str:
@@ -300,13 +248,30 @@ def _accuracy_sections(errors: pd.DataFrame, log: Log) -> list[tuple[str, list[T
     """A heading and three tables for each joint that has errors."""
     sections = []
     for joint in sorted(errors["joint"].unique()):
-        worst = summarize_configurations(errors, joint)
         tables = [direction_table(errors, joint)]
         if len(log.sessions) > 1:
             tables.append(session_table(errors, joint))
-        tables.append(configuration_table(worst, log.machine))
+        tables.append(configuration_table(summarize_configurations(errors, joint), log.machine))
         sections.append((joint_name(joint).capitalize(), tables))
     return sections
+
+
+def _figure_groups(
+    log: Log, calibration: Result, fit: Result, errors: pd.DataFrame, coefficients: pd.DataFrame
+) -> list[tuple[str, list[Picture]]]:
+    """Headed groups of figures: accuracy, then each joint's residuals, sweeps and parameters."""
+    accuracy = [errors_picture(errors, calibration, fit)]
+    for joint in sorted(errors["joint"].unique()):
+        summary = summarize_configurations(errors, joint)
+        accuracy.append(configurations_picture(summary, log.machine.span(joint)))
+    groups = [("Accuracy", accuracy)]
+    for joint in fit.joints:
+        rows = collect_traverses(joint, log, calibration, fit)
+        sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
+        d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
+        pictures = [fit_residuals_picture(rows), *sweeps, *d, control_picture(joint, fit)]
+        groups.append((joint_name(joint).capitalize(), pictures))
+    return groups
 
 
 def _provenance(log: Log, fit: Result, command: str) -> list[tuple[str, str]]:
@@ -318,3 +283,95 @@ def _provenance(log: Log, fit: Result, command: str) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
         ("command", command or source.command or "none: made from Python"),
     ]
+
+
+MAX_TRAVERSES, MAX_OUTLYING = 5000, 500  # of a joint, that a page holds
+SIGNIFICANT_DIGITS = 4  # of the largest value on an axis: finer than a screen
+MAX_NOTE_LENGTH = 200
+
+
+def make_traverses_payload(log: Log, calibration: Result, fit: Result) -> dict[str, Any]:
+    """What a page tells of each traverse that can be pointed at.
+
+    Of a joint with more than `MAX_TRAVERSES` these are the ones that the figures draw, the largest residuals,
+    and a random sample.
+
+    Returns
+    -------
+    dict
+        sessions (names); begun (s since 1970, the zero of all times); and joints, each with its number,
+        name, unit, how many traverses it has in all, repeatability by direction, and columns of equal
+        length: row (number among the log's usable traverses), session (index into the names), time (s),
+        sign, configuration (index into the texts), steps, seen and law (step sizes times `per`), and of
+        each quantity its values times `per`; None where not known.
+    """
+    sessions = list(log.sessions)
+    begin = log.rows["time"].min()
+    joints = [_joint_payload(joint, log, calibration, fit, sessions, begin) for joint in fit.joints]
+    return {"sessions": sessions, "begun": int(begin.timestamp()), "joints": joints}
+
+
+def thin_traverses(rows: pd.DataFrame) -> pd.DataFrame:
+    """As many of a joint's traverses as a page holds."""
+    if len(rows) <= MAX_TRAVERSES:
+        return rows
+    drawn = thin_rows(select_recent(rows), MAX_TRAVERSES // 2).index.union(
+        thin_rows(rows, FIT_MAX_POINTS).index
+    )
+    chosen = drawn.union(rows["departure"].abs().nlargest(MAX_OUTLYING).index)
+    others = thin_rows(rows.drop(index=chosen), max(MAX_TRAVERSES - len(chosen), 0))
+    return rows.loc[chosen.union(others.index)]
+
+
+def _joint_payload(
+    joint: int, log: Log, calibration: Result, fit: Result, sessions: Sequence[str], begin: pd.Timestamp
+) -> dict[str, Any]:
+    traverses = collect_traverses(joint, log, calibration, fit)
+    rows, unit = thin_traverses(traverses), step_unit(joint)
+    configuration, texts = _number_configurations(rows, log.machine.span(joint))
+    repeatability = [choose_repeatability(joint, sign, calibration, fit).value for sign in "+-"]
+    quantities = collect_covariates(rows) or {
+        SESSION_HOURS: from_si(rows["session_seconds"].to_numpy(float), "h")
+    }
+    per = 10 ** (STEP_DECIMALS[unit] + 1)
+    return {
+        "joint": joint,
+        "name": joint_name(joint),
+        "unit": unit,
+        "all": len(traverses),
+        "repeatability": [round(value, 6) if isfinite(value) else None for value in repeatability],
+        "per": per,
+        "configurations": texts,
+        "row": [int(row) for row in rows.index],
+        "session": rows["session"].astype(object).map({name: k for k, name in enumerate(sessions)}).tolist(),
+        "time": [int(seconds) for seconds in (rows["time"] - begin).dt.total_seconds()],
+        "sign": "".join(map(format_direction, rows["direction"])),
+        "configuration": configuration,
+        "steps": rows["steps"].astype(int).tolist(),
+        "seen": _scale_to_integers(from_si(rows["step_size"].to_numpy(float), unit), per),
+        "law": _scale_to_integers(from_si(rows["model"].to_numpy(float), unit), per),
+        "notes": {
+            str(row): shorten(str(note), MAX_NOTE_LENGTH) for row, note in rows["note"].items() if note
+        },
+        "quantities": [_quantity_payload(label, values) for label, values in quantities.items()],
+    }
+
+
+def _number_configurations(rows: pd.DataFrame, span: float) -> tuple[list[int], list[str]]:
+    """The number of each row's configuration, and all configurations in words."""
+    names = ["joint", *POSITION_COLUMNS, "start", "stop"]
+    codes = rows.groupby(names, sort=False, dropna=False).ngroup()
+    first = rows.loc[~codes.duplicated(), names]
+    texts = [format_configuration(row, span) for _, row in first.iterrows()]
+    unique = list(dict.fromkeys(texts))  # both directions of a full traverse have the same text
+    return [unique.index(texts[code]) for code in codes], unique
+
+
+def _quantity_payload(label: str, values: Array) -> dict[str, Any]:
+    largest = float(np.nanmax(np.abs(values)))
+    per = 10.0 ** (SIGNIFICANT_DIGITS - ceil(log10(largest))) if largest > 0 else 1.0
+    return {"label": label, "per": per, "values": _scale_to_integers(values, per)}
+
+
+def _scale_to_integers(values: Array, per: float) -> list[int | None]:
+    return [round(value * per) if isfinite(value) else None for value in values.tolist()]

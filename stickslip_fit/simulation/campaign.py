@@ -2,9 +2,8 @@
 
 For each traverse: the steps of its law, times the session's own variation and the noise of the
 repeatability, rounded up to the next check of the end stop. Where a law depends on time or history,
-counts and times are iterated until they agree. Each session has random streams of its own, so that
-adding a session changes no other. `step_through` steps a joint literally and serves as the reference
-for the integrals.
+counts and times are iterated until they agree. `step_through` simulates single steps and is the
+reference for the integrals.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Rows, StepLaw, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
-from stickslip_fit.logs.plan import Noise, NoiseKind, Plan
+from stickslip_fit.logs.plan import NoiseKind, Plan
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
@@ -31,16 +30,16 @@ from stickslip_fit.simulation.truth import LawValues
 from stickslip_fit.units import JOINTS
 
 
-def begin_times(plan: Plan, rows: pd.DataFrame, wait: npt.NDArray[np.float64]) -> npt.NDArray[np.datetime64]:
+def begin_times(plan: Plan, rows: pd.DataFrame, waiting: Array) -> npt.NDArray[np.datetime64]:
     """The time at which each traverse of a plan begins, to the second.
 
     Parameters
     ----------
-    plan : Plan
     rows : DataFrame
         The plan's rows, with steps.
-    wait : array, shape (n,)
-        How patiently a person works, between 0 and 1; a session's first entry is not used.
+    waiting : array, shape (n,)
+        Pause before each traverse, 0 for the shortest of the plan and 1 for the longest; a session's first
+        entry is not used.
 
     Raises
     ------
@@ -48,26 +47,29 @@ def begin_times(plan: Plan, rows: pd.DataFrame, wait: npt.NDArray[np.float64]) -
         If a session is not over when the next one begins.
     """
     count = plan.traverses_per_session
-    busy = (rows["steps"] * rows["step_period"]).to_numpy().reshape(-1, count)
-    anew = np.diff(rows["visit"], prepend=0).reshape(-1, count) != 0
+    driving = (rows["steps"] * rows["step_period"]).to_numpy().reshape(-1, count)
+    is_new_visit = np.diff(rows["visit"], prepend=0).reshape(-1, count) != 0
     (quick_pause, slow_pause), (quick_turn, slow_turn) = plan.timing.pause, plan.timing.turn
-    shortest, longest = np.where(anew, quick_pause, quick_turn), np.where(anew, slow_pause, slow_turn)
-    between = shortest + (longest - shortest) * wait.reshape(-1, count)
+    shortest_pause, longest_pause = (
+        np.where(is_new_visit, quick_pause, quick_turn),
+        np.where(is_new_visit, slow_pause, slow_turn),
+    )
+    pauses = shortest_pause + (longest_pause - shortest_pause) * waiting.reshape(-1, count)
     # At least a second apart, so that no two traverses of a joint carry the same time.
-    gaps = np.maximum(np.ceil(busy[:, :-1] + between[:, 1:]), 1).astype(np.int64)
+    gaps = np.maximum(np.ceil(driving[:, :-1] + pauses[:, 1:]), 1).astype(np.int64)
     elapsed = np.cumsum(np.concatenate([np.zeros((len(gaps), 1), np.int64), gaps], axis=1), axis=1)
     begins = np.array([session.begins for session in plan.sessions], dtype="datetime64[s]")
-    _check_overlap(plan, begins, elapsed[:, -1] + np.ceil(busy[:, -1]).astype(np.int64))
+    _check_overlap(plan, begins, elapsed[:, -1] + np.ceil(driving[:, -1]).astype(np.int64))
     return (begins[:, None] + elapsed).ravel()
 
 
-def _check_overlap(plan: Plan, begins: npt.NDArray[np.datetime64], length: npt.NDArray[np.int64]) -> None:
-    late = begins[:-1] + length[:-1] > begins[1:]
-    if late.any():
-        number = int(np.argmax(late))
-        this, following = plan.sessions[number : number + 2]
+def _check_overlap(plan: Plan, begins: npt.NDArray[np.datetime64], length: Int64Array) -> None:
+    overlaps = begins[:-1] + length[:-1] > begins[1:]
+    if overlaps.any():
+        number = int(np.argmax(overlaps))
+        session, following = plan.sessions[number : number + 2]
         raise InputError(
-            f"session {this.label!r} takes {length[number] / 3600:.1f} h and is not over when session "
+            f"session {session.label!r} takes {length[number] / 3600:.1f} h and is not over when session "
             f"{following.label!r} begins; plan fewer traverses, shorter pauses or a later date"
         )
 
@@ -79,26 +81,24 @@ INITIAL_HISTORY = {"session_seconds": 0.0, "before_direction": "", "before_load"
 def drive_through(
     plan: Plan,
     rows: pd.DataFrame,
-    wait: npt.NDArray[np.float64],
-    count_steps: Callable[[pd.DataFrame], npt.NDArray[np.int64]],
+    waiting: Array,
+    count_steps: Callable[[pd.DataFrame], Int64Array],
     laws: Iterable[StepLaw],
 ) -> pd.DataFrame:
     """A plan's rows with steps, time and history.
 
-    Where a law has causes in it, a count may depend on what came before, and the time of what comes after
-    on the count; a few passes make both agree.
+    Where a law depends on time or history, counts and history are iterated until they agree.
 
     Parameters
     ----------
-    plan : Plan
     rows : DataFrame
-        Its rows, with whatever else the laws look at.
-    wait : array, shape (n,)
+        Its rows, with all other columns that the laws depend on.
+    waiting : array, shape (n,)
         See `begin_times`.
     count_steps : callable
         From rows with their history to the counts, shape (n,).
     laws : iterable of StepLaw
-        By which they are counted.
+        Those of `count_steps`.
     """
     passes = MAX_PASSES if any(uses_history(law) for law in laws) else 1
     rows_with_history = rows.assign(**INITIAL_HISTORY)
@@ -107,13 +107,13 @@ def drive_through(
         if "steps" in rows_with_history and np.array_equal(steps, rows_with_history["steps"]):
             break
         rows_with_history["steps"] = steps
-        rows_with_history["time"] = begin_times(plan, rows_with_history, wait).astype("datetime64[ns]")
+        rows_with_history["time"] = begin_times(plan, rows_with_history, waiting).astype("datetime64[ns]")
         rows_with_history = add_history(rows_with_history)
     return rows_with_history
 
 
 def uses_history(law: StepLaw) -> bool:
-    """Whether a law's counts depend on what came before a traverse."""
+    """Whether a law's counts depend on time or history."""
     return not INITIAL_HISTORY.keys().isdisjoint(law.columns)
 
 
@@ -122,18 +122,18 @@ T_NOISE_DF = 5
 
 @dataclass(frozen=True)
 class RandomDraws:
-    """The draws for a whole campaign of n traverses.
+    """The draws for a campaign of n traverses.
 
     Attributes
     ----------
     day : array, shape (sessions, groups)
-        How far each group's step size is from its usual one that day; mean 0, standard deviation 1.
+        Deviation of each group's step size in the session; mean 0, standard deviation 1.
     noise : array, shape (n,)
-        Departures of log(steps); mean 0, standard deviation 1.
+        Deviations of log(steps); mean 0, standard deviation 1.
     wait : array, shape (n,)
-        How long a person takes before each traverse, uniform between 0 and 1.
-    luck : array, shape (n, 3)
-        Whether a stop is missed or imagined, and by how much, uniform between 0 and 1.
+        See `begin_times`; uniform between 0 and 1.
+    misfire_draws : array, shape (n, 3)
+        Decide whether a stop is missed or detected too early, and by how much; uniform between 0 and 1.
     """
 
     day: Array
@@ -143,11 +143,10 @@ class RandomDraws:
 
 
 def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: NoiseKind) -> RandomDraws:
-    """Draw for every session from streams of its own, so that adding a session changes no other.
+    """Draw for every session from its own random streams, so that adding a session changes no other.
 
     Parameters
     ----------
-    seed : int
     sessions, traverses, groups : int
         Number of sessions, of traverses in each, and of groups of traverses that share a law.
     kind : {'gaussian', 't5'}
@@ -167,25 +166,18 @@ def draw_random(seed: int, sessions: int, traverses: int, groups: int, kind: Noi
 def _draw_session(
     stream: np.random.SeedSequence, traverses: int, groups: int, kind: NoiseKind
 ) -> tuple[Array, Array, Array, Array]:
-    day, noise, wait, misfire_draws = (np.random.default_rng(child) for child in stream.spawn(4))
-    departures = draw_noise(kind, traverses, noise)
+    day, noise, waiting, misfires = (np.random.default_rng(child) for child in stream.spawn(4))
+    deviations = draw_noise(kind, traverses, noise)
     return (
         day.standard_normal(groups),
-        departures,
-        wait.random(traverses),
-        misfire_draws.random((traverses, 3)),
+        deviations,
+        waiting.random(traverses),
+        misfires.random((traverses, 3)),
     )
 
 
 def draw_noise(kind: NoiseKind, size: int, rng: np.random.Generator) -> Array:
-    """Independent departures with mean 0 and standard deviation 1, shape (size,).
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> [round(float(draw_noise(kind, 100_000, rng).std()), 1) for kind in ("gaussian", "t5")]
-    [1.0, 1.0]
-    """
+    """Independent deviations with mean 0 and standard deviation 1, shape (size,)."""
     if kind == "t5":
         return rng.standard_t(T_NOISE_DF, size) * sqrt((T_NOISE_DF - 2) / T_NOISE_DF)
     return rng.standard_normal(size)
@@ -197,7 +189,7 @@ def expected_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
     Raises
     ------
     InputError
-        If the joint would come to a halt within one.
+        If the joint stalls within one.
     """
     counts, _ = law.counts(rows, values)
     if not np.all(np.isfinite(counts)):
@@ -218,18 +210,16 @@ def simulate_counts(
     repeatability: npt.ArrayLike,
     rng: np.random.Generator,
     kind: NoiseKind = "gaussian",
-) -> npt.NDArray[np.int64]:
-    """Counts that a lab would write down.
+) -> Int64Array:
+    """Simulated counts of a lab: with noise, rounded up to the next check of the end stop.
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
         check_every besides what the law needs.
     values : array, shape (p,) or (n, p)
     repeatability : float or array, shape (n,)
         Standard deviation of log(steps).
-    rng : Generator
     kind : {'gaussian', 't5'}
 
     Returns
@@ -239,7 +229,7 @@ def simulate_counts(
     Raises
     ------
     InputError
-        If the joint would come to a halt within a traverse.
+        If the joint stalls within a traverse.
 
     Examples
     --------
@@ -250,8 +240,8 @@ def simulate_counts(
     array([12300])
     """
     counts = expected_counts(law, rows, values)
-    departure = np.asarray(repeatability, float) * draw_noise(kind, len(counts), rng)
-    return observed_count(counts * np.exp(departure), rows["check_every"])
+    deviation = np.asarray(repeatability, float) * draw_noise(kind, len(counts), rng)
+    return observed_count(counts * np.exp(deviation), rows["check_every"])
 
 
 GROUPS = [(joint, direction) for joint in JOINTS for direction in DIRECTIONS]
@@ -262,21 +252,20 @@ LOG_COLUMNS = (
 
 
 def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = None) -> Log:
-    """Make the traverses of a plan under known laws.
+    """Simulate the traverses of a plan under known laws.
 
-    A count is what the law says, over the session's factor of the step size, times exp(noise), and seen
-    at the next look for the end stop. Each session draws from a stream of its own, so that adding a
-    session changes no other.
+    A count is the law's, over the session's factor of the step size, times exp(noise), rounded up to the
+    next check of the end stop. Each session draws from its own random streams, so that adding a session
+    changes no other.
 
     Parameters
     ----------
-    plan : Plan
     truth : LawValues
-        A law may have causes in it; steps are counted from the plan's first traverse on.
+        With or without causes; steps are counted from the plan's first traverse on.
     machine : Machine
         The one that `plan` and `truth` were made for.
     seed : int, optional
-        Instead of the plan's, for everything but the order of the traverses.
+        Replaces the plan's, except for the order of the traverses.
 
     Returns
     -------
@@ -286,70 +275,65 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     Raises
     ------
     InputError
-        If the plan says nothing of noise, a law lacks parameters or comes to a halt within a traverse,
-        parameters are given for a session that is not planned, or a session is not over when the next
-        one begins.
+        If the plan has no noise, a law lacks parameters or stalls within a traverse, parameters are given
+        for a session that is not planned, or a session is not over when the next one begins.
     """
     if plan.noise is None:
         raise InputError("the plan has no [noise]; add one with repeatability_pct before simulating it")
     _check_sessions(plan, truth)
     rows = plan.rows()
-    session, group = _index_rows(plan, rows)
-    chance = draw_random(
-        plan.seed if seed is None else seed,
-        len(plan.sessions),
-        plan.traverses_per_session,
-        len(GROUPS),
-        plan.noise.kind,
-    )
-    day = np.array([truth.day_to_day.get(each, 0.0) for each in GROUPS])
-    factor = 1.0 + day[group] * chance.day[session, group]
-    departure = _row_repeatability(plan.noise, group) * chance.noise + _misfire_departures(
-        rows, truth, chance.misfire_draws
-    )
-
-    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        return observed_count(_simulate_counts(known, truth, factor) * np.exp(departure), rows["check_every"])
-
-    return _build_log(drive_through(plan, rows, chance.wait, seen, truth.laws.values()), machine)
-
-
-def _misfire_departures(rows: pd.DataFrame, truth: LawValues, misfire_draws: Array) -> Array:
-    """Log steps by which a stop that is missed or imagined puts counts off, shape (n,)."""
-    off = np.zeros(len(rows))
+    sessions, traverses = len(plan.sessions), plan.traverses_per_session
+    session, group = np.repeat(np.arange(sessions), traverses), group_index(rows)
+    seed = plan.seed if seed is None else seed
+    draws = draw_random(seed, sessions, traverses, len(GROUPS), plan.noise.kind)
+    day = np.array([truth.day_to_day.get(pair, 0.0) for pair in GROUPS])
+    factor = 1.0 + day[group] * draws.day[session, group]
+    repeatability = np.array([plan.noise.repeatability.get(pair, np.nan) for pair in GROUPS])[group]
+    if np.isnan(repeatability).any():
+        joint, direction = GROUPS[group[int(np.argmax(np.isnan(repeatability)))]]
+        raise InputError(f'the plan drives "{joint}{direction}", but its repeatability_pct has no such entry')
+    misfires = np.zeros(len(rows))  # deviations of log(steps) by stops missed or detected too early
     for joint, law in truth.laws.items():
         subset = (rows["joint"] == joint).to_numpy()
         if isinstance(law, ExtendedLaw) and subset.any():
-            off[subset] = law.misfires(truth.of_rows(rows[subset], joint)[0], misfire_draws[subset])
-    return off
+            values, _ = truth.of_rows(rows[subset], joint)
+            misfires[subset] = law.misfires(values, draws.misfire_draws[subset])
+    noise = np.exp(repeatability * draws.noise + misfires)
+
+    def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
+        return observed_count(_count_steps(rows_with_history, truth, factor) * noise, rows["check_every"])
+
+    driven = drive_through(plan, rows, draws.wait, count_steps, truth.laws.values())
+    missing = {name: np.nan for name in CONDITIONS if name not in driven}
+    driven = driven.assign(session=driven["session"].astype("str"), status="ok", note="", **missing)
+    counts = hashlib.sha256(driven["steps"].to_numpy().tobytes())
+    return Log(add_history(driven[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:
-    """A misspelt session must not pass for one without parameters of its own, or in which nothing happens."""
+    """Refuse causes and parameters of sessions that are not planned, such as a misspelt one."""
     planned = {session.label for session in plan.sessions}
     causes = next((law.causes for law in truth.laws.values() if isinstance(law, ExtendedLaw)), ())
-    for cause in causes:
-        if getattr(cause, "session", "") not in ("", *planned):
+    uses = [(getattr(cause, "session", ""), f"{cause.name} happens in") for cause in causes]
+    uses += [
+        (session or "", f"joint {joint}, direction {direction} has parameters for")
+        for joint, direction, session in truth.values
+    ]
+    for session, use in uses:
+        if session not in ("", *planned):
             raise InputError(
-                f"{cause.name} happens in session {cause.session!r}, which the plan does not have; its "
-                f"sessions are {', '.join(map(repr, sorted(planned)))}"
-            )
-    for joint, direction, session in truth.values:
-        if session is not None and session not in planned:
-            raise InputError(
-                f"joint {joint}, direction {direction} has parameters for session {session!r}, which the "
-                f"plan does not have; its sessions are {', '.join(map(repr, sorted(planned)))}"
+                f"{use} session {session!r}, which the plan does not have; its sessions are "
+                f"{', '.join(map(repr, sorted(planned)))}"
             )
 
 
-def _index_rows(plan: Plan, rows: pd.DataFrame) -> tuple[IntArray, IntArray]:
-    """Number of each row's session, and the place of its joint and direction in `GROUPS`."""
+def group_index(rows: pd.DataFrame) -> IntArray:
+    """Index of each row's joint and direction in `GROUPS`."""
     backwards = (rows["direction"] == DIRECTIONS[1]).to_numpy()
-    group = 2 * (rows["joint"].to_numpy() - JOINTS[0]) + backwards
-    return np.repeat(np.arange(len(plan.sessions)), plan.traverses_per_session), group
+    return 2 * (rows["joint"].to_numpy() - JOINTS[0]) + backwards
 
 
-def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
+def _count_steps(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
     """Steps of each traverse by its law, with the step sizes of all sessions changed by a factor."""
     counts = np.zeros(len(rows))
     for joint in rows["joint"].unique():
@@ -362,36 +346,16 @@ def _simulate_counts(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Arr
     return counts
 
 
-def _row_repeatability(noise: Noise, group: IntArray) -> Array:
-    known = np.array([noise.repeatability.get(each, np.nan) for each in GROUPS])[group]
-    if np.isnan(known).any():
-        joint, direction = GROUPS[group[int(np.argmax(np.isnan(known)))]]
-        raise InputError(f'the plan drives "{joint}{direction}", but its repeatability_pct has no such entry')
-    return known
+MAX_STEPS_TO_STOP = 1e7  # at the present step size; more are taken for a stall
 
 
-def _build_log(rows: pd.DataFrame, machine: Machine) -> Log:
-    """The log that a reader would have made of these rows."""
-    said = {name: np.nan for name in CONDITIONS if name not in rows}
-    rows = rows.assign(session=rows["session"].astype("str"), status="ok", note="", **said)
-    counts = hashlib.sha256(rows["steps"].to_numpy().tobytes())
-    return Log(add_history(rows[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
+def step_through(law: StepLaw, rows: Rows, values: Array) -> Int64Array:
+    """Step every traverse from its start until its stop, one step after another.
 
-
-MAX_STEPS_TO_STOP = (
-    1e7  # a joint that much further from its stop than a step is creeping towards where its step size is 0
-)
-
-
-def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int64]:
-    """Step every traverse from where it starts until it is at its stop or beyond.
-
-    What the closed forms and the quadrature approximate, one step after another; for tests and for
-    measuring what they save.
+    The reference that closed forms and quadrature approximate; for tests and benchmarks.
 
     Parameters
     ----------
-    law : StepLaw
     rows : mapping of str to array, shape (n,)
     values : array, shape (p,) or (n, p)
 
@@ -403,7 +367,7 @@ def step_through(law: StepLaw, rows: Rows, values: Array) -> npt.NDArray[np.int6
     Raises
     ------
     InputError
-        If a joint comes to a halt.
+        If a joint stalls.
 
     Examples
     --------

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from annotated_types import MinLen
 from pydantic import (
@@ -26,7 +25,7 @@ from pydantic import (
 
 from stickslip_fit._format import format_value
 from stickslip_fit._toml import Give, Quantity, Table, Text, chosen_by, fault, read_toml
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
@@ -36,12 +35,12 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, to_si
 
-DEFAULT_REFERENCES = {"half": "1 K"}  # only a bent response asks for it
+DEFAULT_SETTINGS = {"half": "1 K"}  # of a nonlinear response; others do not use it
 _QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
 class CauseTable(Table, extra="ignore"):
-    """A cause, with its parameters and what it refers to: the session of a jump, the form of a bend.
+    """A cause, with its parameters and its other settings: the session of a jump, the form of a bend.
 
     A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
     of such, ``k = {"3+" = "2 %"}``.
@@ -51,37 +50,39 @@ class CauseTable(Table, extra="ignore"):
     """One of the library's, or ``covariate:`` and a column of the lab's own."""
     _cause: Any = PrivateAttr()
 
-    def hidden(self) -> tuple[Cause, list[float]]:
+    def parse(self) -> tuple[Cause, list[float]]:
         """The cause, and the values of its parameters, SI."""
-        values = {each.name: iter(getattr(self, each.name)) for each in self._cause.parameters}
-        cause = replace(self._cause, **{name: getattr(self, name) for name in _references(self._cause)})
-        return cause, [next(values[each.name]) for each in self._cause.parameters]
+        names = [parameter.name for parameter in self._cause.parameters]
+        values = {name: iter(getattr(self, name)) for name in names}
+        cause = replace(self._cause, **{name: getattr(self, name) for name in _settings(self._cause)})
+        return cause, [next(values[name]) for name in names]
 
 
 def causes_of(tables: Sequence[CauseTable]) -> tuple[tuple[Cause, ...], Array]:
     """Causes, and the values of their parameters one after the other, SI, shape (q,)."""
-    hidden = [table.hidden() for table in tables]
-    values = [value for _, own in hidden for value in own]
-    return tuple(cause for cause, _ in hidden), np.array(values, dtype=float)
+    parsed = [table.parse() for table in tables]
+    values = [value for _, sizes in parsed for value in sizes]
+    return tuple(cause for cause, _ in parsed), np.array(values, dtype=float)
 
 
-def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
-    named = inner(written)
+def _of_name(entry: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
+    """The table with the fields of the cause that it names."""
+    header = inner(entry)
     known = {cause.name: cause for cause in library()}
-    if named.name.startswith(COVARIATE_PREFIX) and named.name != COVARIATE_PREFIX:
-        known[named.name] = Covariate(named.name.removeprefix(COVARIATE_PREFIX))
-    if named.name not in known:
-        named.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
-    cause = known[named.name]
+    if header.name.startswith(COVARIATE_PREFIX) and header.name != COVARIATE_PREFIX:
+        known[header.name] = Covariate(header.name.removeprefix(COVARIATE_PREFIX))
+    if header.name not in known:
+        header.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
+    cause = known[header.name]
     keys: dict[str, Any] = {
-        name: _read_reference(cause, name, own) for name, own in _references(cause).items()
+        name: _setting_field(cause, name, default) for name, default in _settings(cause).items()
     }
-    for name in dict.fromkeys(each.name for each in cause.parameters):
-        own = [each for each in cause.parameters if each.name == name]
-        given = Give(f"give {_example_entry(own[0])}: {own[0].meaning}")
-        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, own)), given], ...)
+    for name in dict.fromkeys(parameter.name for parameter in cause.parameters):
+        parameters = [parameter for parameter in cause.parameters if parameter.name == name]
+        given = Give(f"give {_example_entry(parameters[0])}: {parameters[0].meaning}")
+        keys[name] = (Annotated[Any, PlainValidator(partial(_sizes, parameters)), given], ...)
     model = create_model(cause.name, __base__=CauseTable, __cls_kwargs__={"extra": "forbid"}, **keys)
-    table = model.model_validate(written)
+    table = model.model_validate(entry)
     table._cause = cause
     return table
 
@@ -89,38 +90,38 @@ def _of_name(written: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
 Causes = list[Annotated[CauseTable, WrapValidator(_of_name)]]
 
 
-def _references(cause: Any) -> dict[str, str | float]:
-    """What a cause refers to beside its parameters, with what is usual."""
-    given = {each.name: each.default for each in fields(cause) if isinstance(each.default, str | float)}
-    return {name: usual for name, usual in given.items() if name != "column"}
+def _settings(cause: Any) -> dict[str, str | float]:
+    """A cause's settings beside its parameters, with their defaults."""
+    defaults = {field.name: field.default for field in fields(cause) if field.name != "column"}
+    return {name: value for name, value in defaults.items() if isinstance(value, str | float)}
 
 
-def _read_reference(cause: Cause, name: str, usual: str | float) -> tuple[Any, Any]:
-    """A field for it; a number has no default."""
-    if isinstance(usual, float):
+def _setting_field(cause: Cause, name: str, default: str | float) -> tuple[Any, Any]:
+    """The type and default of a setting; a number has no default but in `DEFAULT_SETTINGS`."""
+    if isinstance(default, float):
         given = Give('give a number, with its unit where it has one, e.g. "21 °C"')
-        default = _si(DEFAULT_REFERENCES[name]) if name in DEFAULT_REFERENCES else ...
-        return Annotated[float, BeforeValidator(_si), given], default
+        number = _si(DEFAULT_SETTINGS[name]) if name in DEFAULT_SETTINGS else ...
+        return Annotated[float, BeforeValidator(_si), given], number
     if name == "session" and "session" in cause.columns:
-        return Annotated[Text, Give("give the session in which it happens, in quotes")], usual or ...
+        return Annotated[Text, Give("give the session in which it happens, in quotes")], default or ...
     if forms := cause.forms:
-        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], usual
-    return Text, usual
+        return Annotated[Literal[forms], Give(f"give one of {', '.join(forms)}")], default
+    return Text, default
 
 
-def _sizes(own: Sequence[CauseParameter], written: Any) -> list[float]:
-    """A value for each of the parameters that one key gives."""
-    if own[0].joint is None or not isinstance(written, dict):
-        return [_size(each, written) for each in own]
-    drives = [f"{each.joint}{each.direction}" for each in own]
-    if not written.keys() <= set(drives):
-        raise fault(f"name joints and directions as {', '.join(drives)}")
-    # Joints and directions that are left out have none of it.
-    return [_size(each, written.get(drive, 0.0)) for each, drive in zip(own, drives, strict=True)]
+def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
+    """Values of the parameters of one key."""
+    if parameters[0].joint is None or not isinstance(entry, dict):
+        return [_size(parameter, entry) for parameter in parameters]
+    by_key = {f"{parameter.joint}{parameter.direction}": parameter for parameter in parameters}
+    if not entry.keys() <= by_key.keys():
+        raise fault(f"name joints and directions as {', '.join(by_key)}")
+    # It is 0 for joints and directions that are left out.
+    return [_size(parameter, entry.get(key, 0.0)) for key, parameter in by_key.items()]
 
 
-def _size(parameter: CauseParameter, written: Any) -> float:
-    (number, unit), wanted = _parse_quantity(written), parameter.unit
+def _size(parameter: CauseParameter, entry: Any) -> float:
+    (number, unit), wanted = _parse_quantity(entry), parameter.unit
     if number and unit != wanted:
         raise ValueError("another unit")
     value = to_si(number, wanted)
@@ -133,24 +134,24 @@ def _size(parameter: CauseParameter, written: Any) -> float:
 def _example_entry(parameter: CauseParameter) -> str:
     if parameter.unit == "1":
         return "a number"
-    written = f'"2 {parameter.unit}"'
+    example = f'"2 {parameter.unit}"'
     if parameter.joint is None:
-        return f"a number and its unit as text, e.g. {written}"
-    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {written}}}'
+        return f"a number and its unit as text, e.g. {example}"
+    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {example}}}'
 
 
-def _si(written: Any) -> float:
-    number, unit = _parse_quantity(written)
+def _si(entry: Any) -> float:
+    number, unit = _parse_quantity(entry)
     if unit not in UNITS:
         raise ValueError("no unit")
     return to_si(number, unit)
 
 
-def _parse_quantity(written: Any) -> tuple[float, str]:
+def _parse_quantity(entry: Any) -> tuple[float, str]:
     """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
-    if type(written) in (int, float) and abs(written) <= sys.float_info.max:
-        return float(written), "1"
-    match = _QUANTITY_PATTERN.fullmatch(written.strip()) if isinstance(written, str) else None
+    if type(entry) in (int, float) and abs(entry) <= sys.float_info.max:
+        return float(entry), "1"
+    match = _QUANTITY_PATTERN.fullmatch(entry.strip()) if isinstance(entry, str) else None
     if match is None:
         raise ValueError("no number")
     unit = match[2].replace("urad", "µrad").replace("^2", "²")
@@ -158,6 +159,7 @@ def _parse_quantity(written: Any) -> tuple[float, str]:
 
 
 Group = tuple[int, str]
+"""Joint and direction."""
 MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
 
 
@@ -181,7 +183,7 @@ class LawValues:
     values: Mapping[tuple[int, str, str | None], Array]
     day_to_day: Mapping[Group, float] = field(default_factory=dict)
 
-    def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, BoolArray]:
         """The parameters of each row of one joint.
 
         Returns
@@ -199,14 +201,14 @@ class LawValues:
             raise InputError(f"joint {joint} has no law; leave it out of the plan, or add it to the law file")
         session, labels = pd.factorize(rows["session"])
         direction_index = (rows["direction"] == DIRECTIONS[1]).to_numpy().astype(int)
-        nothing = np.full(len(self.laws[joint].parameters), np.nan)
-        general = [self.values.get((joint, direction, None), nothing) for direction in DIRECTIONS]
-        table = [
-            [self.values.get((joint, direction, label), usual) for label in labels]
-            for direction, usual in zip(DIRECTIONS, general, strict=True)
-        ]
-        own = [[(joint, direction, label) in self.values for label in labels] for direction in DIRECTIONS]
-        values, shared = np.array(table)[direction_index, session], ~np.array(own)[direction_index, session]
+        unknown = np.full(len(self.laws[joint].parameters), np.nan)
+        table, is_own = [], []
+        for direction in DIRECTIONS:
+            default = self.values.get((joint, direction, None), unknown)
+            table.append([self.values.get((joint, direction, label), default) for label in labels])
+            is_own.append([(joint, direction, label) in self.values for label in labels])
+        values = np.array(table)[direction_index, session]
+        shared = ~np.array(is_own)[direction_index, session]
         if np.isnan(values).any():
             row = rows.iloc[int(np.argmax(np.isnan(values).any(axis=1)))]
             raise InputError(
@@ -251,7 +253,7 @@ class LawTable(Table, extra="ignore"):
         return self
 
     def entry(self) -> tuple[int, str, str | None]:
-        """What the parameters are of."""
+        """Joint, direction and session of the parameters; None for all sessions."""
         return self.joint, self.direction, self.session or None
 
 
@@ -289,7 +291,6 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     ----------
     path : path
         A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters.
-    machine : Machine
 
     Raises
     ------

@@ -31,67 +31,65 @@ FEW_SESSIONS = 3
 DIFFERENCE_COLUMNS = ("difference", "difference_relative")
 
 
-def compare_with_best(found: Comparison, joint: int) -> tuple[str, pd.DataFrame]:
-    """The strategy with the least relative rms, and every other's pair with it.
+def compare_with_best(comparison: Comparison, joint: int) -> tuple[str, pd.DataFrame]:
+    """The strategy with the least relative rms, and its pair with every other strategy.
 
-    The p-values are adjusted for all pairs, so that choosing the best afterwards is allowed for.
+    The p-values are adjusted for all pairs, so that they stay valid for the best, which the data choose.
 
     Returns
     -------
     best : str
     others : DataFrame
-        Rows of `Comparison.pairs` turned so that `other` is the best.
+        Rows of `Comparison.pairs`, reversed where needed so that `other` is the best.
     """
-    accuracy = found.accuracy()
-    subset = accuracy[accuracy["joint"] == joint]
+    subset = _rows_of_joint(comparison.accuracy(), joint)
     best = str(subset.loc[subset["rms_relative"].idxmin(), "strategy"])
-    if found.pairs.empty:
-        return best, found.pairs
-    pairs = found.pairs[found.pairs["joint"] == joint]
-    straight, turned = pairs[pairs["other"] == best], _reverse_pairs(pairs[pairs["strategy"] == best])
-    both = pd.concat([straight, turned])
-    order = {name: place for place, name in enumerate(found.strategies)}
+    if comparison.pairs.empty:
+        return best, comparison.pairs
+    pairs = comparison.pairs[comparison.pairs["joint"] == joint]
+    straight, reversed_pairs = pairs[pairs["other"] == best], _reverse_pairs(pairs[pairs["strategy"] == best])
+    both = pd.concat([straight, reversed_pairs])
+    order = {name: place for place, name in enumerate(comparison.strategies)}
     return best, both.sort_values("strategy", key=lambda names: names.map(order)).reset_index(drop=True)
 
 
-def write_headline(found: Comparison, joint: int) -> str:
+def write_headline(comparison: Comparison, joint: int) -> str:
     """The answer in a few sentences."""
-    best, others = compare_with_best(found, joint)
-    shared, sessions = found.shared, found.sessions(joint)
+    best, others = compare_with_best(comparison, joint)
+    shared, sessions = comparison.shared, comparison.sessions(joint)
     traverses = shared.loc[shared["joint"] == joint, "traverse"].nunique()
-    where = f"{len(sessions)} sessions" if len(sessions) > 1 else f"the one session {sessions[0]}"
-    noise = _describe_repeatability(found, joint)
-    told = [f"Traverses predicted: {traverses:,}, of {where}; they repeat to {' and '.join(noise)}."]
-    if found.unit(joint) != SESSION_UNIT:
-        told.append(
+    own = f"{len(sessions)} sessions" if len(sessions) > 1 else f"the one session {sessions[0]}"
+    noise = {direction: value for (of, direction), value in comparison.repeatability.items() if of == joint}
+    repeat = " and ".join(
+        f"{format_value(value, '%', 2)} ({direction})" for direction, value in noise.items()
+    )
+    sentences = [f"Traverses predicted: {traverses:,}, of {own}; they repeat to {repeat}."]
+    if comparison.unit(joint) != SESSION_UNIT:
+        sentences.append(
             "Intervals and verdicts are over its configurations, since there is one session: they say "
             "nothing of how another session's calibration would turn out."
         )
     elif len(sessions) <= FEW_SESSIONS:
-        pairs = int((found.pairs["joint"] == joint).sum()) if len(found.pairs) else 0
-        told.append(
-            f"So few sessions show only large differences{_describe_multiplicity(pairs)}; the intervals of single "
+        pairs = int((comparison.pairs["joint"] == joint).sum()) if len(comparison.pairs) else 0
+        multiplicity = f" where {pairs} pairs are compared at once" if pairs > 1 else ""
+        sentences.append(
+            f"So few sessions show only large differences{multiplicity}; the intervals of single "
             "differences show more."
         )
-    told.append(f"Least rms: {best}, {_minutes(found, joint)[best]:.0f} min a session.")
+    minutes = _rows_of_joint(comparison.cost(), joint).set_index("strategy")["seconds"] / 60
+    sentences.append(f"Least rms: {best}, {minutes[best]:.0f} min a session.")
     if len(others):
-        alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
-        whole = {0: "None of", len(others): "All of"}.get(alike, f"{alike} of")
-        told.append(f"{whole} the {len(others)} others cannot be told from it on this log.")
-        told.append(_describe_cheapest(found, joint, best, others))
-    return " ".join(told)
+        n_alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
+        share = {0: "None of", len(others): "All of"}.get(n_alike, f"{n_alike} of")
+        sentences.append(f"{share} the {len(others)} others cannot be told from it on this log.")
+        sentences.append(_describe_cheapest(best, others, minutes, min(noise.values())))
+    return " ".join(sentences)
 
 
-def _describe_multiplicity(pairs: int) -> str:
-    return f" where {pairs} pairs are compared at once" if pairs > 1 else ""
-
-
-def _describe_cheapest(found: Comparison, joint: int, best: str, others: pd.DataFrame) -> str:
-    """That no difference was seen proves no equality; an interval that stays below the scatter does."""
-    scatter = min(value for (of, _), value in found.repeatability.items() if of == joint)
-    good = [best, *others.loc[others["difference_relative_high"] < scatter, "strategy"]]
-    minutes = _minutes(found, joint)
-    cheapest = min(good, key=lambda name: float(minutes[name]))
+def _describe_cheapest(best: str, others: pd.DataFrame, minutes: pd.Series, scatter: float) -> str:
+    """The cheapest strategy whose difference from the best is below the scatter in its whole interval."""
+    equivalent = [best, *others.loc[others["difference_relative_high"] < scatter, "strategy"]]
+    cheapest = min(equivalent, key=lambda name: float(minutes[name]))
     if cheapest == best:
         return "No cheaper one is sure to come within a traverse's scatter of it."
     high = float(others.set_index("strategy").loc[cheapest, "difference_relative_high"])
@@ -101,81 +99,75 @@ def _describe_cheapest(found: Comparison, joint: int, best: str, others: pd.Data
     )
 
 
-def _minutes(found: Comparison, joint: int) -> pd.Series:
-    cost = found.cost()
-    return cost[cost["joint"] == joint].set_index("strategy")["seconds"] / 60
-
-
 def _reverse_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
     names = {"strategy": "other", "other": "strategy"}
     for name in DIFFERENCE_COLUMNS:
         names |= {f"{name}_low": f"{name}_high", f"{name}_high": f"{name}_low"}
-    turned = pairs.rename(columns=names)
-    signed = [column for column in turned if str(column).startswith("difference")]
-    return turned.assign(
-        **{column: -turned[column] for column in signed}, verdict=turned["verdict"].map(REVERSED_VERDICTS)
+    reversed_pairs = pairs.rename(columns=names)
+    signed = [column for column in reversed_pairs if str(column).startswith("difference")]
+    return reversed_pairs.assign(
+        **{column: -reversed_pairs[column] for column in signed},
+        verdict=reversed_pairs["verdict"].map(REVERSED_VERDICTS),
     )
-
-
-def _describe_repeatability(found: Comparison, joint: int) -> list[str]:
-    return [
-        f"{format_value(value, '%', 2)} ({direction})"
-        for (of, direction), value in found.repeatability.items()
-        if of == joint
-    ]
 
 
 NOTE = "p and verdicts allow for all pairs of strategies being compared at once (Holm); intervals do not."
 WORST_NOTE = (
     "Rms over the traverses of a configuration and direction, all sessions; the largest relative ones are "
-    "shown. Times scatter: over how well a traverse repeats in that direction. Among many configurations the "
-    "largest comes to about 2 by chance, and to more where a calibration is itself not sure."
+    "shown. Times scatter: over the repeatability of a traverse in that direction. Among many configurations "
+    "the largest comes to about 2 by chance, and to more where a calibration is itself uncertain."
 )
 MAX_WORST = 2
 
 
 @summarize.register
-def summarize_comparison(found: Comparison) -> Summary:
+def summarize_comparison(comparison: Comparison) -> Summary:
     """Each joint's answer, then its strategies' cost and errors, and what was left out."""
-    sections = [Section(paragraphs=(typeset_text(format_heading(found)),))] if found.joints else []
-    for joint in found.joints:
+    sections = [Section(paragraphs=(typeset_text(format_heading(comparison)),))] if comparison.joints else []
+    for joint in comparison.joints:
         tables = (
-            strategies_table(found, joint),
-            errors_table(found, joint),
-            _directions_table(found, joint),
-            worst_table(found, joint),
-            implied_table(found, joint),
-            claimed_table(found, joint),
+            strategies_table(comparison, joint),
+            errors_table(comparison, joint),
+            _directions_table(comparison, joint),
+            worst_table(comparison, joint),
+            implied_table(comparison, joint),
+            claimed_table(comparison, joint),
         )
         sections.append(Section(capitalize_first(joint_name(joint)), tables=tuple(filter(None, tables))))
-    missing = left_out_table(found)
-    answers = [f"Joint {joint}. {write_headline(found, joint)}" for joint in found.joints]
+    missing = left_out_table(comparison)
+    answers = [f"Joint {joint}. {write_headline(comparison, joint)}" for joint in comparison.joints]
     return Summary(
         "Calibration strategies compared",
-        tuple(typeset_text(each).replace("(-)", f"({MINUS})") for each in answers)
-        or (typeset_text(format_heading(found)),),
+        tuple(typeset_text(answer).replace("(-)", f"({MINUS})") for answer in answers)
+        or (typeset_text(format_heading(comparison)),),
         (*sections, *([Section(tables=(missing,))] if missing else [])),
-        provenance=found.provenance.lines(),
+        provenance=comparison.provenance.lines(),
     )
 
 
-def format_heading(found: Comparison) -> str:
+def format_heading(comparison: Comparison) -> str:
     """What was compared, and how."""
-    files = ", ".join(found.provenance.log_files) or "a log"
-    said = (
-        f"{len(found.strategies)} calibration strategies on {files}. Each calibrates a session from its own "
-        f"traverses only, and may look back on {found.session_scope}. Errors are predicted less measured mean "
-        "step size, of traverses that none of them calibrates from; a traverse costs "
-        f"{found.handling_seconds:.0f} s beside its steps. Intervals are made to hold 95 % under scatter with heavy "
-        "tails too, so that they are wide where it is Gaussian."
+    files = ", ".join(comparison.provenance.log_files) or "a log"
+    text = (
+        f"{len(comparison.strategies)} calibration strategies on {files}. Each calibrates a session from its "
+        f"own traverses only, and may look back on {comparison.session_scope}. Errors are predicted less "
+        "measured mean step size, of traverses that none of them calibrates from; a traverse costs "
+        f"{comparison.handling_seconds:.0f} s beside its steps. Intervals are made to hold 95 % under "
+        "scatter with heavy tails too, so that they are wide where it is Gaussian."
     )
-    return said if found.joints else f"{said} No session is left in which they can be compared."
+    return text if comparison.joints else f"{text} No session is left in which they can be compared."
 
 
-def strategies_table(found: Comparison, joint: int) -> Table:
+def strategies_table(comparison: Comparison, joint: int) -> Table:
     """One joint's strategies: cost, relative errors, and what is seen of a difference from the best."""
-    best, others = compare_with_best(found, joint)
-    pairs = others.set_index("strategy") if len(others) else pd.DataFrame()
+    differences = {
+        pair["strategy"]: (
+            format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"]),
+            format_p_value(pair["p_adjusted"]),
+            str(pair["verdict"]).removesuffix(" on this log"),
+        )
+        for _, pair in compare_with_best(comparison, joint)[1].iterrows()
+    }
     columns = (
         Column("strategy", text=True),
         Column("each way", "traverses", "a session"),
@@ -193,59 +185,47 @@ def strategies_table(found: Comparison, joint: int) -> Table:
             format_percent(row["rms_relative"], with_unit=False),
             format_percent_range(row["rms_relative_low"], row["rms_relative_high"]),
             format_percent(row["worst_relative"], with_unit=False),
-            *(("", "", "least rms") if row["strategy"] == best else _against(pairs.loc[row["strategy"]])),
+            *differences.get(row["strategy"], ("", "", "least rms")),
         )
-        for _, row in _with_cost(found, joint).iterrows()
+        for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
     )
     return Table(f"Strategies for {joint_name(joint)}", columns, rows, note=NOTE)
 
 
-def errors_table(found: Comparison, joint: int) -> Table:
+def errors_table(comparison: Comparison, joint: int) -> Table:
     """One joint's absolute errors."""
     unit = step_unit(joint)
-    heads = ("rms", "95 % interval", "bias", "95 % interval", "worst", "typical worst")
-    columns = (Column("strategy", text=True), *(Column(head, unit) for head in heads))
+    headings = ("rms", "95 % interval", "bias", "95 % interval", "worst", "typical worst")
+    columns = (Column("strategy", text=True), *(Column(head, unit) for head in headings))
     rows = tuple(
         (
             str(row["strategy"]),
-            format_number(row["rms"], unit),
-            format_range(row["rms_low"], row["rms_high"], unit),
-            format_number(row["bias"], unit),
-            format_range(row["bias_low"], row["bias_high"], unit),
-            format_number(row["worst"], unit),
-            format_number(row["typical_worst"], unit),
+            *_with_interval(row, "rms", unit),
+            *_with_interval(row, "bias", unit),
+            *(format_number(row[name], unit) for name in ("worst", "typical_worst")),
         )
-        for _, row in _with_cost(found, joint).iterrows()
+        for _, row in _rows_of_joint(comparison.accuracy(), joint).iterrows()
     )
     caption = f"{capitalize_first(joint_name(joint))}: errors of the step size"
     return Table(caption, columns, rows, folded=True)
-
-
-def _with_cost(found: Comparison, joint: int) -> pd.DataFrame:
-    cost = found.cost()
-    return _rows_of_joint(found.accuracy(), joint).merge(
-        _rows_of_joint(cost, joint), on="strategy", suffixes=("", "_made")
-    )
 
 
 def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
     return table[table["joint"] == joint]
 
 
-def _against(pair: pd.Series) -> tuple[str, str, str]:
-    bounds = format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"])
-    verdict = str(pair["verdict"]).removesuffix(" on this log")
-    return bounds, format_p_value(pair["p_adjusted"]), verdict
+def _with_interval(row: pd.Series, name: str, unit: str) -> tuple[str, str]:
+    return format_number(row[name], unit), format_range(row[f"{name}_low"], row[f"{name}_high"], unit)
 
 
-def _directions_table(found: Comparison, joint: int) -> Table | None:
+def _directions_table(comparison: Comparison, joint: int) -> Table | None:
     """Relative rms by direction; None where there is one only."""
-    table = _rows_of_joint(found.accuracy("direction"), joint)
+    table = _rows_of_joint(comparison.accuracy("direction"), joint)
     directions = list(dict.fromkeys(table["direction"]))
     if len(directions) < 2:
         return None
     signs = [format_direction(direction) for direction in directions]
-    heads = [Column(head, "%", f"direction {sign}") for sign in signs for head in ("rms", "95 % interval")]
+    headings = [Column(head, "%", f"direction {sign}") for sign in signs for head in ("rms", "95 % interval")]
     body = []
     for strategy, own in table.groupby("strategy", sort=False):
         cells = []
@@ -254,20 +234,18 @@ def _directions_table(found: Comparison, joint: int) -> Table | None:
             cells.append(format_percent_range(row["rms_relative_low"], row["rms_relative_high"]))
         body.append((str(strategy), *cells))
     caption = f"{capitalize_first(joint_name(joint))}: relative error by direction"
-    return Table(caption, (Column("strategy", text=True), *heads), tuple(body), folded=True)
+    return Table(caption, (Column("strategy", text=True), *headings), tuple(body), folded=True)
 
 
-def worst_table(found: Comparison, joint: int, most: int = MAX_WORST) -> Table:
+def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -> Table:
     """The configurations in which each strategy errs most, as shares of the step size.
 
     Parameters
     ----------
-    found : Comparison
-    joint : int
-    most : int, optional
+    max_rows : int, optional
         Configurations shown of each strategy.
     """
-    table, unit = worst_configurations(found, joint), step_unit(joint)
+    table, unit = worst_configurations(comparison, joint), step_unit(joint)
     columns = (
         *words("strategy", "configuration", "direction"),
         Column("traverses"),
@@ -275,7 +253,7 @@ def worst_table(found: Comparison, joint: int, most: int = MAX_WORST) -> Table:
         *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
-    low, high = found.machine.ranges[joint]
+    low, high = comparison.machine.ranges[joint]
     body = tuple(
         (
             strategy,
@@ -288,14 +266,14 @@ def worst_table(found: Comparison, joint: int, most: int = MAX_WORST) -> Table:
             format_percent(row["worst_relative"], with_unit=False),
             f"{row['times_scatter']:.1f}",
         )
-        for strategy in found.compared(joint)
-        for _, row in table[table["strategy"] == strategy].head(most).iterrows()
+        for strategy in comparison.compared(joint)
+        for _, row in table[table["strategy"] == strategy].head(max_rows).iterrows()
     )
     caption = f"{capitalize_first(joint_name(joint))}: where each strategy errs most"
     return Table(caption, columns, body, note=WORST_NOTE, folded=True)
 
 
-def worst_configurations(found: Comparison, joint: int) -> pd.DataFrame:
+def worst_configurations(comparison: Comparison, joint: int) -> pd.DataFrame:
     """Errors by strategy, direction and configuration, each strategy's largest relative rms first.
 
     Returns
@@ -303,19 +281,19 @@ def worst_configurations(found: Comparison, joint: int) -> pd.DataFrame:
     DataFrame
         As `Comparison.accuracy` returns it, and times_scatter: the relative rms over the repeatability.
     """
-    table = _rows_of_joint(found.accuracy("direction", *POSITION_COLUMNS), joint)
-    scatter = [found.repeatability[joint, str(direction)] for direction in table["direction"]]
+    table = _rows_of_joint(comparison.accuracy("direction", *POSITION_COLUMNS), joint)
+    scatter = [comparison.repeatability[joint, str(direction)] for direction in table["direction"]]
     table = table.assign(times_scatter=table["rms_relative"] / scatter)
     return table.sort_values("rms_relative", ascending=False, kind="stable")
 
 
-def left_out_table(found: Comparison) -> Table | None:
+def left_out_table(comparison: Comparison) -> Table | None:
     """Sessions that a strategy could not calibrate, and why, alike cases together; None if there is none."""
     joints_of: dict[tuple[str, str, str, str], list[str]] = {}
     keys = ["strategy", "reason", "joint"]
-    for (strategy, reason, joint), cases in found.left_out.groupby(keys, sort=False):
+    for (strategy, reason, joint), cases in comparison.left_out.groupby(keys, sort=False):
         directions = dict.fromkeys(cases["direction"])
-        signs = " and ".join(format_direction(each) for each in directions if each) or MISSING
+        signs = " and ".join(format_direction(sign) for sign in directions if sign) or MISSING
         sessions = ", ".join(dict.fromkeys(cases["session"]))
         joints_of.setdefault((strategy or "all strategies", signs, sessions, reason), []).append(str(joint))
     rows = tuple(

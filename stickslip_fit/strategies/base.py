@@ -1,8 +1,8 @@
 """Strategy, the interface of calibration strategies: what one is given, returns and costs.
 
-A strategy chooses among the traverses that a session offers before it knows any count, then returns a
+A strategy chooses among the traverses that a session offers before any count is known, then returns a
 predictor of log(steps) with its standard deviation. `solve_law` fits a law with known noise;
-`LawSolution` carries the inverse of the Fisher information.
+`LawSolution` holds the inverse of the Fisher information.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.identifiability import identifiable_parameters
@@ -26,45 +25,28 @@ from stickslip_fit.logs.plan import Timing
 from stickslip_fit.machine import Machine
 
 SessionSelector = Callable[[Sequence[str], str], tuple[str, ...]]
-"""All sessions in order of time, and one of them, to those that it may look back on."""
+"""From all sessions in order of time, and one of them, to those that its calibration may use."""
 
 
 def other_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
-    """All but itself: right where sessions differ by chance, and makes the most of a short log.
-
-    Examples
-    --------
-    >>> other_sessions(["Mon", "Tue", "Wed"], "Tue")
-    ('Mon', 'Wed')
-    """
-    return tuple(each for each in sessions if each != session)
+    """All but itself: right where sessions differ at random, and most data from a short log."""
+    return tuple(other for other in sessions if other != session)
 
 
 def earlier_sessions(sessions: Sequence[str], session: str) -> tuple[str, ...]:
-    """Those before it, as on the day.
-
-    Examples
-    --------
-    >>> earlier_sessions(["Mon", "Tue", "Wed"], "Tue")
-    ('Mon',)
-    """
+    """Those before it, which are known on the day."""
     return tuple(sessions[: list(sessions).index(session)])
 
 
 def stepping_seconds(rows: pd.DataFrame) -> Array:
-    """Steps times step period, shape (n,); where the log has no period, that which plans take without one."""
+    """Steps times step period, shape (n,); the default period of plans where the log has none."""
     return rows["steps"].to_numpy(float) * rows["step_period"].fillna(Timing().step_period).to_numpy(float)
 
 
 def handling_seconds(rows: pd.DataFrame) -> float:
-    """From the end of a traverse to the beginning of the next, the median over a log; 0 for one traverse.
+    """Median time from the end of a traverse to the beginning of the next in its session; 0 for one traverse.
 
-    Nights and lunch breaks are long but few, so that the median does not see them.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        All rows of a log in order of time, whatever their status.
+    The rows are all of a log, in order of time. The median does not depend on a few long breaks.
 
     Examples
     --------
@@ -74,14 +56,14 @@ def handling_seconds(rows: pd.DataFrame) -> float:
     50.0
     """
     following = rows["session"].to_numpy()[1:] == rows["session"].to_numpy()[:-1]
-    apart = rows["time"].diff().dt.total_seconds().to_numpy()[1:]
-    idle = (apart - stepping_seconds(rows)[:-1])[following]
+    spacing = rows["time"].diff().dt.total_seconds().to_numpy()[1:]
+    idle = (spacing - stepping_seconds(rows)[:-1])[following]
     return float(np.median(np.maximum(idle, 0.0))) if len(idle) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class LawSolution:
-    """Least squares with the scatter known.
+    """Least squares with known repeatability.
 
     Attributes
     ----------
@@ -90,33 +72,32 @@ class LawSolution:
     values : array, shape (g, p)
         Parameters, SI.
     known : array of bool, shape (g, p)
-        Which of them the traverses determine.
+        Which of them are identifiable.
     covariance : array, shape (g, p, p)
         The inverse of the Fisher information.
     """
 
     groups: Groups
     values: Array
-    known: npt.NDArray[np.bool_]
+    known: BoolArray
     covariance: Array
 
 
 def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolution:
     """Fit a law to rows, each session and direction by itself.
 
-    Traverses that are as many as the parameters leave one solution, which is that of the closed form.
+    With as many traverses as parameters, the solution is that of the closed form.
 
     Parameters
     ----------
-    law : StepLaw
     rows : DataFrame, n rows of one joint
     repeatability : float
         Standard deviation of log(steps); the counts' rounding comes on top.
     """
     problem = single_problem(law, rows, DEFAULT_OPTIONS)
-    found = problem.minimize(1.0 / (repeatability**2 + problem.rounding), problem.start)
-    known, _, covariance = identifiable_parameters(found.curvature, problem.scales)
-    return LawSolution(problem.groups, found.values, known & found.converged[:, None], covariance)
+    minimum = problem.minimize(1.0 / (repeatability**2 + problem.rounding), problem.start)
+    known, _, covariance = identifiable_parameters(minimum.curvature, problem.scales)
+    return LawSolution(problem.groups, minimum.values, known & minimum.converged[:, None], covariance)
 
 
 def response_sd(jacobian: Array, covariance: Array) -> Array:
@@ -125,7 +106,7 @@ def response_sd(jacobian: Array, covariance: Array) -> Array:
 
 
 Predictor = Callable[[pd.DataFrame], tuple[Array, Array]]
-"""Rows of a log to the mean of log(steps) and its standard deviation, the repeatability left out; (n,)."""
+"""From rows of a log to the mean of log(steps) and its standard deviation without repeatability; (n,)."""
 
 
 class NotApplicable(Exception):
@@ -138,18 +119,15 @@ class CalibrationTask:
 
     Attributes
     ----------
-    session : str
     direction : {"+", "-"}
     law : StepLaw
-        The published one of the joint, or what stands in its place.
-    machine : Machine
+        The published one of the joint, or its replacement.
     offered : DataFrame
-        The first traverse of each of the session's configurations, in order of time and without the counts:
-        a strategy chooses among them before it knows any.
+        The first traverse of each of the session's configurations, in order of time and without the counts.
     others : DataFrame
-        All usable traverses, counts included, of the sessions that it may look back on.
+        All usable traverses, counts included, of the other sessions that the calibration may use.
     repeatability : float
-        What the lab knows of the scatter of log(steps).
+        Standard deviation of log(steps), as the lab knows it.
     """
 
     session: str
@@ -162,28 +140,28 @@ class CalibrationTask:
 
     @cached_property
     def nominal(self) -> tuple[Array, Array]:
-        """Parameters near which to plan, and changes of them that matter, each shape (p,).
+        """Parameters to linearize a design at, and their scales, each shape (p,).
 
-        The mean of the other sessions where they know all parameters; else those of a law without effects,
-        with steps of length one: how much a traverse tells does not depend on the length of a step.
+        The mean over the other sessions in which all parameters are identifiable; without any, those of a
+        constant step of length one: a traverse's information does not depend on the length of a step.
         """
         if len(self.others):
-            found = solve_law(self.law, self.others, self.repeatability)
-            if found.known.all(axis=1).any():
-                values = found.values[found.known.all(axis=1)].mean(axis=0)
+            solution = solve_law(self.law, self.others, self.repeatability)
+            if solution.known.all(axis=1).any():
+                values = solution.values[solution.known.all(axis=1)].mean(axis=0)
                 y, _ = self.law.response(self.others)
-                step = mean_step_sizes(found.groups, self.others, y).mean(keepdims=True)
+                step = mean_step_sizes(solution.groups, self.others, y).mean(keepdims=True)
                 return values, self.law.scales(step)[0]
         one = np.ones(1)
         return self.law.start_values(one)[0], self.law.scales(one)[0]
 
 
 class Strategy(Protocol):
-    """A way to calibrate. Anything that has these three is one.
+    """A calibration method: any object with a name and these two methods.
 
     Examples
     --------
-    The mean step of whatever was driven first:
+    The mean step of the first traverse:
 
     >>> class FirstOfAll:
     ...     name = "first traverse"
@@ -196,26 +174,26 @@ class Strategy(Protocol):
 
     @property
     def name(self) -> str:
-        """As tables and pictures call it; no two compared strategies have the same."""
+        """In tables and figures; different for all strategies of a comparison."""
         ...
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """Which of the offered traverses to make, as positions among them.
+        """Traverses to measure, as positions among those offered.
 
         Raises
         ------
-        Unsuited
+        NotApplicable
             If the session does not offer what the strategy needs.
         """
         ...
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
-        """What the traverses made, with their counts now, say of any other of the session.
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
+        """A predictor of the session's other traverses from the chosen ones, now with their counts.
 
         Raises
         ------
-        Unsuited
-            If they do not determine what the strategy needs to know.
+        NotApplicable
+            If they do not determine the parameters.
         """
         ...
 
@@ -225,20 +203,22 @@ def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[~rows[CONFIGURATION_COLUMNS].round(9).duplicated()]
 
 
-def make_least_squares_predictor(task: CalibrationTask, law: StepLaw, made: pd.DataFrame) -> Predictor:
-    """Predict by the law that fits the traverses made best.
+def make_least_squares_predictor(task: CalibrationTask, law: StepLaw, measured: pd.DataFrame) -> Predictor:
+    """Predict by the law fitted to the measured traverses.
 
     Raises
     ------
-    Unsuited
-        If they leave a parameter open.
+    NotApplicable
+        If they leave a parameter undetermined.
     """
-    found = solve_law(law, made, task.repeatability)
-    if not found.known.all():
+    solution = solve_law(law, measured, task.repeatability)
+    if not solution.known.all():
         names = [parameter.name for parameter in law.parameters]
-        open_ones = ", ".join(name for name, known in zip(names, found.known[0], strict=True) if not known)
-        raise NotApplicable(f"its {len(made)} traverses leave {open_ones} open")
-    return make_predictor(law, found.values[0], found.covariance[0])
+        undetermined = ", ".join(
+            name for name, known in zip(names, solution.known[0], strict=True) if not known
+        )
+        raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
+    return make_predictor(law, solution.values[0], solution.covariance[0])
 
 
 def make_predictor(law: StepLaw, values: Array, covariance: Array) -> Predictor:

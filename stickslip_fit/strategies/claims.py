@@ -1,4 +1,4 @@
-"""The thesis's accuracy (Ch. 7): what it claims, what its own numbers imply, and what a log shows."""
+"""The accuracy that the thesis states (Ch. 7): its claims, what its own numbers imply, what a log shows."""
 
 from __future__ import annotations
 
@@ -27,13 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Claim:
-    """An error that the thesis says is not exceeded.
+    """A limit of the error, in its unit, that the thesis states for the law or for the constant step.
 
     Attributes
     ----------
-    model : {"law", "constant"}
-    limit : float
-        In people's unit.
+    model : {"law", "constant step"}
     unit : {"%", "nm", "µrad"}
     """
 
@@ -41,24 +39,47 @@ class Claim:
     limit: float
     unit: str
 
+    @property
+    def label(self) -> str:
+        """The limit with its unit."""
+        return f"±{format_plain(self.limit)} {self.unit}"
+
+    @property
+    def kind(self) -> str:
+        """The column of errors that it limits, see `EvaluationTables`."""
+        return "relative" if self.unit == "%" else "absolute"
+
+    def format_kept(self, errors: pd.Series) -> str:
+        """Share of traverses within the limit, %; errors are relative for a claim in %, else rad or m.
+
+        100 only of all, and 0 only of none.
+
+        Examples
+        --------
+        >>> [Claim("law", 20.0, "%").format_kept(pd.Series([0.1] * n + [0.3])) for n in (1, 99, 999)]
+        ['50', '99', '>99']
+        """
+        share = 100 * float(np.mean(errors.abs() <= to_si(self.limit, self.unit)))
+        return "<1" if 0 < share < 1 else ">99" if 99 < share < 100 else f"{share:.0f}"
+
 
 PRISMATIC_CLAIMS = (
     Claim("law", 20.0, "%"),
     Claim("law", 15.0, "%"),
     Claim("law", 100.0, "nm"),
-    Claim("constant", 10.0, "%"),
+    Claim("constant step", 10.0, "%"),
 )
 ROTARY_CLAIMS = (
     Claim("law", 1.0, "µrad"),
     Claim("law", 2.0, "µrad"),
     Claim("law", 2.0, "%"),
-    Claim("constant", 1.3, "%"),
+    Claim("constant step", 1.3, "%"),
 )
 NOTE = (
     "The thesis makes these statements side by side; they do not agree with each other. Its own parameters "
     "put the constant step's error at up to 159 % (prismatic) and 25.7 % (rotary)."
 )
-# Of the thesis, or worked out from what it prints; data/published says which, and where from.
+# Printed in the thesis or computed from what it prints; data/published gives the source of each.
 STEP = {"nm": 12e6 / 12300, "µrad": 95.0}
 CONSTANT_STEP_ERROR = {"nm": 159.0, "µrad": 25.7}  # %
 QUADRATIC_ERROR = 1.6  # µrad
@@ -79,12 +100,18 @@ NOTES = {
 
 
 def claims_of(joint: int) -> tuple[Claim, ...]:
-    """What the thesis says of a joint."""
+    """The claims of the thesis on a joint."""
     return PRISMATIC_CLAIMS if joint == PRISMATIC else ROTARY_CLAIMS
 
 
 def claims_table(errors: pd.DataFrame) -> Table:
-    """Each claim with the share of this log's traverses that keep to it."""
+    """Each claim with the share of this log's traverses within it.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        joint; measured, and predicted by law and by constant: mean step size, rad or m.
+    """
     columns = (
         *words("joint", "model"),
         Column("claimed"),
@@ -94,37 +121,14 @@ def claims_table(errors: pd.DataFrame) -> Table:
     body = []
     for joint, subset in errors.groupby("joint"):
         for claim in claims_of(joint):
-            error = _error(subset, claim)
-            within = float(np.mean(np.abs(error) <= to_si(claim.limit, claim.unit)))
-            name = "law" if claim.model == "law" else "constant step"
-            worst = error[np.argmax(np.abs(error))]
-            shown = (
-                format_percent(worst, signed=True) if claim.unit == "%" else format_value(worst, claim.unit)
-            )
-            cells = (name, f"±{format_plain(claim.limit)} {claim.unit}", share(within), shown)
-            body.append((joint_name(int(joint)), *cells))
+            predicted = subset[claim.model.removesuffix(" step")]
+            relative = claim.unit == "%"
+            error = predicted / subset["measured"] - 1.0 if relative else predicted - subset["measured"]
+            worst = error.iloc[np.argmax(error.abs())]
+            worst_text = format_percent(worst, signed=True) if relative else format_value(worst, claim.unit)
+            row = (joint_name(int(joint)), claim.model, claim.label, claim.format_kept(error), worst_text)
+            body.append(row)
     return Table("The thesis's claims and this log", columns, tuple(body), stubs=2, note=NOTE)
-
-
-def _error(errors: pd.DataFrame, claim: Claim) -> np.ndarray:
-    predicted, measured = errors[claim.model].to_numpy(), errors["measured"].to_numpy()
-    return predicted / measured - 1.0 if claim.unit == "%" else predicted - measured
-
-
-def share(part: float) -> str:
-    """A share in per cent that says 100 only of all, and 0 only of none.
-
-    Examples
-    --------
-    >>> share(1.0), share(0.9999), share(0.5), share(0.001)
-    ('100', '>99', '50', '<1')
-    """
-    shown = 100 * part
-    if 0 < shown < 1:
-        return "<1"
-    if 99 < shown < 100:
-        return ">99"
-    return f"{shown:.0f}"
 
 
 def implied(claim: Claim, unit: str) -> str:
@@ -132,7 +136,6 @@ def implied(claim: Claim, unit: str) -> str:
 
     Parameters
     ----------
-    claim : Claim
     unit : {"nm", "µrad"}
         Of the joint's step size.
 
@@ -140,23 +143,23 @@ def implied(claim: Claim, unit: str) -> str:
     --------
     >>> implied(Claim("law", 20.0, "%"), "nm")
     '195 nm of its 976 nm step'
-    >>> implied(Claim("constant", 1.3, "%"), "µrad")
+    >>> implied(Claim("constant step", 1.3, "%"), "µrad")
     'off by up to 25.7 % (joint 2)'
     """
     step = f"{STEP[unit]:.0f} {unit}"
-    if claim.model == "constant":
-        whose = " (joint 2)" if unit == "µrad" else ""
-        return f"off by up to {format_plain(CONSTANT_STEP_ERROR[unit])} %{whose}"
+    if claim.model == "constant step":
+        joint = " (joint 2)" if unit == "µrad" else ""
+        return f"off by up to {format_plain(CONSTANT_STEP_ERROR[unit])} %{joint}"
     if claim.unit == "%":
         return f"{STEP[unit] * claim.limit / 100:.3g} {unit} of its {step} step"
     return f"{100 * claim.limit / STEP[unit]:.2g} % of its {step} step"
 
 
-def implied_table(found: Comparison, joint: int) -> Table:
-    """Each claim, what the printed numbers make of it, and what the strategy it speaks of reaches."""
+def implied_table(comparison: Comparison, joint: int) -> Table:
+    """Each claim, what the printed numbers make of it, and the accuracy of the strategy that it is about."""
     unit = step_unit(joint)
-    shared = found.shared[found.shared["joint"] == joint]
-    accuracy = found.accuracy().set_index(["joint", "strategy"])
+    shared = comparison.shared[comparison.shared["joint"] == joint]
+    accuracy = comparison.accuracy().set_index(["joint", "strategy"])
     columns = (
         *words("claim", "its own numbers say"),
         Column("calibrated by", group="this log", text=True),
@@ -165,51 +168,29 @@ def implied_table(found: Comparison, joint: int) -> Table:
     )
     body = []
     for claim in claims_of(joint):
-        name, model = (
-            (ClosedForm.name, "law") if claim.model == "law" else (ConstantStepStrategy.name, "constant step")
-        )
-        own = shared[shared["strategy"] == name]
-        reached = _reached(accuracy.loc[joint, name], own, claim) if len(own) else (MISSING,) * 3
-        body.append(
-            (f"{model} ±{format_plain(claim.limit)} {claim.unit}", implied(claim, unit), name, *reached)
-        )
+        name = ClosedForm.name if claim.model == "law" else ConstantStepStrategy.name
+        errors = shared[shared["strategy"] == name]
+        cells = (MISSING,) * 3
+        if len(errors):
+            own = accuracy.loc[joint, name]
+            if claim.unit == "%":
+                rms, worst = own["rms_relative"], own["worst_relative"]
+                texts = format_percent(rms), format_percent(worst, signed=True)
+            else:
+                texts = format_value(own["rms"], unit), format_value(own["worst"], unit)
+            cells = (*texts, claim.format_kept(errors[claim.kind]))
+        body.append((f"{claim.model} {claim.label}", implied(claim, unit), name, *cells))
     caption = f"{joint_name(joint).capitalize()}: what the thesis claims, implies, and what is reached"
     return Table(caption, columns, tuple(body), note=typeset_text(NOTES[unit]))
 
 
-def within(errors: pd.DataFrame, claim: Claim) -> float:
-    """Share of traverses that keep to a claim."""
-    kind = "relative" if claim.unit == "%" else "absolute"
-    return float(np.mean(errors[kind].abs() <= to_si(claim.limit, claim.unit)))
-
-
-def _reached(summed: pd.Series, errors: pd.DataFrame, claim: Claim) -> tuple[str, str, str]:
-    kept = share(within(errors, claim))
-    if claim.unit == "%":
-        return (
-            format_percent(summed["rms_relative"]),
-            format_percent(summed["worst_relative"], signed=True),
-            kept,
-        )
-    return format_value(summed["rms"], claim.unit), format_value(summed["worst"], claim.unit), kept
-
-
-def claimed_table(found: Comparison, joint: int) -> Table:
-    """For each strategy, the share of traverses that keep to each of the thesis's claims."""
-    shared = found.shared
-    subset = shared[shared["joint"] == joint]
-    columns = [Column(_head(claim), "%", _of_whom(claim)) for claim in claims_of(joint)]
+def claimed_table(comparison: Comparison, joint: int) -> Table:
+    """For each strategy, the share of traverses within each of the thesis's claims."""
+    subset, claims = comparison.shared[comparison.shared["joint"] == joint], claims_of(joint)
+    columns = [Column(claim.label, "%", claim.model) for claim in claims]
     body = []
-    for strategy in found.compared(joint):
+    for strategy in comparison.compared(joint):
         own = subset[subset["strategy"] == strategy]
-        body.append((strategy, *(share(within(own, claim)) for claim in claims_of(joint))))
+        body.append((strategy, *(claim.format_kept(own[claim.kind]) for claim in claims)))
     caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
     return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset_text(NOTE))
-
-
-def _head(claim: Claim) -> str:
-    return f"±{format_plain(claim.limit)} {claim.unit}"
-
-
-def _of_whom(claim: Claim) -> str:
-    return "law" if claim.model == "law" else "constant step"

@@ -28,44 +28,45 @@ from stickslip_fit.strategies.base import (
 )
 
 Loss = Callable[[Array], Array]
-"""Information matrices, shape (m, p, p), to what is to be small, shape (m,)."""
+"""From information matrices, shape (m, p, p), to the criterion to minimize, shape (m,)."""
 
 IMPROVEMENT_TOL = 1e-9
 
 
 def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
-    """Rows whose information is best, no row twice.
+    """The design of least loss by greedy addition and exchange, no row twice.
 
     Parameters
     ----------
     jacobian : array, shape (n, p)
-        Slopes of each row's response, over its standard deviation.
+        Of each row's response, over its standard deviation.
     count : int
         At most n.
     loss : callable
     prior : array, shape (p, p)
-        Information that is there already; positive definite.
+        Prior information; positive definite.
 
     Returns
     -------
     array of int, shape (count,)
         In ascending order.
     """
-    each = jacobian[:, :, None] * jacobian[:, None, :]
+    single, rows = jacobian[:, :, None] * jacobian[:, None, :], np.arange(len(jacobian))
     chosen: list[int] = []
     while len(chosen) < count:
-        left = _remaining_rows(len(each), chosen)
-        chosen.append(int(left[np.argmin(loss(prior + each[chosen].sum(axis=0) + each[left]))]))
-    best = float(loss((prior + each[chosen].sum(axis=0))[None])[0])
-    while len(left := _remaining_rows(len(each), chosen)):
-        here = prior + each[chosen].sum(axis=0)
-        swapped = here - each[chosen][:, None] + each[left][None]
-        losses = loss(swapped.reshape(-1, *here.shape))
+        remaining = np.setdiff1d(rows, chosen)
+        losses = loss(prior + single[chosen].sum(axis=0) + single[remaining])
+        chosen.append(int(remaining[np.argmin(losses)]))
+    best = float(loss((prior + single[chosen].sum(axis=0))[None])[0])
+    while len(remaining := np.setdiff1d(rows, chosen)):
+        information = prior + single[chosen].sum(axis=0)
+        exchanged = information - single[chosen][:, None] + single[remaining][None]
+        losses = loss(exchanged.reshape(-1, *information.shape))
         if not losses.min() < best - IMPROVEMENT_TOL * abs(best):
             break
         best = float(losses.min())
-        out, into = divmod(int(np.argmin(losses)), len(left))
-        chosen[out] = int(left[into])
+        removed, added = divmod(int(np.argmin(losses)), len(remaining))
+        chosen[removed] = int(remaining[added])
     return np.sort(np.array(chosen, dtype=np.intp))
 
 
@@ -84,15 +85,11 @@ def mean_variance_loss(region: Array) -> Loss:
     return loss
 
 
-def _remaining_rows(rows: int, chosen: list[int]) -> IntArray:
-    return np.setdiff1d(np.arange(rows), chosen)
-
-
 @dataclass(frozen=True)
 class ClosedForm:
-    """The thesis's configurations: three traverses of joint 3 each way, four of a rotary joint.
+    """The thesis's configurations: in each direction three traverses of joint 3, four of a rotary joint.
 
-    So many traverses leave one solution, the one that the closed form writes down.
+    With so many traverses, least squares gives the solution of the closed form.
     """
 
     name: ClassVar[str] = "closed form"
@@ -101,9 +98,9 @@ class ClosedForm:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, task.law)
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, made)
+        return make_least_squares_predictor(task, task.law, measured)
 
 
 @dataclass(frozen=True)
@@ -116,45 +113,40 @@ class ConstantStepStrategy:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, constant_law(task.law))
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, constant_law(task.law), made)
+        return make_least_squares_predictor(task, constant_law(task.law), measured)
 
 
 def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:
     """Positions among the offered traverses of a law's own calibration, one for each parameter.
 
-    The law's calibration is asked of the joint's published features, so that a constant step is measured
-    in a configuration of the law that it stands beside.
+    A constant step is measured in the first calibration configuration of the law that it is compared with.
 
     Raises
     ------
-    Unsuited
+    NotApplicable
         If the session lacks one, naming it.
     """
-    wanted = task.law.calibration()[: len(law.parameters)]
+    required = task.law.calibration()[: len(law.parameters)]
     picked = pick_calibration(task.law, task.offered, group_rows(task.offered), task.machine)[0]
-    picked = picked[: len(wanted)]
-    lacking = [
-        describe_configuration(configuration)
-        for configuration, k in zip(wanted, picked, strict=True)
-        if k < 0
-    ]
-    if lacking:
-        raise NotApplicable(f"the session lacks {'; '.join(lacking)}")
+    picked = picked[: len(required)]
+    missing = [describe_configuration(required[k]) for k in np.flatnonzero(picked < 0)]
+    if missing:
+        raise NotApplicable(f"the session lacks {'; '.join(missing)}")
     return picked
 
 
-PRIOR_INFORMATION = 1e-9  # share of a traverse's information: what is known before the first
+PRIOR_INFORMATION = 1e-9  # of a traverse's information
 MAX_DRAWS = 100
 
 
 class Design(Protocol):
-    """A way to choose traverses."""
+    """An experimental design: which traverses to measure."""
 
     @property
     def name(self) -> str:
-        """An adverb: how they are chosen."""
+        """Qualifies the traverses, such as "random"."""
         ...
 
     def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
@@ -162,15 +154,12 @@ class Design(Protocol):
 
         Parameters
         ----------
-        task : Task
-        count : int
         spread : float, optional
-            How far the parameters are known before the first traverse, in units of their scales; by default
-            nothing is known of them.
+            Prior standard deviation of the parameters, in units of their scales; by default infinite.
 
         Raises
         ------
-        Unsuited
+        NotApplicable
             If fewer are offered.
         """
         ...
@@ -178,7 +167,7 @@ class Design(Protocol):
 
 @dataclass(frozen=True)
 class Thesis:
-    """The thesis's calibration, then what the lab drove next."""
+    """The thesis's calibration, then the session's next traverses."""
 
     name: ClassVar[str] = "thesis"
 
@@ -186,16 +175,16 @@ class Thesis:
         """See `Design.pick`."""
         _check_count(task, count)
         first = pick_calibration_traverses(task, task.law)
-        rest = np.setdiff1d(np.arange(len(task.offered)), first)
-        return np.concatenate([first, rest])[:count]
+        others = np.setdiff1d(np.arange(len(task.offered)), first)
+        return np.concatenate([first, others])[:count]
 
 
 @dataclass(frozen=True)
 class AtRandom:
-    """Any that determine the parameters; the same for the same seed, session and direction.
+    """Random ones that determine the parameters; the same for the same seed, session and direction.
 
-    It may still leave two solutions, of which least squares may take the wrong one: with the base level
-    throughout, b and c / a of joint 3 can change places.
+    Least squares may still have two solutions and find the wrong one: with the base level throughout, b and
+    c / a of joint 3 are exchangeable.
     """
 
     seed: int = 0
@@ -215,7 +204,7 @@ class AtRandom:
 
 @dataclass(frozen=True)
 class DOptimal:
-    """Those that pin the parameters down best, all taken together."""
+    """Those of least generalized variance of the parameters."""
 
     name: ClassVar[str] = "D-optimal"
 
@@ -226,7 +215,7 @@ class DOptimal:
 
 @dataclass(frozen=True)
 class IOptimal:
-    """Those that predict the session's configurations best, on average."""
+    """Those of least mean variance of predictions over the session's configurations."""
 
     name: ClassVar[str] = "I-optimal"
 
@@ -240,8 +229,8 @@ def _pick_optimal(
 ) -> IntArray:
     _check_count(task, count)
     slopes = _scaled_jacobian(task)
-    known = PRIOR_INFORMATION if spread is None else (task.repeatability / spread) ** 2
-    return exchange_rows(slopes, count, criterion(slopes), known * np.eye(slopes.shape[1]))
+    prior = PRIOR_INFORMATION if spread is None else (task.repeatability / spread) ** 2
+    return exchange_rows(slopes, count, criterion(slopes), prior * np.eye(slopes.shape[1]))
 
 
 def _scaled_jacobian(task: CalibrationTask) -> Array:

@@ -34,14 +34,7 @@ POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "start", "stop"]
 
 @dataclass(frozen=True, eq=False)
 class EvaluationCase:
-    """A task, with all that was measured in its session.
-
-    Attributes
-    ----------
-    task : Task
-    rows : DataFrame
-        Every usable traverse of the joint and direction, counts included.
-    """
+    """A task, with every usable traverse of its session, joint and direction, counts included."""
 
     task: CalibrationTask
     rows: pd.DataFrame
@@ -49,14 +42,14 @@ class EvaluationCase:
 
 @dataclass(frozen=True, eq=False)
 class EvaluationTables:
-    """What came of all trials; SI.
+    """Results of all strategies in all cases; SI.
 
     Attributes
     ----------
     errors : DataFrame
-        Of each strategy, each traverse that it did not calibrate from: strategy, traverse (its place among
-        the log's usable ones), session, joint, direction, where everything stood, measured and predicted
-        mean step size, and sd, the relative standard deviation of what is predicted.
+        A row for each strategy and held-out traverse: strategy, traverse (index among the log's usable
+        ones), session, joint, direction, the columns of its position, measured and predicted mean step
+        size, and sd, the prediction's relative standard deviation.
     costs : DataFrame
         strategy, session, joint, direction; traverses, steps and seconds of stepping.
     left_out : DataFrame
@@ -74,7 +67,7 @@ def make_cases(log: Log, session_selector: SessionSelector) -> Iterator[Evaluati
     Raises
     ------
     InputError
-        If the log has no usable traverse, or a joint none that repeats or is left over by a fit.
+        If the log has no usable traverse, or a joint's repeatability cannot be estimated.
     """
     rows = usable_rows(log)
     for joint in log.joints:
@@ -84,69 +77,48 @@ def make_cases(log: Log, session_selector: SessionSelector) -> Iterator[Evaluati
         law = published_law(joint, subset, log.machine)
         noise = _estimate_repeatability(law, subset, log)
         for direction in ("+", "-"):
-            yield from _cases_of_direction(
-                log, law, subset[subset["direction"] == direction], noise, session_selector
-            )
+            own = subset[subset["direction"] == direction]
+            for session in own["session"].unique():
+                measured = own[own["session"] == session]
+                offered = select_first_traverses(measured).drop(columns="steps")
+                others = own[own["session"].isin(session_selector(log.sessions, session))]
+                task = CalibrationTask(
+                    session, direction, law, log.machine, offered, others, noise[direction]
+                )
+                yield EvaluationCase(task, measured)
 
 
-def evaluate_strategies(trials: Sequence[EvaluationCase], strategies: Sequence[Strategy]) -> EvaluationTables:
-    """Let every strategy calibrate in every trial.
+def evaluate_strategies(cases: Sequence[EvaluationCase], strategies: Sequence[Strategy]) -> EvaluationTables:
+    """Let every strategy calibrate every case and predict the traverses that it did not calibrate from.
 
     Raises
     ------
     InputError
         If a strategy chooses what is not offered.
     """
-    errors, spent, left_out = [], [], []
-    for trial in trials:
-        task = trial.task
+    errors, costs, left_out = [], [], []
+    for case in cases:
+        task = case.task
         for strategy in strategies:
-            label = {
-                "strategy": strategy.name, "session": task.session,
-                "joint": task.law.joint, "direction": task.direction,
-            }  # fmt: skip
+            label = (strategy.name, task.session, task.law.joint, task.direction)
             try:
-                made, predicted = _evaluate_case(strategy, trial)
-            except NotApplicable as why:
-                left_out.append({**label, "reason": str(why)})
+                measured, predicted = _evaluate_case(strategy, case)
+            except NotApplicable as error:
+                left_out.append((*label, str(error)))
                 continue
             errors.append(predicted.assign(strategy=strategy.name))
-            seconds, steps = float(stepping_seconds(made).sum()), int(made["steps"].sum())
-            spent.append({**label, "traverses": len(made), "steps": steps, "seconds": seconds})
+            steps, seconds = int(measured["steps"].sum()), float(stepping_seconds(measured).sum())
+            costs.append((*label, len(measured), steps, seconds))
+    none = pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"])
     return EvaluationTables(
-        pd.concat(errors, ignore_index=True) if errors else _empty_errors(),
-        pd.DataFrame(spent, columns=[*_LABEL_COLUMNS, "traverses", "steps", "seconds"]),
+        pd.concat(errors, ignore_index=True) if errors else none,
+        pd.DataFrame(costs, columns=[*_LABEL_COLUMNS, "traverses", "steps", "seconds"]),
         pd.DataFrame(left_out, columns=[*_LABEL_COLUMNS, "reason"]),
     )
 
 
 _LABEL_COLUMNS = ("strategy", "session", "joint", "direction")
-_ERROR_COLUMNS = [
-    "traverse",
-    "session",
-    "joint",
-    "direction",
-    *POSITION_COLUMNS,
-    "measured",
-    "predicted",
-    "sd",
-]
-
-
-def _empty_errors() -> pd.DataFrame:
-    return pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"])
-
-
-def _cases_of_direction(
-    log: Log, law: StepLaw, rows: pd.DataFrame, noise: dict[str, float], session_selector: SessionSelector
-) -> Iterator[EvaluationCase]:
-    for session in rows["session"].unique():
-        subset = rows[rows["session"] == session]
-        direction = str(subset["direction"].iloc[0])
-        offered = select_first_traverses(subset).drop(columns="steps")
-        others = rows[rows["session"].isin(session_selector(log.sessions, session))]
-        task = CalibrationTask(session, direction, law, log.machine, offered, others, noise[direction])
-        yield EvaluationCase(task, subset)
+_ERROR_COLUMNS = ["traverse", *_LABEL_COLUMNS[1:], *POSITION_COLUMNS, "measured", "predicted", "sd"]
 
 
 def choose_traverses(strategy: Strategy, task: CalibrationTask) -> npt.NDArray[np.intp]:
@@ -154,7 +126,7 @@ def choose_traverses(strategy: Strategy, task: CalibrationTask) -> npt.NDArray[n
 
     Raises
     ------
-    Unsuited
+    NotApplicable
         If the session does not offer what it needs.
     InputError
         If it chooses one that is not offered, or one twice.
@@ -168,40 +140,46 @@ def choose_traverses(strategy: Strategy, task: CalibrationTask) -> npt.NDArray[n
     return chosen
 
 
-def _evaluate_case(strategy: Strategy, trial: EvaluationCase) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The traverses made, and what is predicted of the others."""
-    task = trial.task
-    made = trial.rows.loc[task.offered.index[choose_traverses(strategy, task)]]
-    held_out = trial.rows.drop(index=made.index)
+def _evaluate_case(strategy: Strategy, case: EvaluationCase) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The chosen traverses, and the predictions of the others."""
+    task = case.task
+    measured = case.rows.loc[task.offered.index[choose_traverses(strategy, task)]]
+    test_rows = case.rows.drop(index=measured.index)
     try:
-        mean, sd = strategy.calibrate(task, made)(held_out)
-    except InputError as why:
-        raise NotApplicable(str(why)) from None
+        mean, sd = strategy.calibrate(task, measured)(test_rows)
+    except InputError as error:
+        raise NotApplicable(str(error)) from None
     if not np.all(np.isfinite(mean)):
         raise NotApplicable("its law would stall in a traverse that is to be predicted")
-    seen = expected_steps(held_out["steps"], held_out["check_every"])
-    table = held_out[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
-        traverse=held_out.index,
-        measured=traverse_length(held_out) / seen,
-        predicted=traverse_length(held_out) / np.exp(np.asarray(mean)),
+    counts = expected_steps(test_rows["steps"], test_rows["check_every"])
+    table = test_rows[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
+        traverse=test_rows.index,
+        measured=traverse_length(test_rows) / counts,
+        predicted=traverse_length(test_rows) / np.exp(np.asarray(mean)),
         sd=np.asarray(sd),
     )
-    return made, table[_ERROR_COLUMNS]
+    return measured, table[_ERROR_COLUMNS]
 
 
 def _estimate_repeatability(law: StepLaw, rows: pd.DataFrame, log: Log) -> dict[str, float]:
-    """Of each direction, from replicates where there are enough, else from what a fit leaves over."""
+    """Of each direction, from replicates where there are enough, else from the residuals of a fit."""
     replicates = estimate_from_replicates(law, rows)
-    left_over = fit_joint(law, rows, log.machine)[0].repeatability
-    found = {
-        direction: replicates[direction] if replicates[direction].df >= MIN_DF else left_over[direction]
+    residual = fit_joint(law, rows, log.machine)[0].repeatability
+    by_direction = {
+        direction: replicates[direction] if replicates[direction].df >= MIN_DF else residual[direction]
         for direction in rows["direction"].unique()
     }
-    known = {direction: each.value for direction, each in found.items() if each.df > 0 and each.value > 0}
+    known = {
+        direction: level.value
+        for direction, level in by_direction.items()
+        if level.df > 0 and level.value > 0
+    }
     if not known:
         raise InputError(
             f"joint {law.joint}: nothing shows how well a traverse repeats, so that no difference between "
             "strategies could be judged; log some traverses twice"
         )
-    # A direction of which nothing is known borrows the other's.
-    return {direction: known.get(direction, float(np.mean(list(known.values())))) for direction in found}
+    # A direction without data takes the other's value.
+    return {
+        direction: known.get(direction, float(np.mean(list(known.values())))) for direction in by_direction
+    }

@@ -1,11 +1,11 @@
 """The built-in strategies: least squares, hierarchical Bayes, and either of them with known causes.
 
-The uncertainty of the causes' parameters is propagated by recalibrating with each of them shifted.
+The uncertainty of the causes' parameters is propagated by recalibrating with each of them changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,15 +47,7 @@ from stickslip_fit.strategies.designs import (
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Fit the law to as many traverses as it has parameters, and some more.
-
-    Attributes
-    ----------
-    design : Design
-        Which traverses.
-    more : int
-        How many beyond the number of parameters.
-    """
+    """Fit the law to traverses chosen by a design, `more` beyond the number of parameters."""
 
     design: Design
     more: int = 0
@@ -69,24 +61,22 @@ class LeastSquares:
         """See `Strategy.choose`."""
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, made)
+        return make_least_squares_predictor(task, task.law, measured)
 
 
 @dataclass(frozen=True)
 class Hierarchical:
-    """Today's parameters, drawn from what the sessions looked back on have in common.
+    """Empirical Bayes: a session's parameters with the other sessions' distribution as their prior.
 
-    The model and the priors are those of `fit.bayes`. Where that draws how far sessions spread and how well
-    counts repeat, this takes their likeliest values (empirical Bayes): given those, sessions are Gaussian
-    under the linearised law, so that a session costs milliseconds and no draws.
+    Model and priors are those of `bayes`, with the hyperparameters (spread of the sessions, repeatability)
+    at their posterior mode; under the linearized law a session's posterior is then Gaussian.
 
     Attributes
     ----------
     traverses : int
-        How many to make today; fewer than the law's parameters will do.
-    design : Design
+        Measured in the session; may be fewer than the law's parameters.
     """
 
     traverses: int
@@ -101,60 +91,43 @@ class Hierarchical:
         """See `Strategy.choose`."""
         return self.design.pick(task, self.traverses, PRIOR_SPREAD)
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
         if task.others.empty:
             raise NotApplicable("there is no other session to look back on")
-        traverses = build_group_data(task.law, pd.concat([task.others, made]))
-        prior = weak_prior(task.law, traverses.rows)
-        marginal, mode, _ = linearize_at_mode(traverses, prior)
-        today = list(traverses.groups.table["session"]).index(task.session)
-        z, covariance = _session_posterior(marginal.conditional(mode[None]), today)
+        data = build_group_data(task.law, pd.concat([task.others, measured]))
+        prior = weak_prior(task.law, data.rows)
+        marginal, mode, _ = linearize_at_mode(data, prior)
+        session = list(data.groups.table["session"]).index(task.session)
+        z, covariance = _session_posterior(marginal.conditional(mode[None]), session)
         values = prior.centre + prior.width * z
         return make_predictor(task.law, values, covariance * np.outer(prior.width, prior.width))
 
 
-def _session_posterior(given: ConditionalPosterior, session: int) -> tuple[Array, Array]:
-    """Mean, shape (p,), and covariance, shape (p, p), of a session's z given the levels."""
-    mean, tau = given.sessions(given.centre)[:, session, 0], given.tau[:, 0]
-    form, eye = given.form[:, :, session, 0], np.eye(len(tau))
-    inside = np.linalg.inv(eye + form)
-    # How z follows the campaign's mean, whose own uncertainty goes with it.
-    follows = eye - tau[:, None] * (inside @ form) / tau
-    campaign = np.linalg.inv(given.precision[:, :, 0])
-    return mean, tau[:, None] * inside * tau + follows @ campaign @ follows.T
-
-
-@dataclass(frozen=True, eq=False)
-class PerturbedPredictors:
-    """Predictions with one cause's size a little larger and a little smaller.
-
-    Attributes
-    ----------
-    place : int
-        Of the size among the causes' parameters.
-    apart : float
-        Between the two sizes, SI.
-    ahead, lower : callable
-    """
-
-    place: int
-    apart: float
-    ahead: Predictor
-    lower: Predictor
+def _session_posterior(posterior: ConditionalPosterior, session: int) -> tuple[Array, Array]:
+    """Mean, shape (p,), and covariance, shape (p, p), of a session's z given the hyperparameters."""
+    mean, tau = posterior.sessions(posterior.centre)[:, session, 0], posterior.tau[:, 0]
+    form, eye = posterior.form[:, :, session, 0], np.eye(len(tau))
+    shrinkage = np.linalg.inv(eye + form)
+    # Derivative of z by the campaign's mean, whose uncertainty is propagated.
+    response = eye - tau[:, None] * (shrinkage @ form) / tau
+    campaign = np.linalg.inv(posterior.precision[:, :, 0])
+    return mean, tau[:, None] * shrinkage * tau + response @ campaign @ response.T
 
 
 @dataclass(frozen=True, eq=False)
 class WithCauses:
     """Another strategy, with causes of known size in the law.
 
+    The uncertainty of the sizes adds to the predictions' standard deviations, and what the causes explain
+    reduces the repeatability.
+
     Attributes
     ----------
     strategy : Strategy
-        Calibrates what the law has of its own.
-    known : mapping of str to KnownCauses or str
-        By session, from what it was not part of; or why that could not be known. What is not sure of them
-        goes into the standard deviations of what is predicted, and what they explain leaves the scatter.
+        Calibrates the law's own parameters.
+    known : mapping of str to FixedCauses or str
+        By session, from other sessions; or why that was not possible.
     """
 
     strategy: Strategy
@@ -167,20 +140,34 @@ class WithCauses:
 
     def choose(self, task: CalibrationTask) -> IntArray:
         """See `Strategy.choose`."""
-        return self.strategy.choose(replace(task, law=_fix_causes(task, self._known(task))))
+        known = self._known(task)
+        return self.strategy.choose(replace(task, law=FixedCauseLaw(task.law, known.causes, known.values)))
 
-    def calibrate(self, task: CalibrationTask, made: pd.DataFrame) -> Predictor:
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
         known = self._known(task)
-        repeatability = _estimate_repeatability(_fix_causes(task, known), task)
+        nominal = FixedCauseLaw(task.law, known.causes, known.values)
+        repeatability = _estimate_repeatability(nominal, task)
 
-        def calibrated(sizes: Array) -> Predictor:
+        def calibrate_with(sizes: Array) -> Predictor:
             law = FixedCauseLaw(task.law, known.causes, sizes)
-            return self.strategy.calibrate(replace(task, law=law, repeatability=repeatability), made)
+            return self.strategy.calibrate(replace(task, law=law, repeatability=repeatability), measured)
 
-        return _propagate_uncertainty(
-            known, calibrated(known.values), _perturb_sizes(task, known, calibrated)
-        )
+        # Recalibrated with each uncertain size changed: a wrong size changes the calibration traverses too.
+        centre, perturbed = calibrate_with(known.values), {}
+        for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
+            step = DIFFERENCE_STEP * nominal.extended.sizes[k]
+            change = step * (np.arange(len(known.values)) == k)
+            perturbed[k] = step, calibrate_with(known.values + change), calibrate_with(known.values - change)
+
+        def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
+            mean, sd = centre(rows)
+            jacobian = np.zeros((len(rows), len(known.values)))
+            for k, (step, upper, lower) in perturbed.items():
+                jacobian[:, k] = (upper(rows)[0] - lower(rows)[0]) / (2 * step)
+            return mean, np.hypot(sd, response_sd(jacobian, known.covariance))
+
+        return predict
 
     def _known(self, task: CalibrationTask) -> FixedCauses:
         known = self.known[task.session]
@@ -189,69 +176,31 @@ class WithCauses:
         return known
 
 
-def _fix_causes(task: CalibrationTask, known: FixedCauses) -> FixedCauseLaw:
-    return FixedCauseLaw(task.law, known.causes, known.values)
-
-
 def _estimate_repeatability(law: FixedCauseLaw, task: CalibrationTask) -> float:
-    """What is left of the scatter with the causes in the law.
+    """Repeatability with the causes in the law: the smaller of the task's and of the residuals' deviation.
 
-    Replicates hours apart also hold what the causes did between them, and what the law leaves over of the
-    other sessions also holds what it lacks: the scatter is no larger than either.
+    Both are upper limits: replicates hours apart contain effects of the causes, and residuals of the other
+    sessions those of what the law lacks.
     """
     if task.others.empty:
         return task.repeatability
-    found = solve_law(law, task.others, task.repeatability)
+    solution = solve_law(law, task.others, task.repeatability)
     y, rounding = law.response(task.others)
-    residual = y - law.predict(task.others, found.values[found.groups.of_row])
-    df = int(len(y) - found.known.sum())
-    left_over = pool_residuals(residual, rounding, df, "residuals")
-    return min(task.repeatability, left_over.value) if left_over.df >= MIN_DF else task.repeatability
-
-
-def _perturb_sizes(
-    task: CalibrationTask, known: FixedCauses, calibrated: Callable[[Array], Predictor]
-) -> list[PerturbedPredictors]:
-    """What would be predicted if each size that has an error bar were a little different.
-
-    The calibration is made again: what a wrong size does to the traverses to predict, it did to those that
-    were calibrated from, too.
-    """
-    scales = _fix_causes(task, known).extended.sizes
-    found = []
-    for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
-        step = DIFFERENCE_STEP * scales[k]
-        aside = step * (np.arange(len(scales)) == k)
-        ahead, behind = (calibrated(known.values + direction * aside) for direction in (1, -1))
-        found.append(PerturbedPredictors(int(k), 2 * step, ahead, behind))
-    return found
-
-
-def _propagate_uncertainty(
-    known: FixedCauses, middle: Predictor, neighbours: Sequence[PerturbedPredictors]
-) -> Predictor:
-    def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-        mean, sd = middle(rows)
-        slopes = np.zeros((len(rows), len(known.values)))
-        for near in neighbours:
-            slopes[:, near.place] = (near.ahead(rows)[0] - near.lower(rows)[0]) / near.apart
-        return mean, np.hypot(sd, response_sd(slopes, known.covariance))
-
-    return predict
+    residual = y - law.predict(task.others, solution.values[solution.groups.of_row])
+    df = int(len(y) - solution.known.sum())
+    residual_sd = pool_residuals(residual, rounding, df, "residuals")
+    return min(task.repeatability, residual_sd.value) if residual_sd.df >= MIN_DF else task.repeatability
 
 
 def causes_from_other_sessions(
     log: Log, causes: Sequence[Cause], session_selector: SessionSelector = other_sessions
 ) -> dict[str, FixedCauses | str]:
-    """Fit causes on the sessions that each session may look back on.
+    """Sizes of causes for each session, fitted to the other sessions that `session_selector` gives it.
 
-    Parameters
-    ----------
-    log : Log
-    causes : sequence of Cause
-        Such as a diagnosis named.
-    at_hand : callable, optional
-        Which sessions these are.
+    Returns
+    -------
+    dict of str to FixedCauses or str
+        By session; where they cannot be fitted, the reason.
     """
     known: dict[str, FixedCauses | str] = {}
     for session in log.sessions:
@@ -260,20 +209,20 @@ def causes_from_other_sessions(
             known[session] = "there is no other session to fit its causes on"
             continue
         try:
-            fitted = fit_least_squares(log.select(log.rows["session"].isin(others)), causes=causes)
-            known[session] = fixed_causes(fitted)
+            result = fit_least_squares(log.select(log.rows["session"].isin(others)), causes=causes)
+            known[session] = fixed_causes(result)
         except InputError as error:
             known[session] = f"its causes cannot be fitted on the other sessions: {error}"
     return known
 
 
 def causes_from_result(log: Log, result: Result) -> dict[str, FixedCauses | str]:
-    """Take the causes of a saved result for known in every session.
+    """The causes of a saved result, as fixed causes of every session.
 
     Raises
     ------
     InputError
-        If it was fitted to this very log, is of another machine, or knows no causes.
+        If the result was fitted to this log, is of another machine, or has no causes.
     """
     if result.provenance.log_sha256 == log.sha256:
         raise InputError(
@@ -289,18 +238,18 @@ EXTRA_TRAVERSES = 4
 
 
 def default_strategies_with_causes(
-    known: Mapping[str, FixedCauses | str], more: int = EXTRA_TRAVERSES
+    known: Mapping[str, FixedCauses | str], extra: int = EXTRA_TRAVERSES
 ) -> tuple[Strategy, ...]:
-    """Two of the usual ones with causes of known size in the law; see `WithCauses`."""
-    return (WithCauses(ClosedForm(), known), WithCauses(LeastSquares(IOptimal(), more), known))
+    """Closed form and least squares, with causes of known size in the law; see `WithCauses`."""
+    return (WithCauses(ClosedForm(), known), WithCauses(LeastSquares(IOptimal(), extra), known))
 
 
-def default_strategies(more: int = EXTRA_TRAVERSES, seed: int = 0) -> tuple[Strategy, ...]:
-    """The thesis's two, then least squares and Bayes on traverses chosen in several ways.
+def default_strategies(extra: int = EXTRA_TRAVERSES, seed: int = 0) -> tuple[Strategy, ...]:
+    """The thesis's two, then least squares and empirical Bayes with several designs.
 
     Parameters
     ----------
-    more : int, optional
+    extra : int, optional
         Traverses beyond the number of parameters, where least squares takes more.
     seed : int, optional
         Of those chosen at random.
@@ -313,12 +262,12 @@ def default_strategies(more: int = EXTRA_TRAVERSES, seed: int = 0) -> tuple[Stra
     return (
         ConstantStepStrategy(),
         ClosedForm(),
-        LeastSquares(Thesis(), more),
-        LeastSquares(AtRandom(seed), more),
+        LeastSquares(Thesis(), extra),
+        LeastSquares(AtRandom(seed), extra),
         LeastSquares(DOptimal()),
-        LeastSquares(DOptimal(), more),
+        LeastSquares(DOptimal(), extra),
         LeastSquares(IOptimal()),
-        LeastSquares(IOptimal(), more),
+        LeastSquares(IOptimal(), extra),
         Hierarchical(1),
         Hierarchical(2),
     )

@@ -10,7 +10,6 @@ holds for unbiased estimators that use the traverses of one session only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -45,49 +44,50 @@ def add_errors(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarize_errors(errors: pd.DataFrame, by: Sequence[str], unit: Sequence[str]) -> pd.DataFrame:
-    """Sum up errors, every unit (session) counting alike.
+    """Rms, bias and largest error, every sampling unit (session) with the same weight.
 
     Parameters
     ----------
     errors : DataFrame
-        As `with_errors` returns it.
+        As `add_errors` returns it.
     by : sequence of str
         Columns to group by.
     unit : sequence of str
-        Columns that say what was drawn at random: `SESSIONS`, or `CONFIGURATIONS` where there is one session.
+        Columns of the sampling unit: `SESSION_UNIT`, or `CONFIGURATION_UNIT` where there is one session.
 
     Returns
     -------
     DataFrame
         The columns `by`, traverses, units, and for absolute errors, and relative ones under ``_relative``:
-        rms and bias with ``_low`` and ``_high``, 95 % by Student's t over the units (of sizes by the
-        logarithm, and wide enough for heavy tails); worst, the largest error with its sign; typical_worst,
-        the mean of the units' worst sizes, with its interval. An interval is NaN where there is one unit,
-        and where it would reach beyond a factor of 100 either way.
+        rms and bias with ``_low`` and ``_high``, 95 % by Student's t over the units (of rms on the log
+        scale, and wide enough for heavy tails); worst, the largest error with its sign; typical_worst,
+        the mean of the units' largest absolute errors, with its interval. An interval is NaN where there is
+        one unit, and where it would reach beyond a factor of 100 either way.
     """
     keys = [*by, *(name for name in unit if name not in by)]
-    work = errors.assign(**{f"square_{kind}": errors[kind] ** 2 for kind in ERROR_SCALES.values()})
-    work = work.assign(**{f"size_{kind}": errors[kind].abs() for kind in ERROR_SCALES.values()})
-    each = work.groupby(keys, dropna=False, observed=True, sort=False).agg(
-        **{f"square_{kind}": (f"square_{kind}", "mean") for kind in ERROR_SCALES.values()},
-        **{f"mean_{kind}": (kind, "mean") for kind in ERROR_SCALES.values()},
-        **{f"worst_{kind}": (f"size_{kind}", "max") for kind in ERROR_SCALES.values()},
-    )
-    units = each.groupby(level=list(by), dropna=False, observed=True, sort=False)
+    columns: dict[str, pd.Series] = {}
+    rules: dict[str, tuple[str, str]] = {}
+    for kind in ERROR_SCALES.values():
+        columns |= {f"square_{kind}": errors[kind] ** 2, f"size_{kind}": errors[kind].abs()}
+        rules[f"square_{kind}"] = (f"square_{kind}", "mean")
+        rules[f"mean_{kind}"] = (kind, "mean")
+        rules[f"worst_{kind}"] = (f"size_{kind}", "max")
+    by_unit = errors.assign(**columns).groupby(keys, dropna=False, observed=True, sort=False).agg(**rules)
+    units = by_unit.groupby(level=list(by), dropna=False, observed=True, sort=False)
     groups = errors.groupby(list(by), dropna=False, observed=True, sort=False)
-    found = pd.DataFrame({"traverses": groups["traverse"].nunique(), "units": units.size()})
+    summary = pd.DataFrame({"traverses": groups["traverse"].nunique(), "units": units.size()})
     for suffix, kind in ERROR_SCALES.items():
-        square, half = _log_interval(each, f"square_{kind}", by)
-        _add_log_interval(found, f"rms{suffix}", np.sqrt(square), half / 2)
+        square, half = _log_interval(by_unit, f"square_{kind}", by)
+        _add_log_interval(summary, f"rms{suffix}", np.sqrt(square), half / 2)
         bias, error = units[f"mean_{kind}"].mean(), units[f"mean_{kind}"].std(ddof=1) / np.sqrt(units.size())
-        found[f"bias{suffix}"] = bias
-        found[f"bias{suffix}_low"] = bias - t_half_width(found["units"]) * error
-        found[f"bias{suffix}_high"] = bias + t_half_width(found["units"]) * error
+        summary[f"bias{suffix}"] = bias
+        summary[f"bias{suffix}_low"] = bias - t_half_width(summary["units"]) * error
+        summary[f"bias{suffix}_high"] = bias + t_half_width(summary["units"]) * error
         high, low = groups[kind].max(), groups[kind].min()
-        found[f"worst{suffix}"] = high.where(high >= -low, low)
-        worst, half = _log_interval(each, f"worst_{kind}", by)
-        _add_log_interval(found, f"typical_worst{suffix}", worst, half)
-    return found.reset_index()
+        summary[f"worst{suffix}"] = high.where(high >= -low, low)
+        worst, half = _log_interval(by_unit, f"worst_{kind}", by)
+        _add_log_interval(summary, f"typical_worst{suffix}", worst, half)
+    return summary.reset_index()
 
 
 def t_half_width(units: npt.ArrayLike) -> Array:
@@ -96,82 +96,73 @@ def t_half_width(units: npt.ArrayLike) -> Array:
     return np.asarray(student_t.ppf(0.5 + COVERAGE / 2, np.where(df > 0, df, np.nan)))
 
 
-def _log_interval(each: pd.DataFrame, name: str, by: Sequence[str]) -> tuple[pd.Series, pd.Series]:
-    """Mean of what is above 0, and the half-width of an interval of its logarithm.
+def _log_interval(by_unit: pd.DataFrame, name: str, by: Sequence[str]) -> tuple[pd.Series, pd.Series]:
+    """Mean of positive numbers over the units, and the half-width of the 95 % interval of its logarithm.
 
-    Cox's width, of the mean of log-normal numbers (Zhou and Gao, Stat. Med. 16:783, 1997), allows for small
-    means that come with small spreads; the width from the spread itself, for tails that are no log-normal
-    ones. Neither holds by itself under scatter like Student's t with 5 degrees of freedom (88 to 93 % of 95);
-    their squares' sum does, and is wide where the scatter is Gaussian (97 to nearly 100 %).
+    Cox's width for the mean of log-normal numbers (Zhou and Gao, Stat. Med. 16:783, 1997) is right where a
+    small mean comes with a small spread; that of the sample mean, where tails are heavier than log-normal.
+    Under scatter like Student's t with 5 df either covers 88 to 93 %. The root of their squares' sum covers
+    95 %, and 97 to nearly 100 % where the scatter is Gaussian.
     """
-    units = each[name].groupby(level=list(by), dropna=False, observed=True, sort=False)
-    size, mean = units.size(), units.mean()
-    # A unit may be right to the last step by luck; its logarithm must not rule all others.
-    kept = np.log(np.maximum(each[name], MIN_RELATIVE_SIZE * units.transform("mean")))
-    spread = kept.groupby(level=list(by), dropna=False, observed=True, sort=False).var(ddof=1)
+    groups = by_unit[name].groupby(level=list(by), dropna=False, observed=True, sort=False)
+    size, mean = groups.size(), groups.mean()
+    # A unit without error by chance has a logarithm that would dominate the spread.
+    logarithm = np.log(np.maximum(by_unit[name], MIN_RELATIVE_SIZE * groups.transform("mean")))
+    spread = logarithm.groupby(level=list(by), dropna=False, observed=True, sort=False).var(ddof=1)
     cox = spread / size + spread**2 / (2 * np.maximum(size - 1, 1))
-    plain = units.var(ddof=1) / mean**2 / size
+    plain = groups.var(ddof=1) / mean**2 / size
     return mean, t_half_width(size) * np.sqrt(cox + plain)
 
 
-def _add_log_interval(found: pd.DataFrame, name: str, value: pd.Series, half: pd.Series) -> None:
+def _add_log_interval(summary: pd.DataFrame, name: str, value: pd.Series, half: pd.Series) -> None:
     factor = np.exp(half.where(half <= np.log(MAX_INTERVAL_FACTOR)))
-    found[name] = value
-    found[f"{name}_low"], found[f"{name}_high"] = value / factor, value * factor
+    summary[name] = value
+    summary[f"{name}_low"], summary[f"{name}_high"] = value / factor, value * factor
 
 
-MIN_VARIANCES = 3  # variances that say anything about how variances spread
-MAX_LOG_PRIOR_DF = 12.0  # log of the most and of the fewest degrees of freedom that others may add
+MIN_VARIANCES = 3  # fewer do not determine their prior
+MAX_LOG_PRIOR_DF = 12.0  # largest absolute logarithm of half the prior's df
 
 
-@dataclass(frozen=True, eq=False)
-class EmpiricalBayesVariances:
-    """Variances drawn together.
-
-    Attributes
-    ----------
-    variance : array, shape (m,)
-    freedom : float
-        Degrees of freedom of each.
-    """
-
-    variance: Array
-    df: float
-
-
-def shrink_variances(variance: Array, df: int, most: int) -> EmpiricalBayesVariances:
-    """Draw variances towards what they have in common, the more alike they are.
+def shrink_variances(variance: Array, df: int, max_df: int) -> tuple[Array, float]:
+    """Shrink variances towards their common prior, by empirical Bayes (Smyth 2004).
 
     Parameters
     ----------
     variance : array, shape (m,)
         Above 0.
-    freedom : int
-        Degrees of freedom of each.
-    most : int
-        Degrees of freedom in all of them together, which none can have more than.
+    df : int
+        Of each.
+    max_df : int
+        Of all of them together; upper limit of the df returned.
+
+    Returns
+    -------
+    variance : array, shape (m,)
+    df : float
+        Of each, the prior's included.
 
     Examples
     --------
     Three variances that differ by no more than chance become one:
 
-    >>> found = shrink_variances(np.array([1.0, 0.5, 2.0]), df=2, most=6)
-    >>> found.variance.round(2), found.df
+    >>> variance, df = shrink_variances(np.array([1.0, 0.5, 2.0]), df=2, max_df=6)
+    >>> variance.round(2), df
     (array([1.78, 1.78, 1.78]), 6.0)
     """
     if len(variance) < MIN_VARIANCES:
-        return EmpiricalBayesVariances(variance, float(df))
+        return variance, float(df)
     half = df / 2.0
     log = np.log(variance) - digamma(half) + np.log(half)
-    beyond = float(np.var(log, ddof=1) - polygamma(1, half))
-    if beyond <= polygamma(1, np.exp(MAX_LOG_PRIOR_DF)):
-        return EmpiricalBayesVariances(np.full(len(variance), np.exp(log.mean())), float(most))
-    prior = np.exp(
-        brentq(lambda size: float(polygamma(1, np.exp(size))) - beyond, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF)
+    excess = float(np.var(log, ddof=1) - polygamma(1, half))
+    if excess <= polygamma(1, np.exp(MAX_LOG_PRIOR_DF)):
+        return np.full(len(variance), np.exp(log.mean())), float(max_df)
+    half_prior_df = np.exp(
+        brentq(lambda size: float(polygamma(1, np.exp(size))) - excess, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF)
     )
-    usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
-    drawn = (2.0 * prior * usual + df * variance) / (2.0 * prior + df)
-    return EmpiricalBayesVariances(drawn, float(min(2.0 * prior + df, most)))
+    prior_variance = np.exp(log.mean() + digamma(half_prior_df) - np.log(half_prior_df))
+    shrunk = (2.0 * half_prior_df * prior_variance + df * variance) / (2.0 * half_prior_df + df)
+    return shrunk, float(min(2.0 * half_prior_df + df, max_df))
 
 
 SIGNIFICANCE_LEVEL = 0.05
@@ -184,9 +175,9 @@ def compare_pairs(errors: pd.DataFrame, unit: Sequence[str]) -> pd.DataFrame:
     Parameters
     ----------
     errors : DataFrame
-        Of one joint, as `with_errors` returns it, the same traverses for every strategy.
+        Of one joint, as `add_errors` returns it, the same traverses for every strategy.
     unit : sequence of str
-        See `summarise`.
+        See `summarize_errors`.
 
     Returns
     -------
@@ -197,172 +188,159 @@ def compare_pairs(errors: pd.DataFrame, unit: Sequence[str]) -> pd.DataFrame:
         verdict on `strategy`.
     """
     names = list(dict.fromkeys(errors["strategy"]))
-    rms = {kind: _rms_by_unit(errors, kind, unit, names) for kind in ERROR_SCALES.values()}
-    pairs = list(combinations(range(len(names)), 2))
-    if not pairs:
+    squares = errors.assign(**{kind: errors[kind] ** 2 for kind in ERROR_SCALES.values()})
+    by_unit = squares.groupby([*unit, "strategy"], dropna=False, observed=True, sort=False)
+    rms = {  # shape (units, strategies)
+        kind: np.sqrt(by_unit[kind].mean().unstack("strategy")[names].to_numpy())
+        for kind in ERROR_SCALES.values()
+    }
+    combined = list(combinations(range(len(names)), 2))
+    if not combined:
         return pd.DataFrame()
-    first, second = np.array(pairs).T
-    found = pd.DataFrame(
-        {
-            "strategy": np.array(names, object)[first],
-            "other": np.array(names, object)[second],
-            "units": len(rms["relative"]),
-        }
-    )
+    first, second = np.array(combined).T
+    units, labels = len(rms["relative"]), np.array(names, object)
+    pairs = pd.DataFrame({"strategy": labels[first], "other": labels[second], "units": units})
     for suffix, kind in ERROR_SCALES.items():
         difference = rms[kind][:, first] - rms[kind][:, second]
-        mean, error = _mean_and_error(difference)
-        half = t_half_width(len(difference)) * error
-        found[f"difference{suffix}"] = mean
-        found[f"difference{suffix}_low"], found[f"difference{suffix}_high"] = mean - half, mean + half
-    # A strategy may be right to the last step by luck; its logarithm must not rule all others.
+        mean, half = difference.mean(axis=0), np.full(len(pairs), np.nan)
+        if units > 1:
+            half = t_half_width(units) * (difference.std(axis=0, ddof=1) / np.sqrt(units))
+        pairs[f"difference{suffix}"] = mean
+        pairs[f"difference{suffix}_low"], pairs[f"difference{suffix}_high"] = mean - half, mean + half
+    # A strategy without error by chance has a logarithm that would dominate all ratios.
     log = np.log(np.maximum(rms["relative"], MIN_RELATIVE_SIZE * rms["relative"].mean(axis=0)))
     log_ratio = log[:, first] - log[:, second]
-    found["p"] = paired_t_p_values(log_ratio, most=(len(names) - 1) * (len(log) - 1))
-    found["p_adjusted"] = adjust_holm(found["p"])
+    pairs["p"] = paired_t_p_values(log_ratio, max_df=(len(names) - 1) * (units - 1))
+    pairs["p_adjusted"] = adjust_holm(pairs["p"])
     less, more = (
-        (sign * found["difference_relative"] < 0) & (sign * log_ratio.mean(axis=0) < 0) for sign in (1, -1)
+        (sign * pairs["difference_relative"] < 0) & (sign * log_ratio.mean(axis=0) < 0) for sign in (1, -1)
     )
-    seen = found["p_adjusted"] < SIGNIFICANCE_LEVEL
-    found["verdict"] = np.select([seen & less, seen & more], [BETTER, WORSE], INDISTINGUISHABLE)
-    return found
+    significant = pairs["p_adjusted"] < SIGNIFICANCE_LEVEL
+    verdicts = [significant & less, significant & more]
+    pairs["verdict"] = np.select(verdicts, [BETTER, WORSE], INDISTINGUISHABLE)
+    return pairs
 
 
-def paired_t_p_values(log_ratios: Array, most: int) -> Array:
-    """Of the paired t test, shape (units, m) -> (m,); 1 where there is one unit or nothing differs.
-
-    The variances are moderated: three sessions alone could hardly show any difference of many.
+def paired_t_p_values(log_ratios: Array, max_df: int) -> Array:
+    """Of paired t tests with shrunken variances; 1 where there is one unit or nothing differs.
 
     Parameters
     ----------
     log_ratios : array, shape (units, m)
         Of what is compared, such as rms errors.
-    most : int
-        Degrees of freedom in all of them together.
+    max_df : int
+        Of all of them together, see `shrink_variances`.
+
+    Returns
+    -------
+    array, shape (m,)
 
     Examples
     --------
-    >>> paired_t_p_values(np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]]), most=2).round(3)
+    >>> paired_t_p_values(np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]]), max_df=2).round(3)
     array([0.074, 1.   ])
     """
-    units, found = len(log_ratios), np.ones(log_ratios.shape[1])
+    units, p_values = len(log_ratios), np.ones(log_ratios.shape[1])
     differ = np.flatnonzero(np.ptp(log_ratios, axis=0) > 0)
     if units > 1 and len(differ):
         mean, variance = log_ratios[:, differ].mean(axis=0), log_ratios[:, differ].var(axis=0, ddof=1)
-        moderated = shrink_variances(variance, units - 1, most)
-        found[differ] = 2 * student_t.sf(np.abs(mean) / np.sqrt(moderated.variance / units), moderated.df)
-    return found
-
-
-def _mean_and_error(differences: Array) -> tuple[Array, Array]:
-    if len(differences) < 2:
-        return differences.mean(axis=0), np.full(differences.shape[1], np.nan)
-    return differences.mean(axis=0), differences.std(axis=0, ddof=1) / np.sqrt(len(differences))
-
-
-def _rms_by_unit(errors: pd.DataFrame, kind: str, unit: Sequence[str], names: list[str]) -> Array:
-    """Shape (units, strategies)."""
-    squares = errors.assign(square=errors[kind] ** 2)
-    each = squares.groupby([*unit, "strategy"], dropna=False, observed=True, sort=False)["square"].mean()
-    return np.sqrt(each.unstack("strategy")[names].to_numpy())
+        shrunk, df = shrink_variances(variance, units - 1, max_df)
+        p_values[differ] = 2 * student_t.sf(np.abs(mean) / np.sqrt(shrunk / units), df)
+    return p_values
 
 
 def compute_bounds(
-    trials: Sequence[EvaluationCase], held_out: Array, most: int, handling: float
+    cases: Sequence[EvaluationCase], held_out: Array, max_traverses: int, handling_time: float
 ) -> pd.DataFrame:
-    """What the k traverses of a session that predict the held-out ones best could reach.
+    """Cramer-Rao bound of held-out errors with an I-optimal design of k traverses of the same session.
 
-    The bound is that of an unbiased estimate which knows only today's traverses, under a law that is right;
-    what borrows from other sessions may do better, and what is biased may be lucky.
+    The bound holds for unbiased estimates from that session's traverses only, under the true law. Estimates
+    that use other sessions too, and biased ones, may have smaller errors.
 
     Parameters
     ----------
-    trials : sequence of Trial
+    cases : sequence of EvaluationCase
         Of one joint.
     held_out : array of int
-        Places of the traverses that are predicted, see `Outcomes.errors`.
-    most : int
-        Traverses in a direction up to which to go.
-    handling : float
+        The traverses that are predicted, as `EvaluationTables.errors` numbers them.
+    max_traverses : int
+        Largest k, in one direction.
+    handling_time : float
         Seconds that a traverse costs beside its steps.
 
     Returns
     -------
     DataFrame
         traverses (in each direction), seconds (of a session, both directions), and rms, rms_relative, floor,
-        floor_relative of a held-out traverse: the bound, and what remains of it when the law is known.
+        floor_relative of a held-out traverse: the bound, and its part that remains when the law is known.
     """
-    tables = [
-        each
-        for trial in trials
-        if (each := _compute_case_bounds(trial, held_out, most, handling)) is not None
-    ]
-    if not tables:
+    tables = [_compute_case_bounds(case, held_out, max_traverses, handling_time) for case in cases]
+    if all(table.empty for table in tables):
         return pd.DataFrame()
-    table = pd.concat(tables)
-    both = table.groupby(["session", "traverses"], sort=False)
-    summed = both["seconds"].sum().groupby("traverses").mean()
+    table = pd.concat([table for table in tables if len(table)])
+    sessions = table.groupby(["session", "traverses"], sort=False)
+    summed = sessions["seconds"].sum().groupby("traverses").mean()
     weights = table["rows"]
     columns = ["square", "square_relative", "noise", "noise_relative"]
     pooled = table[columns].mul(weights, axis=0).assign(traverses=table["traverses"], rows=weights)
     sums = pooled.groupby("traverses").sum()
-    found = np.sqrt(sums[columns].div(sums["rows"], axis=0))
-    found.columns = pd.Index(["rms", "rms_relative", "floor", "floor_relative"])
-    return found.assign(seconds=summed).reset_index()
+    bounds = np.sqrt(sums[columns].div(sums["rows"], axis=0))
+    bounds.columns = pd.Index(["rms", "rms_relative", "floor", "floor_relative"])
+    return bounds.assign(seconds=summed).reset_index()
 
 
-def prediction_variance(jacobian: Array, made: Array, variance: Array) -> Array:
+def prediction_variance(jacobian: Array, measured: Array, variance: Array) -> Array:
     """Cramer-Rao bound of the variance of responses, shape (n, p) -> (n,).
 
     Parameters
     ----------
     jacobian : array, shape (n, p)
-        Slopes of the responses to predict.
-    made : array, shape (k, p)
-        Slopes of the traverses made.
+        Of the responses to predict.
+    measured : array, shape (k, p)
+        Jacobian of the measured responses.
     variance : array, shape (k,)
-        Of their responses.
+        Of the measured responses.
 
     Notes
     -----
-    What the traverses made leave open counts as known: a choice that is best for the rows to predict leaves
-    open only what these do not depend on.
+    Directions in parameter space that the measured traverses do not determine count as known: under a design
+    that is optimal for the rows to predict, these rows do not depend on them.
     """
-    estimator = np.linalg.pinv(made / np.sqrt(variance)[:, None], rcond=RANK_TOL)
+    estimator = np.linalg.pinv(measured / np.sqrt(variance)[:, None], rcond=RANK_TOL)
     return np.sum((jacobian @ estimator) ** 2, axis=1)
 
 
 def _compute_case_bounds(
-    trial: EvaluationCase, held_out: Array, most: int, handling: float
-) -> pd.DataFrame | None:
-    task, rows = trial.task, trial.rows
-    found = solve_law(task.law, rows, task.repeatability)
-    held = rows[rows.index.isin(held_out)]
-    if held.empty or not found.known.all():
-        return None
-    offered = rows.loc[task.offered.index]
-    y, rounding = task.law.response(rows)
-    variance = pd.Series(task.repeatability**2 + rounding, rows.index)
-    scales = task.law.scales(mean_step_sizes(found.groups, rows, y))[0]
-    slopes = task.law.jacobian(rows, np.broadcast_to(found.values[0], (len(rows), len(scales)))) * scales
-    of_row = pd.DataFrame(slopes, rows.index)
-    region, candidates = (of_row.loc[each.index].to_numpy() for each in (held, offered))
-    noise, step = (
-        variance[held.index].to_numpy(),
-        (traverse_length(held) / np.exp(y[rows.index.isin(held.index)])),
-    )
-    seconds = stepping_seconds(offered) + handling
-    lines = []
-    for count in range(len(scales), min(most, len(offered)) + 1):
-        prior = PRIOR_INFORMATION * np.eye(len(scales))
-        chosen = exchange_rows(candidates, count, mean_variance_loss(region), prior)
-        made = variance[offered.index].to_numpy()[chosen]
-        square = noise + prediction_variance(region, candidates[chosen], made)
-        lines.append(
+    case: EvaluationCase, held_out: Array, max_traverses: int, handling_time: float
+) -> pd.DataFrame:
+    task, rows, law = case.task, case.rows, case.task.law
+    solution = solve_law(law, rows, task.repeatability)
+    is_test = rows.index.isin(held_out)
+    if not is_test.any() or not solution.known.all():
+        return pd.DataFrame()
+    candidate = rows.index.get_indexer(task.offered.index)
+    y, rounding = law.response(rows)
+    variance = task.repeatability**2 + rounding
+    scales = law.scales(mean_step_sizes(solution.groups, rows, y))[0]
+    slopes = law.jacobian(rows, np.broadcast_to(solution.values[0], (len(rows), len(scales)))) * scales
+    noise, step = variance[is_test], traverse_length(rows[is_test]) / np.exp(y[is_test])
+    seconds = stepping_seconds(rows.iloc[candidate]) + handling_time
+    loss, prior = mean_variance_loss(slopes[is_test]), PRIOR_INFORMATION * np.eye(len(scales))
+    records = []
+    for count in range(len(scales), min(max_traverses, len(candidate)) + 1):
+        chosen = exchange_rows(slopes[candidate], count, loss, prior)
+        design = candidate[chosen]
+        square = noise + prediction_variance(slopes[is_test], slopes[design], variance[design])
+        records.append(
             {
-                "session": task.session, "traverses": count, "seconds": seconds[chosen].sum(),
-                "rows": len(held), "square": np.mean(square * step**2), "square_relative": np.mean(square),
-                "noise": np.mean(noise * step**2), "noise_relative": np.mean(noise),
+                "session": task.session,
+                "traverses": count,
+                "seconds": seconds[chosen].sum(),
+                "rows": len(noise),
+                "square": np.mean(square * step**2),
+                "square_relative": np.mean(square),
+                "noise": np.mean(noise * step**2),
+                "noise_relative": np.mean(noise),
             }
-        )  # fmt: skip
-    return pd.DataFrame(lines) if lines else None
+        )
+    return pd.DataFrame(records)

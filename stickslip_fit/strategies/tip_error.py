@@ -20,28 +20,27 @@ from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, plan_steps, simulate_open_loop
 from stickslip_fit.moves.path import decompose
-from stickslip_fit.moves.planning import Group
 from stickslip_fit.simulation import draw_noise
+from stickslip_fit.simulation.truth import Group
 from stickslip_fit.strategies.base import Predictor
 from stickslip_fit.units import JOINTS
 
-Seed = int | np.random.SeedSequence
-
 TIP_QUANTILE = 0.95
 JOINT_COLUMNS = [f"joint_{joint}" for joint in JOINTS]
+SHARE_COLUMNS = [f"share_{joint}" for joint in JOINTS]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TipErrors(Summarized):
-    """Where the tip ended after each move, less where it was to end.
+    """Where the tip ended after each move, less the target.
 
     Attributes
     ----------
     table : DataFrame
-        A row for each strategy, session and move, in this order: strategy (categorical), number (place of the
-        session), move (place among the paths); in m: along the move (above 0: too far), across it (length),
-        size; and joint_1, joint_2, joint_3, what each joint adds to the size. These add up to it but for
-        the bend of the joints' ways. NaN where a calibration does not know how many steps to make.
+        A row for each strategy, session and move, in this order: strategy (categorical), number (index of the
+        session), move (index of the path); in m: along the move (above 0: too far), across it (length),
+        size; and joint_1, joint_2, joint_3, each joint's contribution to the size, which add up to it to
+        first order. NaN where a calibration gives no steps.
     """
 
     table: pd.DataFrame
@@ -95,57 +94,57 @@ class TipErrors(Summarized):
             of the others, in m: rms, median, often (95 % of the errors are smaller), worst, and bias, the
             mean along the move; share_1, share_2, share_3 of each joint in the mean square.
         """
-        keys = ["strategy", *by]
-        squares = self.table[["size", *JOINT_COLUMNS]].mul(self.table["size"], axis=0)
-        work = self.table.assign(**{f"square_{name}": squares[name] for name in squares})
-        groups = work.groupby(keys, observed=True, sort=False)
-        known, square = groups["size"].count(), groups["square_size"].mean()
-        found = pd.DataFrame(
-            {
-                "moves": groups.size(), "unknown": groups.size() - known, "rms": np.sqrt(square),
-                "median": groups["size"].median(), "often": groups["size"].quantile(TIP_QUANTILE),
-                "worst": groups["size"].max(), "bias": groups["along"].mean(),
-            }
-        )  # fmt: skip
-        for joint, name in zip(JOINTS, JOINT_COLUMNS, strict=True):
-            found[f"share_{joint}"] = groups[f"square_{name}"].mean() / square
-        return found.reset_index()
+        squares = self.table[["size", *JOINT_COLUMNS]].mul(self.table["size"], axis=0).add_prefix("square_")
+        groups = self.table.join(squares).groupby(["strategy", *by], observed=True, sort=False)
+        size, square = groups["size"], groups["square_size"].mean()
+        columns = {
+            "moves": groups.size(),
+            "unknown": groups.size() - size.count(),
+            "rms": np.sqrt(square),
+            "median": size.median(),
+            "often": size.quantile(TIP_QUANTILE),
+            "worst": size.max(),
+            "bias": groups["along"].mean(),
+        }
+        for share, name in zip(SHARE_COLUMNS, JOINT_COLUMNS, strict=True):
+            columns[share] = groups[f"square_{name}"].mean() / square
+        return pd.DataFrame(columns).reset_index()
 
 
 def compute_tip_errors(
     paths: TipPaths,
     truth: TrueLaws,
     calibrations: Mapping[str, Mapping[Group, StepModel]],
-    seeds: Sequence[Seed],
+    seeds: Sequence[int | np.random.SeedSequence],
     kind: NoiseKind = "gaussian",
 ) -> TipErrors:
-    """Make every move in every session with each strategy's calibration, and look where the tip is.
+    """Make every move in every session with each strategy's calibration, and compare the tip with the target.
 
-    What does not repeat in a session's drives is the same for all strategies, and depends on that session's
-    seed alone, so that sessions may be taken together or apart.
+    A session's noise is the same for all strategies and depends on that session's seed alone, so that
+    sessions may be computed together or one by one.
 
     Parameters
     ----------
-    paths : Paths
-        Such as `moves.random_paths` draws.
-    truth : Truth
+    paths : TipPaths
+        Such as `moves.draw_random_paths` draws.
+    truth : TrueLaws
         Of c sessions, which may be those of many campaigns.
     calibrations : mapping of str to mapping of (int, str) to callable
-        By strategy, then by joint and direction: rows to steps, see `steps_by` and
-        `moves.steps_by_parameters`.
+        By strategy, then by joint and direction: rows to steps, see `steps_from_predictor` and
+        `moves.step_model_from_parameters`.
     seeds : sequence, length c
     kind : {'gaussian', 't5'}, optional
-        Distribution of what does not repeat.
+        Distribution of the noise.
 
     Raises
     ------
     InputError
-        If a calibration that is needed is not there, or a joint truly comes to a halt.
+        If a calibration is missing, or a joint stalls under the true laws.
 
     Examples
     --------
-    Joint 3's steps are taken for 1 % longer in `+` than they are. The rest is right, and what is left is that
-    steps are whole:
+    Joint 3's step size is taken to be 1 % too large in `+`. Otherwise the calibration is right, and what
+    remains is the rounding to whole steps:
 
     >>> from stickslip_fit.laws import Base, Elbow, Prismatic
     >>> from stickslip_fit.machine import load_machine
@@ -153,16 +152,17 @@ def compute_tip_errors(
     >>> machine = load_machine()
     >>> laws = {1: Base(machine), 2: Elbow(machine), 3: Prismatic()}
     >>> usual = {1: [96e-6, 0, 0, 0], 2: [95e-6, 90e-6, 0, 0], 3: [976e-9, 0.3, 438e-9]}
-    >>> values = {(joint, way): np.array(usual[joint]) for joint in laws for way in "+-"}
+    >>> values = {(joint, direction): np.array(usual[joint]) for joint in laws for direction in "+-"}
     >>> right = {group: step_model_from_parameters(laws[group[0]], own) for group, own in values.items()}
     >>> wrong = right | {(3, "+"): step_model_from_parameters(laws[3], values[3, "+"] * [1.01, 1.0, 1.01])}
     >>> paths = draw_random_paths(machine, count=200, seed=1)
-    >>> found = compute_tip_errors(paths, TrueLaws(["Monday"], laws, values), {"right": right, "wrong": wrong}, [1])
-    >>> found.distribution("number")[["strategy", "number", "moves"]]
+    >>> truth = TrueLaws(["Monday"], laws, values)
+    >>> errors = compute_tip_errors(paths, truth, {"right": right, "wrong": wrong}, [1])
+    >>> errors.distribution("number")[["strategy", "number", "moves"]]
       strategy  number  moves
     0    right       0    200
     1    wrong       0    200
-    >>> for _, row in found.distribution().iterrows():
+    >>> for _, row in errors.distribution().iterrows():
     ...     print(f"{row.strategy}: rms {row.rms * 1e6:.1f} µm, {row.share_3:.0%} of the square joint 3's")
     right: rms 1.9 µm, 2% of the square joint 3's
     wrong: rms 4.4 µm, 81% of the square joint 3's
@@ -176,28 +176,28 @@ def compute_tip_errors(
         steps = plan_steps(paths, steps_for, truth.sessions, truth.conditions)
         errors = _decompose_errors(paths, simulate_open_loop(paths, truth, steps, noise))
         tables.append(pd.DataFrame({column: of.ravel() for column, of in errors.items()}))
-    found = pd.concat(tables, ignore_index=True)
+    table = pd.concat(tables, ignore_index=True)
     number, move = np.divmod(np.arange(count * len(paths)), len(paths))
-    place = np.arange(len(calibrations)).repeat(len(number))
-    found.insert(0, "strategy", pd.Categorical.from_codes(place, list(calibrations)))
-    found.insert(1, "number", np.tile(number, len(calibrations)))
-    found.insert(2, "move", np.tile(move, len(calibrations)))
-    return TipErrors(found)
+    strategy_index = np.arange(len(calibrations)).repeat(len(number))
+    table.insert(0, "strategy", pd.Categorical.from_codes(strategy_index, list(calibrations)))
+    table.insert(1, "number", np.tile(number, len(calibrations)))
+    table.insert(2, "move", np.tile(move, len(calibrations)))
+    return TipErrors(table)
 
 
 def steps_from_predictor(predictor: Predictor) -> StepModel:
-    """Steps as a strategy's predictor has them; what it expects to lose in hearing a stop is among them."""
+    """Steps as a strategy's predictor expects them, those lost in detecting a stop included."""
     return lambda rows: np.exp(predictor(rows)[0])
 
 
 def _decompose_errors(paths: TipPaths, q: Array) -> dict[str, Array]:
     """Errors by column from where the joints end, shape (c, m, 3)."""
-    planned = paths.joint_positions[:, -1]
+    target = paths.joint_positions[:, -1]
     error = forward(paths.machine, q) - paths.tips[:, -1]
     along, across = decompose(error, paths.direction)
     size = np.linalg.norm(error, axis=-1)
-    middle = jacobian(paths.machine, (q + planned) / 2)
-    towards = error / np.where(size > 0, size, 1.0)[..., None]
-    added = np.einsum("cmx,cmxj->cmj", towards, middle) * (q - planned)
-    of_joint = dict(zip(JOINT_COLUMNS, np.moveaxis(added, -1, 0), strict=True))
-    return {"along": along, "across": across, "size": size} | of_joint
+    jacobians = jacobian(paths.machine, (q + target) / 2)
+    unit_error = error / np.where(size > 0, size, 1.0)[..., None]
+    by_joint = np.einsum("cmx,cmxj->cmj", unit_error, jacobians) * (q - target)
+    contributions = dict(zip(JOINT_COLUMNS, np.moveaxis(by_joint, -1, 0), strict=True))
+    return {"along": along, "across": across, "size": size} | contributions

@@ -3,8 +3,7 @@
 from stickslip_fit.studies import _summary as _summary  # registers how results are summarized
 from stickslip_fit.studies.execution import Backend, Cluster, Cores
 from stickslip_fit.studies.plan import Scenario, StudyPlan, default_study_strategies, read_study
-from stickslip_fit.studies.run import run_study
-from stickslip_fit.studies.study import SimulationStudy, save_study
+from stickslip_fit.studies.study import SimulationStudy, run_study, save_study
 
 __all__ = [
     "Backend",

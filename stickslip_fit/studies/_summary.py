@@ -14,45 +14,51 @@ from stickslip_fit._format import (
     format_range,
     format_value,
     joint_name,
+    pluralize,
     step_unit,
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.estimation.result import library_versions
-from stickslip_fit.studies.study import SimulationStudy, rows_of_joint, write_study_headline
+from stickslip_fit.studies.study import SimulationStudy
 from stickslip_fit.units import JOINTS
+
+MIN_COVERAGE = 0.9  # of stated 95 % intervals
 
 
 @summarize.register
-def summarize_study(found: SimulationStudy) -> Summary:
+def summarize_study(study: SimulationStudy) -> Summary:
     """Which strategy survives what, joint by joint; where the tip ends; who takes no part."""
-    sections = [Section(paragraphs=(typeset_text(_heading(found)),))]
+    sections = [Section(paragraphs=(typeset_text(_heading(study)),))]
     sections += [
-        Section(capitalize_first(joint_name(joint)), tables=(_joint_table(found, joint),))
-        for joint in found.joints
+        Section(capitalize_first(joint_name(joint)), tables=(_joint_table(study, joint),))
+        for joint in study.joints
     ]
-    tips = found.tips()
+    tips = study.tips()
     if len(tips):
-        sections.append(Section(_tip_title(found), (_tip_answer(tips),), (_tips_table(found, tips),)))
-    left_out = _left_out(found)
-    plan = found.plan
+        sections.append(Section(_tip_title(study), (_tip_answer(tips),), (_tips_table(study, tips),)))
+    left_out = _left_out(study)
+    plan = study.plan
     return Summary(
         "Calibration strategies in simulation",
-        tuple(typeset_text(f"Joint {joint}. {write_study_headline(found, joint)}") for joint in found.joints),
+        tuple(typeset_text(f"Joint {joint}. {write_study_headline(study, joint)}") for joint in study.joints),
         (*sections, *([Section(tables=(left_out,))] if left_out.rows else [])),
         provenance=(
-            *((f"scenario {each.name}", f"sha256 {plan.sha256(each)}") for each in plan.scenarios),
+            *(
+                (f"scenario {scenario.name}", f"sha256 {plan.sha256(scenario)}")
+                for scenario in plan.scenarios
+            ),
             (f"machine {plan.machine.name}", f"sha256 {plan.machine.sha256}"),
             ("versions", ", ".join(f"{name} {version}" for name, version in library_versions().items())),
-            ("command", found.command or "none: made from Python"),
+            ("command", study.command or "none: made from Python"),
             ("seed", str(plan.seed)),
         ),
     )
 
 
-def _heading(found: SimulationStudy) -> str:
+def _heading(study: SimulationStudy) -> str:
     """What was simulated."""
-    plan = found.plan
+    plan = study.plan
     return (
         f"{plan.name}: {plan.campaigns:,} campaigns of {len(plan.plan.sessions)} sessions with "
         f"{'each of ' * (len(plan.scenarios) > 1)}{len(plan.scenarios)} "
@@ -60,11 +66,11 @@ def _heading(found: SimulationStudy) -> str:
         "calibrates a session from its own traverses, which it chooses once, before any campaign. Errors are "
         "predicted less true mean step size, of all configurations of the plan, with 95 % intervals over "
         "campaigns; held is the share of stated 95 % intervals that hold the truth; a traverse costs "
-        f"{found.design.handling_seconds:.0f} s beside its steps."
+        f"{study.design.handling_seconds:.0f} s beside its steps."
     )
 
 
-def _joint_table(found: SimulationStudy, joint: int) -> Table:
+def _joint_table(study: SimulationStudy, joint: int) -> Table:
     """One joint's strategies in each scenario."""
     unit = step_unit(joint)
     columns = (
@@ -75,7 +81,7 @@ def _joint_table(found: SimulationStudy, joint: int) -> Table:
         Column("rms", unit),
         *numbers("held", "failed", unit="%"),
     )
-    rows = tuple(_cells(row, unit) for _, row in rows_of_joint(found.accuracy(), joint).iterrows())
+    rows = tuple(_cells(row, unit) for _, row in _rows_of_joint(study.accuracy(), joint).iterrows())
     return Table(f"Strategies for {joint_name(joint)}", columns, rows, stubs=2)
 
 
@@ -95,9 +101,9 @@ def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:
     )
 
 
-def _tip_title(found: SimulationStudy) -> str:
+def _tip_title(study: SimulationStudy) -> str:
     return (
-        f"The tip after {found.plan.moves} open-loop moves of {format_value(found.plan.length, 'mm', 2)} "
+        f"The tip after {study.plan.moves} open-loop moves of {format_value(study.plan.length, 'mm', 2)} "
         "a session"
     )
 
@@ -112,7 +118,7 @@ def _tip_answer(tips: pd.DataFrame) -> str:
     return f"Closest to where they should end: {'; '.join(closest)}."
 
 
-def _tips_table(found: SimulationStudy, tips: pd.DataFrame) -> Table:
+def _tips_table(study: SimulationStudy, tips: pd.DataFrame) -> Table:
     heads = ("rms", "half within", "95 % within", "in 9 campaigns of 10", "worst")
     columns = (
         *words("scenario", "strategy"),
@@ -132,13 +138,13 @@ def _tips_table(found: SimulationStudy, tips: pd.DataFrame) -> Table:
         )
         for _, row in tips.iterrows()
     )
-    return Table(_tip_title(found), columns, rows, stubs=2)
+    return Table(_tip_title(study), columns, rows, stubs=2)
 
 
-def _left_out(found: SimulationStudy) -> Table:
+def _left_out(study: SimulationStudy) -> Table:
     """Which strategies take no part where, and why."""
     columns = tuple(Column(head, text=True) for head in ("strategy", "joint", "direction", "why"))
-    table = found.design.left_out
+    table = study.design.left_out
     if table.empty:
         return Table("Left out", columns, ())
     rows = tuple(
@@ -151,3 +157,55 @@ def _left_out(found: SimulationStudy) -> Table:
         for (strategy, joint, reason), cases in table.groupby(["strategy", "joint", "reason"], sort=False)
     )
     return Table("Left out", columns, rows)
+
+
+def write_study_headline(study: SimulationStudy, joint: int) -> str:
+    """Which strategies are accurate enough for the lab, in a few sentences.
+
+    A strategy is accurate enough in a scenario if the upper end of its rms error's 95 % interval is below
+    the limit of the plan; with one campaign, which has no interval, if its rms error is.
+    """
+    table, limit = _rows_of_joint(study.accuracy(), joint), study.plan.good_enough
+    high = table["rms_relative_high"].fillna(table["rms_relative"])
+    sufficient = table[high <= limit].sort_values("seconds", kind="stable")
+    accurate = {
+        name: list(sufficient.loc[sufficient["scenario"] == name, "strategy"]) for name in study.scenarios
+    }
+    first, strategies = study.scenarios[0], study.strategies(joint)
+    in_all = [name for name in accurate[first] if all(name in names for names in accurate.values())]
+    in_none = [name for name in strategies if not any(name in names for names in accurate.values())]
+    count = len(accurate)
+    scenarios = f" in {'all ' * (count > 1)}{pluralize(count, 'scenario')}"
+    sentences = [f"Within {100 * limit:g} % rms{scenarios}: {'; '.join(in_all) or 'none'}."]
+    if in_all:
+        minutes = float(table.loc[table["strategy"] == in_all[0], "seconds"].mean()) / 60
+        sentences.append(f"The cheapest, {in_all[0]}, takes {minutes:.0f} min a session.")
+    if in_none:
+        sentences.append(f"In none: {'; '.join(in_none)}.")
+    for scenario, names in accurate.items():
+        insufficient = [name for name in strategies if name not in names and name not in in_none]
+        if not names:
+            own = table[table["scenario"] == scenario]
+            best = own.loc[own["rms_relative"].idxmin()]
+            error = format_value(best["rms_relative"], "%", 2)
+            sentences.append(f"With {scenario}, the least wrong is {best['strategy']} ({error}).")
+        elif insufficient:
+            sentences.append(f"Lost to {scenario}: {'; '.join(insufficient)}.")
+    return " ".join([*sentences, *_describe_undercoverage(table, study)])
+
+
+def _describe_undercoverage(table: pd.DataFrame, study: SimulationStudy) -> list[str]:
+    """Scenarios with too low a coverage, by the strategies whose coverage is right without causes."""
+    coverage = table.pivot(index="strategy", columns="scenario", values="covered")
+    without_causes = [scenario.name for scenario in study.plan.scenarios if not scenario.causes]
+    lowest = coverage[(coverage[without_causes] >= MIN_COVERAGE).all(axis=1)].min()
+    low = [
+        f"{scenario} (down to {format_value(lowest[scenario], '%', 0)})"
+        for scenario in study.scenarios
+        if lowest[scenario] < MIN_COVERAGE
+    ]
+    return [f"Stated 95 % intervals hold the truth too rarely with {'; '.join(low)}."] if low else []
+
+
+def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
+    return table[table["joint"] == joint]

@@ -1,8 +1,7 @@
 """Calibrates simulated campaigns by each strategy, and computes step-size and tip errors by campaign.
 
 Traverses are chosen once, because all campaigns share the plan. Strategies that fit a law are
-calibrated in one batched least squares over all sessions and campaigns; any other is called session by
-session.
+calibrated in one batched least squares over all sessions and campaigns; others session by session.
 """
 
 from __future__ import annotations
@@ -13,16 +12,16 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from scipy.stats import norm
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.laws import StepLaw, constant_law, published_law, traverse_length
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, draw_random_paths, step_model_from_parameters
 from stickslip_fit.simulation.campaign import GROUPS
+from stickslip_fit.simulation.truth import Group
 from stickslip_fit.strategies import (
     CalibrationTask,
     ClosedForm,
@@ -48,7 +47,6 @@ from stickslip_fit.studies.simulation import (
     seed_sequence,
     simulate_nominal_campaign,
 )
-from stickslip_fit.units import JOINTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +55,15 @@ class DesignCell:
 
     Attributes
     ----------
-    session : str
     direction : {"+", "-"}
     law : StepLaw
         The published one, as the plan's configurations can support it.
-    repeatability : float
     offered : array of int, shape (m,)
-        The first traverse of each configuration, as places in a campaign; all of them are predicted.
+        The first traverse of each configuration, as row positions in a campaign; all of them are predicted.
     others : array of int
-        All traverses of the joint and direction in the sessions that it may look back on.
-    made : dict of str to array of int
-        By strategy, the places of those that it calibrates from.
+        All traverses of the joint and direction in the other sessions that the calibration may use.
+    chosen : dict of str to array of int
+        By strategy, the row positions of those that it calibrates from.
     """
 
     session: str
@@ -76,7 +72,7 @@ class DesignCell:
     repeatability: float
     offered: IntArray
     others: IntArray
-    made: dict[str, IntArray]
+    chosen: dict[str, IntArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +81,12 @@ class StudyDesign:
 
     Attributes
     ----------
-    cells : tuple of Cell
+    cells : tuple of DesignCell
     left_out : DataFrame
         strategy, session, joint, direction, reason.
     handling_seconds : float
         Seconds that a traverse costs beside its steps.
-    paths : Paths or None
+    paths : TipPaths or None
         Moves that are made in every session.
     """
 
@@ -101,46 +97,56 @@ class StudyDesign:
 
     def drives(self) -> Iterator[tuple[int, str, list[DesignCell], list[str]]]:
         """Each joint and direction: the cells of its sessions, and the strategies that suit all of them."""
-        for joint, direction in dict.fromkeys((cell.law.joint, cell.direction) for cell in self.cells):
-            subset = [each for each in self.cells if (each.law.joint, each.direction) == (joint, direction)]
-            if suited := [name for name in subset[0].made if all(name in cell.made for cell in subset)]:
-                yield joint, direction, subset, suited
+        groups: dict[Group, list[DesignCell]] = {}
+        for cell in self.cells:
+            groups.setdefault((cell.law.joint, cell.direction), []).append(cell)
+        for (joint, direction), cells in groups.items():
+            if names := [name for name in cells[0].chosen if all(name in cell.chosen for cell in cells)]:
+                yield joint, direction, cells, names
 
 
 def design_study(study: StudyPlan) -> StudyDesign:
-    """Let every strategy choose, by a campaign in which nothing is hidden and nothing left to chance.
+    """Let every strategy choose its traverses, in a campaign without causes, noise and spread.
 
     Raises
     ------
     InputError
         If a strategy chooses what is not offered, no strategy suits the plan, or the plan cannot be driven.
     """
-    usual = simulate_nominal_campaign(study)
+    nominal = simulate_nominal_campaign(study)
     cells, left_out = [], []
-    for cell in _make_cells(study, usual):
-        task = make_task(study, cell, usual.rows)
+    for cell in _make_cells(study, nominal):
+        task = make_task(study, cell, nominal.rows)
         for strategy in study.strategies:
             try:
-                cell.made[strategy.name] = cell.offered[choose_traverses(strategy, task)]
-            except NotApplicable as why:
-                left_out.append((strategy.name, cell.session, cell.law.joint, cell.direction, str(why)))
+                cell.chosen[strategy.name] = cell.offered[choose_traverses(strategy, task)]
+            except NotApplicable as error:
+                left_out.append((strategy.name, cell.session, cell.law.joint, cell.direction, str(error)))
         cells.append(cell)
     table = pd.DataFrame(left_out, columns=["strategy", "session", "joint", "direction", "reason"])
-    found = StudyDesign(tuple(cells), table, handling_seconds(usual.rows), _draw_paths(study))
-    _check_applicable(found, table)
-    return found
+    paths = draw_random_paths(study.machine, study.moves, study.seed, study.length) if study.moves else None
+    design = StudyDesign(tuple(cells), table, handling_seconds(nominal.rows), paths)
+    applicable = {(joint, direction): set(names) for joint, direction, _, names in design.drives()}
+    if not applicable:
+        raise InputError(f"no strategy can calibrate by this plan: {'; '.join(table['reason'].unique())}")
+    if study.moves and (len(applicable) < len(GROUPS) or not set.intersection(*applicable.values())):
+        raise InputError(
+            "no strategy calibrates all joints in both directions by this plan, so that no move can be made; "
+            "set count = 0 under [moves]"
+        )
+    return design
 
 
 def make_task(study: StudyPlan, cell: DesignCell, rows: pd.DataFrame) -> CalibrationTask:
-    """What a strategy is given, `rows` being those of one campaign."""
+    """A cell's task in one campaign, whose rows are given."""
     offered, others = rows.iloc[cell.offered].drop(columns="steps"), rows.iloc[cell.others]
     return CalibrationTask(
         cell.session, cell.direction, cell.law, study.machine, offered, others, cell.repeatability
     )
 
 
-def _make_cells(study: StudyPlan, usual: SimulatedCampaigns) -> Iterator[DesignCell]:
-    rows = usual.rows
+def _make_cells(study: StudyPlan, nominal: SimulatedCampaigns) -> Iterator[DesignCell]:
+    rows = nominal.rows
     labels = [session.label for session in study.plan.sessions]
     for joint in sorted(rows["joint"].unique()):
         law = published_law(joint, rows[rows["joint"] == joint], study.machine)
@@ -156,84 +162,55 @@ def _make_cells(study: StudyPlan, usual: SimulatedCampaigns) -> Iterator[DesignC
                 yield DesignCell(label, direction, law, noise, offered, others, {})
 
 
-def _draw_paths(study: StudyPlan) -> TipPaths | None:
-    return draw_random_paths(study.machine, study.moves, study.seed, study.length) if study.moves else None
-
-
-def _check_applicable(found: StudyDesign, left_out: pd.DataFrame) -> None:
-    suited = {(joint, direction): set(names) for joint, direction, _, names in found.drives()}
-    if not suited:
-        raise InputError(f"no strategy can calibrate by this plan: {'; '.join(left_out['reason'].unique())}")
-    if found.paths is not None and (len(suited) < len(GROUPS) or not set.intersection(*suited.values())):
-        raise InputError(
-            "no strategy calibrates all joints in both directions by this plan, so that no move can be made; "
-            "set count = 0 under [moves]"
-        )
-
-
 TRAVERSE_COLUMNS = ("direction", "start", "stop", "steps", "check_every")
 LAW_STRATEGIES: dict[type, Callable[[StepLaw], StepLaw]] = {
     ConstantStepStrategy: constant_law,
     ClosedForm: lambda law: law,
     LeastSquares: lambda law: law,
 }
-"""Strategies that fit a law by least squares, and which, given the published one."""
+"""Strategies that fit a law by least squares: from the published law to the one that they fit."""
 
 
 class SessionCalibrations(Protocol):
-    """What the calibrations of c sessions say, those of all campaigns numbered one after the other."""
+    """Calibrations of c sessions, numbered campaign by campaign."""
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
-        """Mean and standard deviation of log(steps), each shape (n,), by each row's session.
+        """Mean and standard deviation of log(steps), each shape (n,), by the session number of each row.
 
-        NaN where that session could not be calibrated.
+        NaN where the session could not be calibrated.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class LawCalibrations:
-    """A law with parameters for each session.
-
-    Attributes
-    ----------
-    law : StepLaw
-    values : array, shape (c, p)
-        NaN in sessions that could not be calibrated.
-    covariance : array, shape (c, p, p)
-    """
+    """A law with parameters for each session, shape (c, p), and their covariance; NaN without calibration."""
 
     law: StepLaw
     values: Array
     covariance: Array
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
-        """See `Calibrated.predict`."""
-        mean, slopes = self.law.model(rows)(self.values[number])
-        return mean, np.sqrt(np.einsum("ni,nij,nj->n", slopes, self.covariance[number], slopes))
+        """See `SessionCalibrations.predict`."""
+        mean, jacobian = self.law.model(rows)(self.values[number])
+        return mean, np.sqrt(np.einsum("ni,nij,nj->n", jacobian, self.covariance[number], jacobian))
 
 
 @dataclass(frozen=True, eq=False)
 class PredictorCalibrations:
-    """A predictor for each session.
-
-    Attributes
-    ----------
-    predictors : sequence of Predictor or None
-        None in sessions that could not be calibrated.
-    """
+    """A predictor for each session; None without calibration."""
 
     predictors: Sequence[Predictor | None]
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
-        """See `Calibrated.predict`."""
-        found = np.full((2, len(rows)), np.nan)
-        for each in np.unique(number):
-            subset, predictor = np.flatnonzero(number == each), self.predictors[each]
+        """See `SessionCalibrations.predict`."""
+        response = np.full((2, len(rows)), np.nan)
+        for session in np.unique(number):
+            subset, predictor = np.flatnonzero(number == session), self.predictors[session]
             if predictor is not None:
                 with suppress(InputError):
-                    found[:, subset] = predictor(rows.iloc[subset])
-        return found[0], found[1]
+                    response[:, subset] = predictor(rows.iloc[subset])
+        return response[0], response[1]
 
 
 def calibrate_sessions(
@@ -243,35 +220,35 @@ def calibrate_sessions(
 
     Parameters
     ----------
-    study : StudyPlan
-    strategy : Strategy
-    cells : sequence of Cell
+    cells : sequence of DesignCell
         Of one joint and direction, one for each session, all of which suit the strategy.
-    campaigns : Campaigns
     """
-    fitted = LAW_STRATEGIES.get(type(strategy))
-    if fitted is None:
+    law_of = LAW_STRATEGIES.get(type(strategy))
+    if law_of is None:
         return calibrate_by_task(study, strategy, cells, campaigns)
-    return calibrate_by_law(fitted(cells[0].law), strategy.name, cells, campaigns)
+    return calibrate_by_law(law_of(cells[0].law), strategy.name, cells, campaigns)
 
 
 def calibrate_by_law(
     law: StepLaw, name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns
 ) -> LawCalibrations:
-    """All sessions of all campaigns in one minimisation."""
-    made = [cell.made[name] for cell in cells]
-    session = np.repeat(np.arange(len(cells)), [len(each) for each in made])
+    """All sessions of all campaigns in one least-squares fit."""
+    chosen = [cell.chosen[name] for cell in cells]
+    session = np.repeat(np.arange(len(cells)), [len(positions) for positions in chosen])
     number = np.arange(campaigns.count)[:, None] * len(cells) + session
-    looked_at = list(dict.fromkeys([*law.columns, *TRAVERSE_COLUMNS]))
-    rows = campaigns.rows[looked_at].iloc[campaigns.places(np.concatenate(made)).ravel()]
-    # The number of the session is what tells groups apart.
-    found = solve_law(law, rows.assign(session=number.ravel()), cells[0].repeatability)
-    of_group = found.groups.table["session"].to_numpy(np.intp)
-    p = found.values.shape[1]
+    columns = list(dict.fromkeys([*law.columns, *TRAVERSE_COLUMNS]))
+    rows = campaigns.rows[columns].iloc[campaigns.row_positions(np.concatenate(chosen)).ravel()]
+    # The session's number identifies the group.
+    solution = solve_law(law, rows.assign(session=number.ravel()), cells[0].repeatability)
+    session_of_group = solution.groups.table["session"].to_numpy(np.intp)
+    p = solution.values.shape[1]
     values = np.full((campaigns.count * len(cells), p), np.nan)
     covariance = np.full((*values.shape, p), np.nan)
-    known = found.known.all(axis=1)
-    values[of_group[known]], covariance[of_group[known]] = found.values[known], found.covariance[known]
+    determined = solution.known.all(axis=1)
+    values[session_of_group[determined]], covariance[session_of_group[determined]] = (
+        solution.values[determined],
+        solution.covariance[determined],
+    )
     return LawCalibrations(law, values, covariance)
 
 
@@ -282,57 +259,54 @@ def calibrate_by_task(
     predictors: list[Predictor | None] = []
     for k in range(campaigns.count):
         rows = campaigns.campaign_rows(k)
-        predictors += [_calibrate_task(study, strategy, cell, rows) for cell in cells]
+        for cell in cells:
+            try:
+                measured = rows.iloc[cell.chosen[strategy.name]]
+                predictors.append(strategy.calibrate(make_task(study, cell, rows), measured))
+            except (NotApplicable, InputError):
+                predictors.append(None)
     return PredictorCalibrations(predictors)
-
-
-def _calibrate_task(
-    study: StudyPlan, strategy: Strategy, cell: DesignCell, rows: pd.DataFrame
-) -> Predictor | None:
-    try:
-        return strategy.calibrate(make_task(study, cell, rows), rows.iloc[cell.made[strategy.name]])
-    except (NotApplicable, InputError):
-        return None
 
 
 Z_95 = float(norm.ppf(0.5 + COVERAGE / 2))  # standard deviations; strategies know the repeatability
 
 
 def compute_step_size_errors(
-    calibrated: Mapping[str, SessionCalibrations], cells: Sequence[DesignCell], campaigns: SimulatedCampaigns
+    calibrations: Mapping[str, SessionCalibrations],
+    cells: Sequence[DesignCell],
+    campaigns: SimulatedCampaigns,
 ) -> pd.DataFrame:
-    """Errors of one joint and direction, summed up for each campaign and strategy.
+    """Statistics of the errors of one joint and direction, for each campaign and strategy.
 
-    Predicted is the mean step size of every configuration, each where its first traverse stands in its
-    session. A session that a strategy cannot calibrate is left out for all.
+    Every configuration's mean step size is predicted, at the time of its first traverse in each session. A
+    session that a strategy cannot calibrate is left out for all.
 
     Parameters
     ----------
-    calibrated : mapping of str to Calibrated
+    calibrations : mapping of str to SessionCalibrations
         By strategy.
-    cells : sequence of Cell
+    cells : sequence of DesignCell
         One for each session.
-    campaigns : Campaigns
 
     Returns
     -------
     DataFrame
-        place (of the campaign), strategy; sessions, failed (sessions that it could not calibrate),
+        campaign (its index), strategy; sessions, failed (sessions that it could not calibrate),
         predictions; rms, bias, worst (the largest, with its sign) of predicted less true mean step size, SI,
         and under ``_relative`` as a share of it; covered, the share of predictions whose 95 % interval holds
         the truth. NaN where no session is left.
     """
-    offered = campaigns.places(np.concatenate([cell.offered for cell in cells]))
+    offered = campaigns.row_positions(np.concatenate([cell.offered for cell in cells]))
     session = np.repeat(np.arange(len(cells)), [len(cell.offered) for cell in cells])
     number = np.arange(campaigns.count)[:, None] * len(cells) + session
     rows = campaigns.rows.iloc[offered.ravel()]
     true = np.log(campaigns.true_steps[offered])
     step = traverse_length(rows).reshape(true.shape) / campaigns.true_steps[offered]
     predicted, failed = {}, {}
-    for name, each in calibrated.items():
-        mean, sd = (found.reshape(true.shape) for found in each.predict(rows, number.ravel()))
-        stalls = np.bincount(number.ravel(), ~np.isfinite(mean.ravel()), number.max() + 1)
-        predicted[name], failed[name] = (mean, sd), stalls.reshape(campaigns.count, -1) > 0
+    for name, calibration in calibrations.items():
+        mean, sd = (found.reshape(true.shape) for found in calibration.predict(rows, number.ravel()))
+        n_failed = np.bincount(number.ravel(), ~np.isfinite(mean.ravel()), number.max() + 1)
+        predicted[name], failed[name] = (mean, sd), n_failed.reshape(campaigns.count, -1) > 0
     shared = ~np.any(list(failed.values()), axis=0)[:, session]
     tables = [
         _summarize_campaigns(true - mean, sd, step, shared).assign(
@@ -344,38 +318,31 @@ def compute_step_size_errors(
 
 
 def compute_cost(
-    name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns, handling: float
+    name: str, cells: Sequence[DesignCell], campaigns: SimulatedCampaigns, handling_time: float
 ) -> pd.DataFrame:
-    """Place of the campaign, and what a session's calibration costs on average: traverses and seconds."""
-    made = campaigns.places(np.concatenate([cell.made[name] for cell in cells]))
-    rows = campaigns.rows[["steps", "step_period"]].iloc[made.ravel()]
-    stepping = stepping_seconds(rows).reshape(made.shape)
-    traverses = made.shape[1] / len(cells)
-    seconds = stepping.sum(axis=1) / len(cells) + handling * traverses
-    return pd.DataFrame(
-        {"place": np.arange(campaigns.count), "strategy": name, "traverses": traverses, "seconds": seconds}
-    )
+    """For each campaign, the traverses and seconds of a session's calibration on average."""
+    measured = campaigns.row_positions(np.concatenate([cell.chosen[name] for cell in cells]))
+    rows = campaigns.rows[["steps", "step_period"]].iloc[measured.ravel()]
+    stepping = stepping_seconds(rows).reshape(measured.shape)
+    traverses = measured.shape[1] / len(cells)
+    seconds = stepping.sum(axis=1) / len(cells) + handling_time * traverses
+    numbers = np.arange(campaigns.count)
+    return pd.DataFrame({"campaign": numbers, "strategy": name, "traverses": traverses, "seconds": seconds})
 
 
-def _summarize_campaigns(off: Array, sd: Array, step: Array, shared: npt.NDArray[np.bool_]) -> pd.DataFrame:
-    """Of each campaign; `off` is log(true steps) less what is predicted, shape (C, m)."""
+def _summarize_campaigns(log_error: Array, sd: Array, step: Array, shared: BoolArray) -> pd.DataFrame:
+    """Of each campaign; `log_error` is log(true steps) less its prediction, shape (C, m)."""
     count = shared.sum(axis=1)
-    columns: dict[str, object] = {"place": np.arange(len(off)), "predictions": count}
-    relative = np.where(shared, np.expm1(off), 0.0)
+    columns: dict[str, object] = {"campaign": np.arange(len(log_error)), "predictions": count}
+    relative = np.where(shared, np.expm1(log_error), 0.0)
     share = np.where(count > 0, 1.0 / np.maximum(count, 1), np.nan)
     for suffix, error in (("", relative * step), ("_relative", relative)):
-        largest = np.argmax(np.abs(error), axis=1)
+        worst = np.argmax(np.abs(error), axis=1)
         columns[f"rms{suffix}"] = np.sqrt(np.sum(error**2, axis=1) * share)
         columns[f"bias{suffix}"] = np.sum(error, axis=1) * share
-        columns[f"worst{suffix}"] = error[np.arange(len(off)), largest] + 0.0 * share
-    columns["covered"] = np.sum(shared & (np.abs(off) <= Z_95 * sd), axis=1) * share
+        columns[f"worst{suffix}"] = error[np.arange(len(log_error)), worst] + 0.0 * share
+    columns["covered"] = np.sum(shared & (np.abs(log_error) <= Z_95 * sd), axis=1) * share
     return pd.DataFrame(columns)
-
-
-JointDirection = tuple[int, str]
-
-SHARE_COLUMNS = [f"share_{joint}" for joint in JOINTS]
-TIP_COLUMNS = ["moves", "unknown", "rms", "median", "often", "worst", "bias", *SHARE_COLUMNS]
 
 
 def compute_tip_distributions(
@@ -383,80 +350,69 @@ def compute_tip_distributions(
     scenario: Scenario,
     numbers: Sequence[int],
     campaigns: SimulatedCampaigns,
-    calibrated: Mapping[JointDirection, Mapping[str, SessionCalibrations]],
+    calibrations_by_group: Mapping[Group, Mapping[str, SessionCalibrations]],
     paths: TipPaths,
 ) -> pd.DataFrame:
     """The distribution of the tip's error over a campaign's moves, for each strategy.
 
-    A move is made as soon as its session is over, by the joints' true step sizes at that time. What the
-    joints have driven by then is counted as the mean over the joints.
+    The moves are made at the end of each session, with the joints' true step sizes at that time. The steps
+    that a joint has made by then are taken as the mean over the joints.
 
     Parameters
     ----------
-    study : StudyPlan
-    scenario : Scenario
     numbers : sequence of int, length C
         Of the campaigns.
-    campaigns : Campaigns
-    calibrated : mapping of (int, str) to mapping of str to Calibrated
+    calibrations_by_group : mapping of (int, str) to mapping of str to SessionCalibrations
         By joint and direction, then by strategy.
-    paths : Paths
 
     Returns
     -------
     DataFrame
-        place (of the campaign), strategy and the columns of `TipErrors.summary`.
+        campaign (its index), strategy and the columns of `TipErrors.distribution`.
     """
-    names = [
-        strategy.name
-        for strategy in study.strategies
-        if all(strategy.name in of_drive for of_drive in calibrated.values())
-    ]
+    groups = calibrations_by_group.items()
     calibrations = {
-        name: {drive: _make_steps_function(of_drive[name]) for drive, of_drive in calibrated.items()}
-        for name in names
+        strategy.name: {group: _make_step_model(by_name[strategy.name]) for group, by_name in groups}
+        for strategy in study.strategies
+        if all(strategy.name in by_name for _, by_name in groups)
     }
     seeds = [
         seed
         for number in numbers
         for seed in seed_sequence(study, scenario, number, MOVE_STREAM).spawn(campaigns.sessions)
     ]
-    found = compute_tip_errors(paths, _make_truth(study, campaigns), calibrations, seeds, study.kind)
-    table = found.table
-    table["place"] = table["number"] // campaigns.sessions
-    return found.distribution("place")[["place", "strategy", *TIP_COLUMNS]].astype({"strategy": object})
-
-
-def _make_truth(study: StudyPlan, campaigns: SimulatedCampaigns) -> TrueLaws:
-    truths, rows = campaigns.truths, campaigns.rows
+    truths = campaigns.truths
     labels = [session.label for session in study.plan.sessions] * campaigns.count
-    return TrueLaws(
+    true_laws = TrueLaws(
         sessions=labels,
         laws=truths.laws,
-        values={drive: of.reshape(-1, of.shape[-1]) for drive, of in truths.values.items()},
-        factor={drive: of.ravel() for drive, of in truths.factor.items()},
+        values={group: values.reshape(-1, values.shape[-1]) for group, values in truths.values.items()},
+        factor={group: factor.ravel() for group, factor in truths.factor.items()},
         repeatability=study.repeatability,
-        conditions=_final_conditions(rows, len(labels)),
+        conditions=_final_conditions(campaigns.rows, len(labels)),
     )
+    errors = compute_tip_errors(paths, true_laws, calibrations, seeds, study.kind)
+    errors.table["campaign"] = errors.table["number"] // campaigns.sessions
+    return errors.distribution("campaign").astype({"strategy": object})
 
 
 def _final_conditions(rows: pd.DataFrame, sessions: int) -> dict[str, Array]:
-    """What a law may look at when a session is over, each shape (c, 1)."""
-    table = rows[["session_seconds", "steps", "step_period", "joint"]].to_numpy(float)
-    last = table.reshape(sessions, -1, 4)[:, -1]
-    over = last[:, 0] + last[:, 1] * last[:, 2]
-    joint, after = rows["joint"].to_numpy(), (rows["steps_before"] + rows["steps"]).to_numpy(float)
-    driven = [
-        np.where(joint == each, after, 0.0).reshape(sessions, -1).max(axis=1) for each in np.unique(joint)
+    """The columns that a law may depend on at the end of each session, each shape (c, 1)."""
+    table = rows[["session_seconds", "steps", "step_period"]].to_numpy(float)
+    last = table.reshape(sessions, -1, 3)[:, -1]
+    joints, total_steps = rows["joint"].to_numpy(), (rows["steps_before"] + rows["steps"]).to_numpy(float)
+    steps = [
+        np.where(joints == joint, total_steps, 0.0).reshape(sessions, -1).max(axis=1)
+        for joint in np.unique(joints)
     ]
     return {
-        "session_seconds": over[:, None],
-        "steps_before": np.mean(driven, axis=0)[:, None],
+        "session_seconds": (last[:, 0] + last[:, 1] * last[:, 2])[:, None],
+        "steps_before": np.mean(steps, axis=0)[:, None],
         "step_period": last[:, 2:3],
     }
 
 
-def _make_steps_function(calibrated: SessionCalibrations) -> StepModel:
-    if isinstance(calibrated, LawCalibrations):
-        return step_model_from_parameters(calibrated.law, calibrated.values)
-    return lambda rows: np.exp(calibrated.predict(rows, rows["number"].to_numpy())[0])
+def _make_step_model(calibrations: SessionCalibrations) -> StepModel:
+    if isinstance(calibrations, LawCalibrations):
+        return step_model_from_parameters(calibrations.law, calibrations.values)
+    return lambda rows: np.exp(calibrations.predict(rows, rows["number"].to_numpy())[0])

@@ -57,70 +57,64 @@ class Chunk:
         Returns
         -------
         DataFrame
-            A row for each campaign, strategy, joint and direction, see `step_size_errors` and `spent`; and
-            one with `TIP` for its joint, see `tip_distributions`.
+            A row for each campaign, strategy, joint and direction, see `compute_step_size_errors` and
+            `compute_cost`; and one with `TIP_JOINT` for its joint, see `compute_tip_distributions`.
 
         Raises
         ------
         InputError
-            If a joint comes to a halt, or a session is not over when the next one begins.
+            If a joint stalls, or a session is not over when the next one begins.
         """
         numbers = range(self.first, self.last)
         campaigns = simulate_campaigns(
             self.study, self.scenario, draw_campaigns(self.study, self.scenario, numbers)
         )
         strategies = {strategy.name: strategy for strategy in self.study.strategies}
-        tables, calibrated = [], {}
-        for joint, direction, cells, suited in self.design.drives():
-            calibrated[joint, direction] = {
-                name: calibrate_sessions(self.study, strategies[name], cells, campaigns) for name in suited
+        tables, calibrations = [], {}
+        for joint, direction, cells, names in self.design.drives():
+            calibrations[joint, direction] = {
+                name: calibrate_sessions(self.study, strategies[name], cells, campaigns) for name in names
             }
-            errors = compute_step_size_errors(calibrated[joint, direction], cells, campaigns)
+            errors = compute_step_size_errors(calibrations[joint, direction], cells, campaigns)
             cost = pd.concat(
-                [compute_cost(name, cells, campaigns, self.design.handling_seconds) for name in suited]
+                [compute_cost(name, cells, campaigns, self.design.handling_seconds) for name in names]
             )
-            table = errors.merge(cost, on=["place", "strategy"])
+            table = errors.merge(cost, on=["campaign", "strategy"])
             tables.append(table.assign(joint=joint, direction=direction))
         if self.design.paths is not None:
             tips = compute_tip_distributions(
-                self.study, self.scenario, numbers, campaigns, calibrated, self.design.paths
+                self.study, self.scenario, numbers, campaigns, calibrations, self.design.paths
             )
             tables.append(tips.assign(joint=TIP_JOINT, direction=""))
-        found = pd.concat(tables, ignore_index=True)
-        found.insert(0, "campaign", self.first + found.pop("place"))
-        found.insert(0, "scenario", self.scenario.name)
-        named = found[[*LABEL_COLUMNS, *(name for name in found if name not in LABEL_COLUMNS)]]
-        # As a file gives them back.
-        return named.astype(dict.fromkeys(("scenario", "strategy", "direction"), "str"))
+        results = pd.concat(tables, ignore_index=True)
+        results["campaign"] += self.first
+        results["scenario"] = self.scenario.name
+        ordered = results[[*LABEL_COLUMNS, *(name for name in results if name not in LABEL_COLUMNS)]]
+        # The types that a Parquet file gives back.
+        return ordered.astype(dict.fromkeys(("scenario", "strategy", "direction"), "str"))
 
 
 ChunkResults = Generator[tuple[int, pd.DataFrame]]
-"""The place of each chunk and its table, in the order in which they are finished."""
+"""The index of each chunk and its table, in the order in which they are finished."""
 
 
 class Backend(Protocol):
-    """Anything that works on chunks."""
+    """Runs chunks."""
 
     def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
-        """Work on all of them; closing what is returned stops the work.
+        """Run all chunks; closing the generator stops the work.
 
         Raises
         ------
         InputError
-            If a chunk cannot be worked on.
+            If a chunk cannot be run.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Cores:
-    """Cores of this machine.
-
-    Attributes
-    ----------
-    workers : int
-        Processes; as many as there are cores where it is -1.
-    """
+    """Cores of this machine: `workers` processes, or as many as there are cores for -1."""
 
     workers: int = -1
 
@@ -132,50 +126,42 @@ class Cores:
         yield from parallel(delayed(_run_locally)(k, chunk) for k, chunk in enumerate(chunks))
 
 
-def _run_locally(place: int, chunk: Chunk) -> tuple[int, pd.DataFrame]:
-    return place, chunk.run()
+def _run_locally(index: int, chunk: Chunk) -> tuple[int, pd.DataFrame]:
+    return index, chunk.run()
 
 
 HASHED_PACKAGES = (
-    "_toml",
-    "units",
-    "machine",
-    "logs",
-    "laws",
-    "causes",
-    "simulate",
-    "fit",
-    "moves",
-    "strategies",
+    *("_toml", "units", "machine", "logs", "laws", "causes", "simulation", "estimation", "bayes", "moves"),
+    *("strategies", "studies"),
 )
 
 
 @dataclass(frozen=True)
 class CodeVersion:
-    """Versions, by name, and the hash of the code that numbers come from."""
+    """Versions of the libraries, by name, and the hash of the code that computes a study's results."""
 
     versions: tuple[tuple[str, str], ...]
     code: str
 
     @property
     def sha256(self) -> str:
-        """Of all of it."""
+        """Of versions and code."""
         return hashlib.sha256(repr(self).encode()).hexdigest()
 
     def differences(self, other: CodeVersion) -> list[str]:
-        """What differs from another, in words."""
-        theirs = dict(other.versions)
-        found = [
-            f"{name} {version} here, {theirs.get(name, 'none')} there"
+        """Differences from another, in words."""
+        other_versions = dict(other.versions)
+        changes = [
+            f"{name} {version} here, {other_versions.get(name, 'none')} there"
             for name, version in self.versions
-            if theirs.get(name) != version
+            if other_versions.get(name) != version
         ]
-        return found or ["the code of stickslip_fit is not the same"] * (self.code != other.code)
+        return changes or ["the code of stickslip_fit is not the same"] * (self.code != other.code)
 
 
 @cache
 def current_code_version() -> CodeVersion:
-    """What computes numbers in this process."""
+    """The version that computes results in this process."""
     package, code = Path(stickslip_fit.__file__).parent, hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         if path.relative_to(package).parts[0].removesuffix(".py") in HASHED_PACKAGES:
@@ -185,14 +171,13 @@ def current_code_version() -> CodeVersion:
 
 @dataclass(frozen=True)
 class ResultStore:
-    """Where a study keeps what is finished.
+    """A study's finished chunks on disk.
 
     Attributes
     ----------
     folder : Path
-        Has, or gets, a folder ``chunks`` with one folder for each scenario, named after the hash of all that
-        its numbers depend on: the study, the code and the versions.
-    made_by : MadeBy
+        With a folder ``chunks``, in it one folder for each scenario, named by the hash of all that its
+        results depend on: the study, the code and the versions.
     """
 
     folder: Path
@@ -204,9 +189,9 @@ class ResultStore:
 
     def path_of(self, chunk: Chunk) -> Path:
         """The chunk's file."""
-        told = f"{chunk.study.sha256(chunk.scenario)} {self.code_version.sha256}"
+        key = f"{chunk.study.sha256(chunk.scenario)} {self.code_version.sha256}"
         name = f"{chunk.first:06d}-{chunk.last - 1:06d}.parquet"
-        return self.folder / "chunks" / hashlib.sha256(told.encode()).hexdigest()[:16] / name
+        return self.folder / "chunks" / hashlib.sha256(key.encode()).hexdigest()[:16] / name
 
     def write(self, chunk: Chunk, table: pd.DataFrame) -> None:
         """Keep a finished chunk.
@@ -246,15 +231,10 @@ TIMEOUT = 30  # s, for the scheduler to answer and for a first worker
 
 @dataclass(frozen=True)
 class Cluster:
-    """Workers of a Dask scheduler.
+    """Workers of the Dask scheduler at an address such as ``tcp://10.0.0.1:8786``.
 
-    A chunk whose worker dies is worked on by another. Workers write nothing: what they return is stored by
-    the process that asks, once.
-
-    Attributes
-    ----------
-    address : str
-        Of the scheduler, such as ``tcp://10.0.0.1:8786``.
+    A chunk whose worker dies is run by another. Workers write nothing: the calling process stores each
+    result once.
     """
 
     address: str
@@ -312,20 +292,20 @@ class Cluster:
             ) from None
 
 
-def run_on_worker(place: int, chunk: Chunk, code_version: CodeVersion) -> tuple[int, pd.DataFrame]:
-    """Work on a chunk, if this process would do so as the one that asks.
+def run_on_worker(index: int, chunk: Chunk, code_version: CodeVersion) -> tuple[int, pd.DataFrame]:
+    """Run a chunk, if the versions in this process are those of the calling one.
 
     Raises
     ------
     InputError
-        If it would not, or the chunk cannot be worked on.
+        If they are not, or the chunk cannot be run.
     """
-    if unlike := code_version.differences(current_code_version()):
+    if differences := code_version.differences(current_code_version()):
         raise InputError(
-            "a worker is not like the machine that asks it, so that its numbers may differ: "
-            f"{'; '.join(unlike)}; install the same versions on all machines"
+            "a worker has other versions than the machine that uses it, so that its results may differ: "
+            f"{'; '.join(differences)}; install the same versions on all machines"
         )
-    return place, chunk.run()
+    return index, chunk.run()
 
 
 def _import_distributed() -> ModuleType:

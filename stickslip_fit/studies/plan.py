@@ -45,13 +45,12 @@ DEFAULT_MAX_ERROR = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What the published laws do not know of in some of the campaigns.
+    """Causes that act in the simulated campaigns, and of which the strategies' laws know nothing.
 
     Attributes
     ----------
-    name : str
     causes : tuple of Cause
-        None of them: nothing is hidden.
+        None by default.
     sizes : array, shape (q,)
         Values of the causes' parameters one after the other, SI.
     """
@@ -67,12 +66,10 @@ class StudyPlan:
 
     Attributes
     ----------
-    name : str
     plan : Plan
         Of every campaign; the same traverses in the same order.
     truth : LawValues
-        What holds on average over the campaigns.
-    machine : Machine
+        The means over the campaigns.
     scenarios : tuple of Scenario
     strategies : tuple of Strategy
     repeatability : dict of (int, str) to float
@@ -81,7 +78,6 @@ class StudyPlan:
         ``uneven``: Gaussian, and up to twice as large in some configurations as in others.
     campaigns : int
         Of each scenario.
-    seed : int
     between_campaigns, between_sessions : float
         How far each parameter spreads (standard deviation), as a share of what changes a step by its own
         size, see `StepLaw.scales`; cut off at three standard deviations.
@@ -115,8 +111,8 @@ class StudyPlan:
         return "t5" if self.scatter == "t5" else "gaussian"
 
     def sha256(self, scenario: Scenario) -> str:
-        """Of all that the numbers of a scenario's campaigns depend on: not of how many there are."""
-        told = {
+        """Of everything that a campaign of a scenario depends on, which their number is not."""
+        content = {
             "traverses": self.plan.rows().to_csv(),
             "sessions": [(each.label, each.begins.isoformat()) for each in self.plan.sessions],
             "timing": repr(self.plan.timing),
@@ -128,21 +124,17 @@ class StudyPlan:
             "strategies": [(strategy.name, _stable_repr(strategy)) for strategy in self.strategies],
             "repeatability": {str(key): value for key, value in self.repeatability.items()},
             "rest": [
-                self.scatter,
-                self.seed,
-                self.between_campaigns,
-                self.between_sessions,
-                self.moves,
-                self.length,
+                *(self.scatter, self.seed, self.between_campaigns, self.between_sessions),
+                *(self.moves, self.length),
             ],
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _stable_repr(thing: object) -> str:
-    """What a thing is, the same in every process; an object's default repr tells where it lies in memory."""
-    told = repr(thing) if is_dataclass(thing) else repr(getattr(thing, "causes", ""))
-    return f"{type(thing).__module__}.{type(thing).__qualname__} {told}"
+def _stable_repr(strategy: object) -> str:
+    """Class and parameters, the same in every process; an object's default repr has its memory address."""
+    parameters = repr(strategy) if is_dataclass(strategy) else repr(getattr(strategy, "causes", ""))
+    return f"{type(strategy).__module__}.{type(strategy).__qualname__} {parameters}"
 
 
 SIMULATED_COLUMNS = {"session", "session_seconds", "step_period", *INITIAL_HISTORY}  # of what causes look at
@@ -151,12 +143,12 @@ SIMULATED_COLUMNS = {"session", "session_seconds", "step_period", *INITIAL_HISTO
 def _of_file(read: Callable[[Path, Machine], Any]) -> PlainValidator:
     """The content of a file named from where the study file lies; its faults are faults of the study."""
 
-    def content(named: Any, info: ValidationInfo) -> Any:
-        if not isinstance(named, str) or not named:
+    def content(name: Any, info: ValidationInfo) -> Any:
+        if not isinstance(name, str) or not name:
             raise ValueError("no name")
         folder, machine = info.context  # type: ignore[misc]
         try:
-            return read(folder / named, machine)
+            return read(folder / name, machine)
         except InputError as error:
             raise fault("cannot be used", error.problems) from None
 
@@ -236,8 +228,8 @@ class StudyFile(Table):
 
     def _misfits(self) -> Iterator[Misfit]:
         known = [strategy.name for strategy in default_strategies(self.more, self.seed)]
-        given = known if self.strategies is None else self.strategies
-        if not given or not set(given) <= set(known) or len(set(given)) < len(given):
+        chosen = known if self.strategies is None else self.strategies
+        if not chosen or not set(chosen) <= set(known) or len(set(chosen)) < len(chosen):
             yield f"give a list of different ones of {', '.join(map(repr, known))}", ("strategies",)
         names = [scenario.name for scenario in self.scenario]
         if len(set(names)) < len(names):
@@ -255,8 +247,8 @@ class StudyFile(Table):
         sessions = {session.label for session in self.plan.sessions}
         for number, scenario in enumerate(self.scenario):
             for cause in causes_of(scenario.cause)[0]:
-                if why := _explain_inert(cause, sessions):
-                    yield f"{cause.name} {why}", ("scenario", number, "name")
+                if reason := _explain_inert(cause, sessions):
+                    yield f"{cause.name} {reason}", ("scenario", number, "name")
 
     def repeatability(self) -> dict[tuple[int, str], float]:
         """The campaign plan's, or one number for every joint and direction in its place."""
@@ -279,7 +271,6 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     ----------
     path : path
         A TOML file with the keys of `StudyFile`.
-    machine : Machine
 
     Raises
     ------
@@ -307,8 +298,8 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     )
 
 
-def default_study_strategies(more: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...]:
-    """Those of `usual_strategies` that a study compares by default: any campaign takes them milliseconds.
+def default_study_strategies(extra: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...]:
+    """Those of `default_strategies` that a study compares by default: milliseconds for each campaign.
 
     Examples
     --------
@@ -316,14 +307,12 @@ def default_study_strategies(more: int = EXTRA_TRAVERSES) -> tuple[Strategy, ...
     ['constant step', 'closed form', 'least squares, thesis +4', 'least squares, I-optimal',
      'least squares, I-optimal +4']
     """
-    return (
-        ConstantStepStrategy(), ClosedForm(), LeastSquares(Thesis(), more), LeastSquares(IOptimal()),
-        LeastSquares(IOptimal(), more),
-    )  # fmt: skip
+    fits = (LeastSquares(Thesis(), extra), LeastSquares(IOptimal()), LeastSquares(IOptimal(), extra))
+    return (ConstantStepStrategy(), ClosedForm(), *fits)
 
 
 def _explain_inert(cause: Cause, sessions: set[str]) -> str:
-    """Why a cause could do nothing in a simulated campaign; empty where it could."""
+    """Why a cause would have no effect in a simulated campaign; empty where it would."""
     if cause.session not in ("", *sessions):
         planned = ", ".join(map(repr, sorted(sessions)))
         return f"happens in session {cause.session!r}; the plan's are {planned}"

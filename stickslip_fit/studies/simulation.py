@@ -13,20 +13,20 @@ from itertools import pairwise
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.base import extend_by
 from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
 from stickslip_fit.laws import StepLaw, observed_count, traverse_length
 from stickslip_fit.logs.plan import Plan, PlannedSession
+from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.simulation import expected_counts
-from stickslip_fit.simulation.campaign import GROUPS, draw_random, drive_through
+from stickslip_fit.simulation.campaign import GROUPS, draw_random, drive_through, group_index
+from stickslip_fit.simulation.truth import Group
 from stickslip_fit.studies.plan import Scenario, StudyPlan
-from stickslip_fit.units import JOINTS
 
 MAX_DEVIATION_SD = (
     3.0  # standard deviations; a law that stalls once in a thousand campaigns would stop a study
@@ -43,12 +43,11 @@ class CampaignDraws:
     Attributes
     ----------
     day : array, shape (C, S, groups)
-        See `Chance`.
     noise, wait : array, shape (C, n)
-        Departures of log(steps), of standard deviation 1, and how long a person takes.
-    luck : array, shape (C, n, 3)
+    misfire_draws : array, shape (C, n, 3)
+        See `RandomDraws`.
     law : array, shape (C, S + 1, groups, parameters)
-        How far each parameter lies from its usual value: first the campaign's, then each session's.
+        Standardized deviation of each parameter from its mean: first the campaign's, then each session's.
     """
 
     day: Array
@@ -59,88 +58,73 @@ class CampaignDraws:
 
 
 def draw_campaigns(study: StudyPlan, scenario: Scenario, campaigns: Sequence[int]) -> CampaignDraws:
-    """The draws of campaigns by number; the same whatever other campaigns are drawn beside them."""
-    uneven = _scatter_groups(study.plan) if study.scatter == "uneven" else None
-    each = [_draw_campaign(study, scenario, number, uneven) for number in campaigns]
-    return CampaignDraws(*(np.stack(parts) for parts in zip(*each, strict=True)))
-
-
-def nominal_draws(plan: Plan) -> CampaignDraws:
-    """One campaign in which everything is as usual."""
-    sessions, n = len(plan.sessions), len(plan.sessions) * plan.traverses_per_session
-    return CampaignDraws(
-        np.zeros((1, sessions, len(GROUPS))), np.zeros((1, n)), np.full((1, n), 0.5), np.full((1, n, 3), 0.5),
-        np.zeros((1, sessions + 1, len(GROUPS), MAX_PARAMETERS)),
-    )  # fmt: skip
+    """The draws of campaigns by number, independent of which other campaigns are drawn with them."""
+    scatter_groups = _scatter_groups(study.plan) if study.scatter == "uneven" else None
+    draws = [_draw_campaign(study, scenario, number, scatter_groups) for number in campaigns]
+    return CampaignDraws(*(np.stack(parts) for parts in zip(*draws, strict=True)))
 
 
 def seed_sequence(study: StudyPlan, scenario: Scenario, number: int, kind: int) -> np.random.SeedSequence:
-    """Where a campaign's chance comes from, one for each kind of it."""
+    """The seed of one of a campaign's random streams."""
     return np.random.SeedSequence([study.seed, crc32(scenario.name.encode()), number, kind])
 
 
 def campaign_seed(study: StudyPlan, scenario: Scenario, number: int) -> int:
-    """The seed with which `simulate` draws the same scatter, days and pauses as a campaign of a study."""
+    """The seed with which `simulate` draws the noise, days and pauses of a campaign of a study."""
     return int(seed_sequence(study, scenario, number, COUNT_STREAM).generate_state(1, np.uint64)[0])
 
 
 def _draw_campaign(
-    study: StudyPlan, scenario: Scenario, number: int, uneven: tuple[IntArray, IntArray] | None
+    study: StudyPlan, scenario: Scenario, number: int, scatter_groups: tuple[IntArray, IntArray] | None
 ) -> tuple[Array, ...]:
     sessions, traverses = len(study.plan.sessions), study.plan.traverses_per_session
-    chance = draw_random(campaign_seed(study, scenario, number), sessions, traverses, len(GROUPS), study.kind)
+    draws = draw_random(campaign_seed(study, scenario, number), sessions, traverses, len(GROUPS), study.kind)
     rng = np.random.default_rng(seed_sequence(study, scenario, number, LAW_STREAM))
-    drawn = rng.standard_normal((sessions + 1, len(GROUPS), MAX_PARAMETERS))
-    law = np.clip(drawn, -MAX_DEVIATION_SD, MAX_DEVIATION_SD)
-    noise = chance.noise if uneven is None else chance.noise * _draw_scatter_factors(*uneven, rng)
-    return chance.day, noise, chance.wait, chance.misfire_draws, law
+    deviations = rng.standard_normal((sessions + 1, len(GROUPS), MAX_PARAMETERS))
+    law = np.clip(deviations, -MAX_DEVIATION_SD, MAX_DEVIATION_SD)
+    noise = (
+        draws.noise if scatter_groups is None else draws.noise * _draw_scatter_factors(*scatter_groups, rng)
+    )
+    return draws.day, noise, draws.wait, draws.misfire_draws, law
 
 
 def _scatter_groups(plan: Plan) -> tuple[IntArray, IntArray]:
-    """Of each row, its configuration, whatever the session, and its joint and direction."""
+    """Each row's configuration, without the session, and its joint and direction, as group numbers."""
     rows = plan.rows()
-    alike = (
-        rows[[name for name in CONFIGURATION_COLUMNS if name != "session"]]
-        .round(9)
-        .assign(joint=rows["joint"])
-    )
-    place = alike.groupby(list(alike), dropna=False, sort=False).ngroup().to_numpy()
-    drive = alike.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()
-    return place, drive
+    columns = [name for name in CONFIGURATION_COLUMNS if name != "session"]
+    keys = rows[columns].round(9).assign(joint=rows["joint"])
+    configuration = keys.groupby(list(keys), dropna=False, sort=False).ngroup().to_numpy()
+    group = keys.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()
+    return configuration, group
 
 
-def _draw_scatter_factors(place: IntArray, drive: IntArray, rng: np.random.Generator) -> Array:
+def _draw_scatter_factors(configuration: IntArray, group: IntArray, rng: np.random.Generator) -> Array:
     """Factors of the scatter, shape (n,), whose squares have mean 1 in each joint and direction."""
-    factor = rng.uniform(*SCATTER_RANGE, place.max() + 1)[place]
-    square = np.bincount(drive, factor**2) / np.bincount(drive)
-    return factor / np.sqrt(square)[drive]
-
-
-JointDirection = tuple[int, str]
-
-INITIAL_HISTORY = {"session_seconds": 0.0, "steps_before": 0}
+    factor = rng.uniform(*SCATTER_RANGE, configuration.max() + 1)[configuration]
+    square = np.bincount(group, factor**2) / np.bincount(group)
+    return factor / np.sqrt(square)[group]
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignTruths:
-    """How the joints truly step in C campaigns of S sessions.
+    """The true laws of C campaigns of S sessions.
 
     Attributes
     ----------
     laws : mapping of int to StepLaw
-        With the causes of a scenario in them.
+        Extended by the causes of the scenario.
     values : mapping of (int, str) to array, shape (C, S, p)
         Parameters of each joint and direction, SI.
     factor : mapping of (int, str) to array, shape (C, S)
-        By which all step sizes of a session differ from these.
+        Multiplies all step sizes of a session.
     """
 
     laws: Mapping[int, StepLaw]
-    values: Mapping[JointDirection, Array]
-    factor: Mapping[JointDirection, Array]
+    values: Mapping[Group, Array]
+    factor: Mapping[Group, Array]
 
-    def in_motion(self) -> CampaignTruths:
-        """What is only in hearing the stop left out."""
+    def without_stop_effects(self) -> CampaignTruths:
+        """The laws of motion, without the causes that act on detecting the stop."""
         moving = {}
         for (joint, direction), values in self.values.items():
             law = self.laws[joint]
@@ -148,124 +132,107 @@ class CampaignTruths:
         return CampaignTruths(self.laws, moving, self.factor)
 
     def steps(self, rows: pd.DataFrame, number: IntArray) -> Array:
-        """Steps that each traverse takes on average, shape (n,).
+        """Expected steps of each traverse, shape (n,).
 
         Parameters
         ----------
         rows : DataFrame, n rows
         number : array of int, shape (n,)
-            The place of each row's session among all C S.
+            Index of each row's session among all C S.
 
         Raises
         ------
         InputError
-            If a joint comes to a halt.
+            If a joint stalls.
         """
-        found, group = np.zeros(len(rows)), number_groups(rows)
+        steps, group = np.zeros(len(rows)), group_index(rows)
         for joint, law in self.laws.items():
             subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
             if not len(subset):
                 continue
-            these = rows.iloc[subset]
+            joint_rows = rows.iloc[subset]
             values = self._of_rows(self.values, joint, group[subset], number[subset])
-            expected = np.exp(law.predict(these, values))
+            expected = np.exp(law.predict(joint_rows, values))
             if not np.all(np.isfinite(expected)):
-                expected_counts(law, these, values)  # says where the joint comes to a halt
-            added = law.added(these, values) if isinstance(law, ExtendedLaw) else 0.0
+                expected_counts(law, joint_rows, values)  # raises, with the place of the stall
+            added = law.added(joint_rows, values) if isinstance(law, ExtendedLaw) else 0.0
             factor = self._of_rows(self.factor, joint, group[subset], number[subset])
-            found[subset] = (expected - added) / factor + added
-        return found
+            steps[subset] = (expected - added) / factor + added
+        return steps
 
     def misfires(self, rows: pd.DataFrame, number: IntArray, misfire_draws: Array) -> Array:
-        """Log steps by which a stop that is missed or imagined puts counts off, (n, 3) -> (n,)."""
-        off, group = np.zeros(len(rows)), number_groups(rows)
+        """Deviations of log(steps) by stops that are missed or detected too early, (n, 3) -> (n,)."""
+        deviation, group = np.zeros(len(rows)), group_index(rows)
         for joint, law in self.laws.items():
             subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
             if isinstance(law, ExtendedLaw) and len(subset):
-                off[subset] = law.misfires(
+                deviation[subset] = law.misfires(
                     self._of_rows(self.values, joint, group[subset], number[subset]), misfire_draws[subset]
                 )
-        return off
+        return deviation
 
-    def _of_rows(
-        self, table: Mapping[JointDirection, Array], joint: int, group: IntArray, number: IntArray
-    ) -> Array:
-        """A session's own value of something, for each row of a joint; (n, ...)."""
-        drives = [each for each in GROUPS if each[0] == joint]
-        both = np.stack([table[each].reshape(-1, *table[each].shape[2:]) for each in drives])
-        return both[group - GROUPS.index(drives[0]), number]
+    def _of_rows(self, table: Mapping[Group, Array], joint: int, group: IntArray, number: IntArray) -> Array:
+        """The entry of its session and direction for each row of a joint, (n, ...)."""
+        values = [table[joint, direction] for direction in DIRECTIONS]
+        both = np.stack([value.reshape(-1, *value.shape[2:]) for value in values])
+        return both[group - GROUPS.index((joint, DIRECTIONS[0])), number]
 
 
 def draw_truths(
     study: StudyPlan, scenario: Scenario, rows: pd.DataFrame, draws: CampaignDraws
 ) -> CampaignTruths:
-    """Draw each session's parameters.
-
-    Parameters
-    ----------
-    study : StudyPlan
-    scenario : Scenario
-    rows : DataFrame
-        Of one campaign, as the plan has them.
-    draws : Draws
-    """
+    """Each session's parameters; `rows` are the plan's, of one campaign."""
     laws, values, factor = {}, {}, {}
     for joint in sorted(rows["joint"].unique()):
         subset, law = rows[rows["joint"] == joint], study.truth.laws[joint]
         laws[int(joint)] = extend_by(law, scenario.causes) if scenario.causes else law
         for direction in ("+", "-"):
-            drive = int(joint), direction
-            usual, shared = _nominal_parameters(study, subset, drive)
-            values[drive] = _draw_parameters(study, law, subset, drive, usual, draws, scenario.sizes)
-            day = study.truth.day_to_day.get(drive, 0.0) * shared
-            factor[drive] = 1.0 + day * draws.day[:, :, GROUPS.index(drive)]
+            pair = int(joint), direction
+            nominal, shared = _nominal_parameters(study, subset, pair)
+            values[pair] = _draw_parameters(study, law, subset, pair, nominal, draws, scenario.sizes)
+            day = study.truth.day_to_day.get(pair, 0.0) * shared
+            factor[pair] = 1.0 + day * draws.day[:, :, GROUPS.index(pair)]
     return CampaignTruths(laws, values, factor)
 
 
-def number_groups(rows: pd.DataFrame) -> IntArray:
-    """The place of each row's joint and direction in `GROUPS`."""
-    return 2 * (rows["joint"].to_numpy() - JOINTS[0]) + (rows["direction"] == "-").to_numpy()
-
-
-def _nominal_parameters(
-    study: StudyPlan, subset: pd.DataFrame, drive: JointDirection
-) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _nominal_parameters(study: StudyPlan, subset: pd.DataFrame, pair: Group) -> tuple[Array, BoolArray]:
     """Each session's parameters as the law file has them, (S, p), and whether days differ from them, (S,)."""
     labels = [session.label for session in study.plan.sessions]
-    if not (subset["direction"] == drive[1]).any():
-        p = len(study.truth.laws[drive[0]].parameters)
+    if not (subset["direction"] == pair[1]).any():
+        p = len(study.truth.laws[pair[0]].parameters)
         return np.zeros((len(labels), p)), np.zeros(len(labels), bool)
-    sessions = pd.DataFrame({"session": labels, "direction": drive[1]})
-    return study.truth.of_rows(sessions, drive[0])
+    sessions = pd.DataFrame({"session": labels, "direction": pair[1]})
+    return study.truth.of_rows(sessions, pair[0])
 
 
 def _draw_parameters(
     study: StudyPlan,
     law: StepLaw,
     subset: pd.DataFrame,
-    drive: JointDirection,
-    usual: Array,
+    pair: Group,
+    nominal: Array,
     draws: CampaignDraws,
-    hidden: Array,
+    cause_values: Array,
 ) -> Array:
-    """Parameters of a joint and direction with those of the hidden causes beside them, (C, S, p + q)."""
-    own = law.law if isinstance(law, ExtendedLaw) else law
-    p, group = len(own.parameters), GROUPS.index(drive)
+    """Parameters of a joint and direction, then those of the causes, (C, S, p + q)."""
+    base_law = law.law if isinstance(law, ExtendedLaw) else law
+    p, group = len(base_law.parameters), GROUPS.index(pair)
     spread = study.between_campaigns * draws.law[:, :1, group, :p]
     spread = spread + study.between_sessions * draws.law[:, 1:, group, :p]
-    drawn = np.tile(usual, (len(spread), 1, 1))
-    rows = subset[subset["direction"] == drive[1]]
+    values = np.tile(nominal, (len(spread), 1, 1))
+    rows = subset[subset["direction"] == pair[1]]
     if len(rows):
         session = pd.Index([each.label for each in study.plan.sessions]).get_indexer(rows["session"])
-        steps = expected_counts(law, rows.assign(**INITIAL_HISTORY), usual[session])
+        steps = expected_counts(law, rows.assign(session_seconds=0.0, steps_before=0), nominal[session])
         mean_step = np.atleast_1d(traverse_length(rows).sum() / steps.sum())
-        drawn[:, :, :p] += spread * own.scales(mean_step)[0]
-    return np.concatenate([drawn, np.broadcast_to(hidden, (*drawn.shape[:2], len(hidden)))], axis=2)
+        values[:, :, :p] += spread * base_law.scales(mean_step)[0]
+    return np.concatenate(
+        [values, np.broadcast_to(cause_values, (*values.shape[:2], len(cause_values)))], axis=2
+    )
 
 
-BASELINE_SCENARIO = Scenario("nothing hidden")
-EPOCH = datetime(1700, 1, 1)  # early, so that many campaigns have room on one clock
-CAMPAIGN_SPACING = timedelta(days=30)  # of two campaigns side by side, so that none overlaps the next
+EPOCH = datetime(1700, 1, 1)  # the campaigns of a chunk follow each other from this date on
+CAMPAIGN_SPACING = timedelta(days=30)  # between two campaigns
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,10 +245,8 @@ class SimulatedCampaigns:
         C and S.
     rows : DataFrame, C n rows
         A log's columns, campaign after campaign, the plan's order within each.
-    truths : Truths
     true_steps : array, shape (C n,)
-        Steps that each traverse truly takes on average: without scatter and rounding, and without what is
-        only in hearing the stop.
+        Expected steps of each traverse: without noise, rounding and effects of detecting the stop.
     """
 
     count: int
@@ -295,8 +260,8 @@ class SimulatedCampaigns:
         """Traverses of a campaign."""
         return len(self.rows) // self.count
 
-    def places(self, traverses: IntArray) -> IntArray:
-        """Rows of the same traverses of every campaign, shape (m,) -> (C, m)."""
+    def row_positions(self, traverses: IntArray) -> IntArray:
+        """Row positions of the same traverses in every campaign, shape (m,) -> (C, m)."""
         return np.arange(self.count)[:, None] * self.traverses + traverses
 
     def campaign_rows(self, number: int) -> pd.DataFrame:
@@ -305,42 +270,52 @@ class SimulatedCampaigns:
 
 
 def simulate_campaigns(study: StudyPlan, scenario: Scenario, draws: CampaignDraws) -> SimulatedCampaigns:
-    """Drive the plan through in every campaign.
+    """Simulate the counts of the plan in every campaign.
 
     Raises
     ------
     InputError
-        If a joint comes to a halt, or a session is not over when the next one begins.
+        If a joint stalls, or a session is not over when the next one begins.
     """
-    count, one = len(draws.noise), study.plan.rows()
+    count, campaign = len(draws.noise), study.plan.rows()
     side_by_side = _repeat_sessions(study.plan, count)
     number = np.arange(len(side_by_side.sessions)).repeat(study.plan.traverses_per_session)
-    labels = pd.Series(np.tile(one["session"].astype(object), count))
-    rows = pd.concat([one] * count, ignore_index=True).assign(session=number)
-    truths = draw_truths(study, scenario, one, draws)
-    scatter = np.array([study.repeatability.get(each, np.nan) for each in GROUPS])[number_groups(rows)]
-    departure = scatter * draws.noise.ravel() + truths.misfires(
+    labels = pd.Series(np.tile(campaign["session"].astype(object), count))
+    rows = pd.concat([campaign] * count, ignore_index=True).assign(session=number)
+    truths = draw_truths(study, scenario, campaign, draws)
+    repeatability = np.array([study.repeatability.get(group, np.nan) for group in GROUPS])
+    scatter = repeatability[group_index(rows)]
+    deviation = scatter * draws.noise.ravel() + truths.misfires(
         rows, number, draws.misfire_draws.reshape(-1, 3)
     )
 
-    def seen(known: pd.DataFrame) -> npt.NDArray[np.int64]:
-        steps = truths.steps(_separate_histories(known, labels, count), number)
-        return observed_count(steps * np.exp(departure), known["check_every"])
+    def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
+        steps = truths.steps(_separate_histories(rows_with_history, labels, count), number)
+        return observed_count(steps * np.exp(deviation), rows_with_history["check_every"])
 
-    driven = drive_through(side_by_side, rows, draws.wait.ravel(), seen, truths.laws.values())
-    log = _separate_histories(driven, labels, count).assign(status="ok", note="")
+    traverses = drive_through(side_by_side, rows, draws.wait.ravel(), count_steps, truths.laws.values())
+    log = _separate_histories(traverses, labels, count).assign(status="ok", note="")
     log = log.assign(**{name: np.nan for name in CONDITIONS if name not in log})
-    steps = truths.in_motion().steps(log, number)
+    steps = truths.without_stop_effects().steps(log, number)
     return SimulatedCampaigns(count, len(study.plan.sessions), log, truths, steps)
 
 
 def simulate_nominal_campaign(study: StudyPlan) -> SimulatedCampaigns:
-    """One campaign in which nothing is hidden and nothing left to chance: what a lab plans by."""
-    return simulate_campaigns(study, BASELINE_SCENARIO, nominal_draws(study.plan))
+    """One campaign without causes, noise and spread."""
+    sessions, groups = len(study.plan.sessions), len(GROUPS)
+    n = sessions * study.plan.traverses_per_session
+    draws = CampaignDraws(
+        day=np.zeros((1, sessions, groups)),
+        noise=np.zeros((1, n)),
+        wait=np.full((1, n), 0.5),
+        misfire_draws=np.full((1, n, 3), 0.5),
+        law=np.zeros((1, sessions + 1, groups, MAX_PARAMETERS)),
+    )
+    return simulate_campaigns(study, Scenario("nothing hidden"), draws)
 
 
 def _repeat_sessions(plan: Plan, count: int) -> Plan:
-    """The plan with its sessions over and over, each campaign long after the one before."""
+    """The plan with its sessions repeated, each campaign long after the previous one."""
     begins = [session.begins for session in plan.sessions]
     gaps = [*(later - earlier for earlier, later in pairwise(begins)), CAMPAIGN_SPACING] * count
     moments = EPOCH + np.cumsum([timedelta(), *gaps[:-1]])
@@ -348,11 +323,11 @@ def _repeat_sessions(plan: Plan, count: int) -> Plan:
     return replace(plan, sessions=tuple(map(PlannedSession, labels, moments)))
 
 
-def _separate_histories(known: pd.DataFrame, labels: pd.Series, count: int) -> pd.DataFrame:
-    """With the plan's session labels, and steps counted from each campaign's first traverse on."""
-    driven = known["steps_before"].to_numpy().reshape(count, -1).copy()
-    joint = known["joint"].to_numpy()[: driven.shape[1]]
-    for each in np.unique(joint):
-        subset = np.flatnonzero(joint == each)
-        driven[:, subset] -= driven[:, subset[:1]]
-    return known.assign(session=labels, steps_before=driven.ravel())
+def _separate_histories(rows: pd.DataFrame, labels: pd.Series, count: int) -> pd.DataFrame:
+    """With the plan's session labels, and steps_before counted from each campaign's first traverse."""
+    steps_before = rows["steps_before"].to_numpy().reshape(count, -1).copy()
+    joint = rows["joint"].to_numpy()[: steps_before.shape[1]]
+    for joint_ in np.unique(joint):
+        subset = np.flatnonzero(joint == joint_)
+        steps_before[:, subset] -= steps_before[:, subset[:1]]
+    return rows.assign(session=labels, steps_before=steps_before.ravel())

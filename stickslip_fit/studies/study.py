@@ -1,41 +1,131 @@
-"""SimulationStudy: the result of `run_study`, its summaries over campaigns, its tables and its text.
+"""run_study: from a StudyPlan to a SimulationStudy, its summaries over campaigns and its tables.
 
-Intervals are over campaigns. A strategy is accurate enough in a scenario if the upper limit of its rms
-error is below the limit of the plan. `save_study` writes all tables as CSV and Parquet.
+Read first; then `plan`, `simulation`, `calibration`, `execution`. Intervals are over campaigns.
+`save_study` writes all tables as CSV and Parquet.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import format_value
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import progress_bar
 from stickslip_fit._summary import Summarized
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.result import AxesArray
-from stickslip_fit.strategies.compare import convert_units
+from stickslip_fit.strategies.compare import convert_units, save_tables
 from stickslip_fit.strategies.statistics import t_half_width
-from stickslip_fit.studies.calibration import StudyDesign
-from stickslip_fit.studies.execution import TIP_JOINT
+from stickslip_fit.strategies.tip_error import SHARE_COLUMNS
+from stickslip_fit.studies.calibration import StudyDesign, design_study
+from stickslip_fit.studies.execution import (
+    TIP_JOINT,
+    Backend,
+    Chunk,
+    Cores,
+    ResultStore,
+    current_code_version,
+)
 from stickslip_fit.studies.plan import StudyPlan
-from stickslip_fit.units import JOINTS, from_si
+from stickslip_fit.studies.simulation import CAMPAIGN_SPACING
+from stickslip_fit.units import from_si
 
+CHUNK_CAMPAIGNS = 100  # campaigns; seconds of work
+MAX_ROWS = 200_000  # of all campaigns of a chunk; hundreds of megabytes
+MAX_CLOCK_TIME = timedelta(days=365 * 250)  # the campaigns of a chunk follow each other on one clock
 CAMPAIGN_QUANTILES = (0.05, 0.95)
 
 
+def run_study(
+    plan: StudyPlan,
+    folder: str | Path | None = None,
+    backend: Backend = Cores(),  # noqa: B008 - frozen, and without state
+    *,
+    progress: bool = False,
+    command: str = "",
+) -> SimulationStudy:
+    """Simulate every campaign, calibrate it by every strategy, and compute the prediction errors.
+
+    A campaign depends on the study's seed, its scenario's name and its number alone: the results are the
+    same on any backend, and whatever was finished before.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Stores finished chunks of up to a hundred campaigns; a later run in the same folder, even with more
+        campaigns or scenarios, computes only what is missing.
+    progress : bool, optional
+        Show a progress bar where there is a terminal.
+    command : str, optional
+        Kept in the study's provenance.
+
+    Raises
+    ------
+    InputError
+        If two strategies or scenarios have one name, no strategy suits the plan, a joint stalls, the folder
+        cannot be written to, or the backend fails.
+    """
+    for kind, named in (("strategies", plan.strategies), ("scenarios", plan.scenarios)):
+        names = [item.name for item in named]
+        if not names or len(set(names)) < len(names):
+            raise InputError(f"{kind} need names that differ, and there must be one; these are {names}")
+    design = design_study(plan)
+    chunks = make_chunks(plan, design)
+    if folder is None:
+        tables = dict(_run_chunks(chunks, backend, progress, 0))
+    else:
+        tables = _load_or_run(chunks, ResultStore(Path(folder), current_code_version()), backend, progress)
+    campaigns = pd.concat([tables[k] for k in range(len(chunks))], ignore_index=True)
+    return SimulationStudy(plan, design, campaigns, command)
+
+
+def make_chunks(plan: StudyPlan, design: StudyDesign) -> list[Chunk]:
+    """The pieces of a study, scenario by scenario."""
+    sessions = plan.plan.sessions
+    duration = sessions[-1].begins - sessions[0].begins + CAMPAIGN_SPACING
+    rows = len(sessions) * plan.plan.traverses_per_session
+    size = max(1, min(CHUNK_CAMPAIGNS, MAX_ROWS // rows, MAX_CLOCK_TIME // duration))
+    return [
+        Chunk(plan, design, scenario, first, min(first + size, plan.campaigns))
+        for scenario in plan.scenarios
+        for first in range(0, plan.campaigns, size)
+    ]
+
+
+def _load_or_run(
+    chunks: Sequence[Chunk], store: ResultStore, backend: Backend, progress: bool
+) -> dict[int, pd.DataFrame]:
+    """Each chunk's index and table; missing ones are computed and stored first."""
+    missing = [k for k, chunk in enumerate(chunks) if not store.has(chunk)]
+    finished = sum(map(len, chunks)) - sum(len(chunks[k]) for k in missing)
+    for k, table in _run_chunks([chunks[k] for k in missing], backend, progress, finished):
+        store.write(chunks[missing[k]], table)
+    return {k: store.read(chunk) for k, chunk in enumerate(chunks)}
+
+
+def _run_chunks(
+    chunks: Sequence[Chunk], backend: Backend, progress: bool, finished: int
+) -> Iterator[tuple[int, pd.DataFrame]]:
+    total = finished + sum(map(len, chunks))
+    bar = progress_bar(progress, total=total, initial=finished, unit=" campaigns")
+    with bar, closing(backend.run(chunks)) as results:
+        for k, table in results:
+            bar.update(len(chunks[k]))
+            yield k, table
+
+
 def summarize_step_errors(steps: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """Errors of the mean step size, every campaign counting alike.
+    """Errors of the mean step size, every campaign with the same weight.
 
     Parameters
     ----------
     steps : DataFrame
-        Rows of joints and directions, see `step_size_errors` and `spent`.
+        Rows of joints and directions, see `compute_step_size_errors` and `compute_cost`.
     by : sequence of str
         Columns to group by.
 
@@ -48,37 +138,35 @@ def summarize_step_errors(steps: pd.DataFrame, by: Sequence[str]) -> pd.DataFram
         worst, of any campaign; covered, the share of 95 % intervals that hold the truth, with its interval.
         NaN where campaigns are too few.
     """
-    work = steps.assign(
-        **{f"square{end}": steps[f"rms{end}"] ** 2 * steps["predictions"] for end in ("", "_relative")},
-        **{f"sum{end}": steps[f"bias{end}"] * steps["predictions"] for end in ("", "_relative")},
-        held=steps["covered"] * steps["predictions"],
-    )
-    names = ["predictions", "seconds", "sessions", "failed", "held"]
-    names += [f"{kind}{end}" for kind in ("square", "sum") for end in ("", "_relative")]
-    each = work.groupby([*by, "campaign"], sort=False)[names].sum(min_count=1)
-    for name in ("held", "square", "sum", "square_relative", "sum_relative"):
-        each[name] /= each["predictions"].where(each["predictions"] > 0)
-    groups = each.groupby(list(by), sort=False)
+    means = {"held": steps["covered"]}
+    for suffix in ("", "_relative"):
+        means |= {f"square{suffix}": steps[f"rms{suffix}"] ** 2, f"sum{suffix}": steps[f"bias{suffix}"]}
+    weighted = steps.assign(**{name: value * steps["predictions"] for name, value in means.items()})
+    names = ["predictions", "seconds", "sessions", "failed", *means]
+    by_campaign = weighted.groupby([*by, "campaign"], sort=False)[names].sum(min_count=1)
+    for name in means:
+        by_campaign[name] /= by_campaign["predictions"].where(by_campaign["predictions"] > 0)
+    groups = by_campaign.groupby(list(by), sort=False)
     size, mean = groups["square"].count(), groups.mean()
     half = groups.std(ddof=1).mul(t_half_width(size) / np.sqrt(size), axis=0)
-    found = pd.DataFrame({"campaigns": groups.size()})
-    found["traverses"] = steps.groupby(list(by), sort=False)["traverses"].mean()
-    found["seconds"], found["failed"] = mean["seconds"], mean["failed"] / mean["sessions"]
-    for end in ("", "_relative"):
-        square, spread = mean[f"square{end}"], half[f"square{end}"]
+    summary = pd.DataFrame({"campaigns": groups.size()})
+    summary["traverses"] = steps.groupby(list(by), sort=False)["traverses"].mean()
+    summary["seconds"], summary["failed"] = mean["seconds"], mean["failed"] / mean["sessions"]
+    for suffix in ("", "_relative"):
+        square, spread = mean[f"square{suffix}"], half[f"square{suffix}"]
         factor = np.exp(spread / square / 2)
-        root = np.sqrt(square)
-        found[f"rms{end}"] = root
-        found[f"rms{end}_low"], found[f"rms{end}_high"] = root / factor, root * factor
-        bias, spread = mean[f"sum{end}"], half[f"sum{end}"]
-        found[f"bias{end}"] = bias
-        found[f"bias{end}_low"], found[f"bias{end}_high"] = bias - spread, bias + spread
-        worst = steps.groupby(list(by), sort=False)[f"worst{end}"]
-        found[f"worst{end}"] = worst.max().where(worst.max() >= -worst.min(), worst.min())
-    found["covered"] = mean["held"]
-    found["covered_low"] = np.maximum(mean["held"] - half["held"], 0.0)
-    found["covered_high"] = np.minimum(mean["held"] + half["held"], 1.0)
-    return found.reset_index()
+        rms = np.sqrt(square)
+        summary[f"rms{suffix}"] = rms
+        summary[f"rms{suffix}_low"], summary[f"rms{suffix}_high"] = rms / factor, rms * factor
+        bias, spread = mean[f"sum{suffix}"], half[f"sum{suffix}"]
+        summary[f"bias{suffix}"] = bias
+        summary[f"bias{suffix}_low"], summary[f"bias{suffix}_high"] = bias - spread, bias + spread
+        worst = steps.groupby(list(by), sort=False)[f"worst{suffix}"]
+        summary[f"worst{suffix}"] = worst.max().where(worst.max() >= -worst.min(), worst.min())
+    summary["covered"] = mean["held"]
+    summary["covered_low"] = np.maximum(mean["held"] - half["held"], 0.0)
+    summary["covered_high"] = np.minimum(mean["held"] + half["held"], 1.0)
+    return summary.reset_index()
 
 
 def summarize_tip_errors(tips: pd.DataFrame) -> pd.DataFrame:
@@ -87,7 +175,7 @@ def summarize_tip_errors(tips: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     tips : DataFrame
-        See `tip_distributions`.
+        See `compute_tip_distributions`.
 
     Returns
     -------
@@ -101,18 +189,18 @@ def summarize_tip_errors(tips: pd.DataFrame) -> pd.DataFrame:
     known = tips["moves"] - tips["unknown"]
     square = tips["rms"] ** 2 * known
     weighted = tips[["scenario", "strategy"]].assign(known=known, square=square)
-    for joint in JOINTS:
-        weighted[f"share_{joint}"] = tips[f"share_{joint}"] * square
+    weighted[SHARE_COLUMNS] = tips[SHARE_COLUMNS].mul(square, axis=0)
     sums = weighted.groupby(["scenario", "strategy"], sort=False).sum()
-    found = pd.DataFrame({"campaigns": groups.size()})
-    found["unknown"] = groups["unknown"].sum() / groups["moves"].sum()
-    found["rms"] = np.sqrt(sums["square"] / sums["known"].where(sums["known"] > 0))
-    found["median"], found["often"] = groups["median"].median(), groups["often"].median()
-    found["often_low"], found["often_high"] = (groups["often"].quantile(end) for end in CAMPAIGN_QUANTILES)
-    found["worst"] = groups["worst"].max()
-    for joint in JOINTS:
-        found[f"share_{joint}"] = sums[f"share_{joint}"] / sums["square"]
-    return found.reset_index()
+    summary = pd.DataFrame({"campaigns": groups.size()})
+    summary["unknown"] = groups["unknown"].sum() / groups["moves"].sum()
+    summary["rms"] = np.sqrt(sums["square"] / sums["known"].where(sums["known"] > 0))
+    summary["median"], summary["often"] = groups["median"].median(), groups["often"].median()
+    summary["often_low"], summary["often_high"] = (
+        groups["often"].quantile(end) for end in CAMPAIGN_QUANTILES
+    )
+    summary["worst"] = groups["worst"].max()
+    summary[SHARE_COLUMNS] = sums[SHARE_COLUMNS].div(sums["square"], axis=0)
+    return summary.reset_index()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,8 +209,6 @@ class SimulationStudy(Summarized):
 
     Attributes
     ----------
-    plan : StudyPlan
-    design : Design
     campaigns : DataFrame
         See `Chunk.run`: a row for each campaign, strategy, joint and direction, and for the tip.
     command : str
@@ -166,8 +252,8 @@ class SimulationStudy(Summarized):
 
     def strategies(self, joint: int) -> tuple[str, ...]:
         """Names of the strategies that suit a joint."""
-        there = set(self.campaigns.loc[self.campaigns["joint"] == joint, "strategy"])
-        return tuple(each.name for each in self.plan.strategies if each.name in there)
+        present = set(self.campaigns.loc[self.campaigns["joint"] == joint, "strategy"])
+        return tuple(strategy.name for strategy in self.plan.strategies if strategy.name in present)
 
     def accuracy(self, *by: str) -> pd.DataFrame:
         """Errors of the mean step size by scenario, joint and strategy, and by further columns.
@@ -180,74 +266,49 @@ class SimulationStudy(Summarized):
         Returns
         -------
         DataFrame
-            See `summary.summarise`.
+            See `summarize_step_errors`.
         """
         steps = self.campaigns[self.campaigns["joint"] != TIP_JOINT]
         return summarize_step_errors(steps, ["scenario", "joint", "strategy", *by])
 
     def tips(self) -> pd.DataFrame:
-        """The tip's errors by scenario and strategy, see `summary.summarise_tips`; empty without moves."""
+        """The tip's errors by scenario and strategy, see `summarize_tip_errors`; empty without moves."""
         tips = self.campaigns[self.campaigns["joint"] == TIP_JOINT]
         return summarize_tip_errors(tips) if len(tips) else tips
 
 
 LENGTH_COLUMNS = ("rms", "median", "often", "often_low", "often_high", "worst", "bias")
-SHARE_COLUMNS = tuple(f"share_{joint}" for joint in JOINTS)
 
 
-def make_tables(found: SimulationStudy) -> dict[str, pd.DataFrame]:
+def make_tables(study: SimulationStudy) -> dict[str, pd.DataFrame]:
     """All tables of a study by name, in people's units.
 
     Angles and lengths of step sizes are in what the column unit says, those of the tip in µm, relative
     numbers in % under names that end so.
     """
-    of_tip = found.campaigns["joint"] == TIP_JOINT
-    campaigns = found.campaigns[~of_tip].dropna(axis=1, how="all")
-    tips = found.campaigns[of_tip].drop(columns=["joint", "direction"]).dropna(axis=1, how="all")
-    shown = {
+    of_tip = study.campaigns["joint"] == TIP_JOINT
+    campaigns = study.campaigns[~of_tip].dropna(axis=1, how="all")
+    tips = study.campaigns[of_tip].drop(columns=["joint", "direction"]).dropna(axis=1, how="all")
+    tables = {
         "campaigns": convert_units(campaigns.astype({"sessions": int, "failed": int, "predictions": int})),
-        "accuracy": convert_units(found.accuracy()),
-        "accuracy_by_direction": convert_units(found.accuracy("direction")),
-        "left_out": found.design.left_out,
+        "accuracy": convert_units(study.accuracy()),
+        "accuracy_by_direction": convert_units(study.accuracy("direction")),
+        "left_out": study.design.left_out,
     }
     if len(tips):
-        shown |= {"tip_campaigns": _convert_tip_units(tips), "tip": _convert_tip_units(found.tips())}
-    return shown
+        tables |= {"tip_campaigns": _convert_tip_units(tips), "tip": _convert_tip_units(study.tips())}
+    return tables
 
 
-def save_study(found: SimulationStudy, folder: str | Path) -> list[Path]:
-    """Write each table as CSV and as Parquet; the folder is made where it is not there.
+def save_study(study: SimulationStudy, folder: str | Path) -> list[Path]:
+    """Write each table as CSV and as Parquet; the folder is made if it does not exist.
 
     Raises
     ------
     InputError
         If the folder cannot be made or written to.
     """
-    folder = Path(folder)
-    make_folder(folder)
-    written = []
-    for name, table in make_tables(found).items():
-        stream = io.BytesIO()
-        table.to_parquet(stream, index=False)
-        for suffix, content in ((".csv", table.to_csv(index=False)), (".parquet", stream.getvalue())):
-            written.append(folder / f"{name}{suffix}")
-            write_atomically(written[-1], content)
-    return written
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder in an existing one, unless it is there.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made.
-    """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        message = f"cannot be made ({error.strerror}); name a folder in an existing one"
-        raise InputError(InputIssue(message, str(folder))) from None
+    return save_tables(make_tables(study), folder)
 
 
 def _convert_tip_units(table: pd.DataFrame) -> pd.DataFrame:
@@ -260,74 +321,3 @@ def _convert_tip_units(table: pd.DataFrame) -> pd.DataFrame:
         else:
             columns[str(name)] = table[name]
     return pd.DataFrame(columns)
-
-
-MIN_COVERAGE = 0.9  # share of 95 % intervals that hold the truth, below which nobody should believe them
-
-
-def write_study_headline(found: SimulationStudy, joint: int) -> str:
-    """What a lab can act on, in a few sentences."""
-    table, limit = rows_of_joint(found.accuracy(), joint), found.plan.good_enough
-    good = {scenario: select_accurate(table, scenario, limit) for scenario in found.scenarios}
-    lasting = [name for name in good[found.scenarios[0]] if all(name in own for own in good.values())]
-    count = len(found.scenarios)
-    never = [name for name in found.strategies(joint) if not any(name in own for own in good.values())]
-    whatever = f" in {'all ' * (count > 1)}{count} scenario{'s' * (count > 1)}"
-    told = [f"Within {100 * limit:g} % rms{whatever}: {_join_names(lasting) or 'none'}."]
-    if lasting:
-        told.append(
-            f"The cheapest, {lasting[0]}, takes {calibration_minutes(table, lasting[0]):.0f} min a session."
-        )
-    if never:
-        told.append(f"In none: {_join_names(never)}.")
-    for scenario, own in good.items():
-        lost = [name for name in found.strategies(joint) if name not in own and name not in never]
-        if not own:
-            told.append(f"With {scenario}, the least wrong is {_describe_best(table, scenario)}.")
-        elif lost:
-            told.append(f"Lost to {scenario}: {_join_names(lost)}.")
-    return " ".join([*told, *_describe_undercoverage(table, found)])
-
-
-def select_accurate(table: pd.DataFrame, scenario: str, good_enough: float) -> list[str]:
-    """Strategies of a joint whose rms error is sure to be good enough, the cheapest first."""
-    subset = table[table["scenario"] == scenario].sort_values("seconds", kind="stable")
-    # One campaign has no interval.
-    high = subset["rms_relative_high"].fillna(subset["rms_relative"])
-    return list(subset.loc[high <= good_enough, "strategy"])
-
-
-def rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
-    """The rows of a joint."""
-    return table[table["joint"] == joint]
-
-
-def calibration_minutes(table: pd.DataFrame, strategy: str) -> float:
-    """What a strategy's calibration of a session takes, over all scenarios."""
-    return float(table.loc[table["strategy"] == strategy, "seconds"].mean()) / 60
-
-
-def _describe_best(table: pd.DataFrame, scenario: str) -> str:
-    subset = table[table["scenario"] == scenario]
-    best = subset.loc[subset["rms_relative"].idxmin()]
-    return f"{best['strategy']} ({format_value(best['rms_relative'], '%', 2)})"
-
-
-def _describe_undercoverage(table: pd.DataFrame, found: SimulationStudy) -> list[str]:
-    """Where intervals cannot be believed any more that could while nothing was hidden."""
-    by = table.pivot(index="strategy", columns="scenario", values="covered")
-    plain = [scenario.name for scenario in found.plan.scenarios if not scenario.causes]
-    honest = by[(by[plain] >= MIN_COVERAGE).all(axis=1)] if plain else by
-    lowest = honest.min()
-    broken = [
-        f"{scenario} (down to {format_value(lowest[scenario], '%', 0)})"
-        for scenario in found.scenarios
-        if lowest[scenario] < MIN_COVERAGE
-    ]
-    if not broken:
-        return []
-    return [f"Stated 95 % intervals hold the truth too rarely with {_join_names(broken)}."]
-
-
-def _join_names(names: Sequence[str]) -> str:
-    return "; ".join(names)

@@ -50,7 +50,7 @@ def null_logs(question: FactorTestDesign, rng: np.random.Generator, interaction:
     Sessions differ by ten repeatabilities, and where the question is asked over sessions, levels differ in
     each session at random by `interaction` of them, which is no effect of the factor.
     """
-    rows = question.readings.reset_index(drop=True)
+    rows = question.observations.reset_index(drop=True)
     noise = rng.standard_normal((LOGS, len(rows)))
     sessions, session = np.unique(rows["session"].to_numpy(object), return_inverse=True)
     if question.analysis != "day":

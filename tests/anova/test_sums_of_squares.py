@@ -33,7 +33,7 @@ def lines(rows, text, kind):
 @pytest.mark.parametrize("kind", GOLDEN)
 def test_unbalanced_factorial_tables_are_exact(kind):
     found = lines(CROSSED, "y ~ a * b", kind)
-    assert [line.squares for line in found] == pytest.approx(GOLDEN[kind], rel=1e-12)
+    assert [line.sum_of_squares for line in found] == pytest.approx(GOLDEN[kind], rel=1e-12)
     assert [line.df for line in found] == [2, 1, 2, 8]
 
 
@@ -41,7 +41,7 @@ def test_a_large_common_part_changes_no_digit():
     shifted = CROSSED.assign(y=CROSSED["y"] + 2.0**40)
     for kind, golden in GOLDEN.items():
         found = lines(shifted, "y ~ a * b", kind)
-        assert [line.squares for line in found] == pytest.approx(golden, rel=1e-12)
+        assert [line.sum_of_squares for line in found] == pytest.approx(golden, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,9 @@ def test_sequential_sums_of_squares_add_up_to_the_total(text):
         step=np.arange(14) // 3,
     )  # fmt: skip
     found = lines(rows, text, 1)
-    assert sum(line.squares for line in found) == pytest.approx(np.sum((rows["y"] - rows["y"].mean()) ** 2))
+    assert sum(line.sum_of_squares for line in found) == pytest.approx(
+        np.sum((rows["y"] - rows["y"].mean()) ** 2)
+    )
     assert sum(line.df for line in found) == 13
 
 
@@ -74,8 +76,8 @@ def test_nested_labels_may_start_anew_or_not():
     by_hand = 2 * float(((means - means.groupby("session").transform("mean")) ** 2).sum())
     for found in (anew, over):
         assert [line.df for line in found] == [2, 6, 9]
-        assert found[1].squares == pytest.approx(by_hand)
-        assert found[0].squares == pytest.approx(
+        assert found[1].sum_of_squares == pytest.approx(by_hand)
+        assert found[0].sum_of_squares == pytest.approx(
             6 * np.sum((rows.groupby("session")["y"].mean() - rows["y"].mean()) ** 2)
         )
 
@@ -90,7 +92,7 @@ def test_types_agree_with_statsmodels_where_all_cells_are_filled():
     for kind in (2, 3):
         table = anova_lm(fitted, typ=kind)["sum_sq"]
         theirs = [table["C(a, Sum)"], table["C(b, Sum)"], table["x"], table["C(a, Sum):C(b, Sum)"]]
-        ours = [line.squares for line in lines(rows, "y ~ a * b + x", kind)]
+        ours = [line.sum_of_squares for line in lines(rows, "y ~ a * b + x", kind)]
         assert ours[:-1] == pytest.approx(theirs, rel=1e-9)
         assert ours[-1] == pytest.approx(table["Residual"], rel=1e-9)
 
@@ -112,4 +114,4 @@ def test_columns_that_others_span_take_no_degree_of_freedom_from_the_residual(te
         for kind in (1, 2, 3):
             found = lines(rows, text, kind)[-1]
             assert found.df == df
-            assert found.squares == pytest.approx(expected, rel=1e-9)
+            assert found.sum_of_squares == pytest.approx(expected, rel=1e-9)

@@ -13,9 +13,7 @@ from stickslip_fit.bayes import (
     fit_bayes,
     leave_one_out,
     load_posterior,
-    predict_posterior,
     predictive_p_values,
-    save_posterior,
     weak_priors,
 )
 from stickslip_fit.errors import InputError
@@ -54,9 +52,9 @@ def flags(result):
 
 
 def test_agrees_with_least_squares_where_the_counts_decide(log, posterior):
-    ours, theirs = posterior.result.parameters, fit_least_squares(log).parameters
+    ours, theirs = posterior.parameters, fit_least_squares(log).parameters
     assert np.abs((ours["estimate"] - theirs["estimate"]) / theirs["standard_error"]).max() < 1.0
-    assert posterior.result.flags == ()
+    assert posterior.flags == ()
     # Days without day-to-day spread lend each other strength.
     assert (ours["standard_error"] < 1.1 * theirs["standard_error"]).all()
 
@@ -72,19 +70,19 @@ def test_every_parameter_has_the_effective_draws_that_were_asked_for(posterior):
 
 def test_the_same_seed_gives_the_same_numbers(log, posterior):
     again = fit_bayes(log, progress=False)
-    assert again.result.parameters.equals(posterior.result.parameters)
+    assert again.result.parameters.equals(posterior.parameters)
     other = fit_bayes(log, seed=1, progress=False)
-    assert not other.result.parameters.equals(posterior.result.parameters)
-    assert posterior.result.provenance.seed == 0
+    assert not other.result.parameters.equals(posterior.parameters)
+    assert posterior.provenance.seed == 0
 
 
 def test_saved_and_read_again(posterior, log, tmp_path):
     path = tmp_path / "posterior.nc"
-    save_posterior(posterior, path)
+    posterior.save(path)
     again = load_posterior(path)
-    assert again.result.parameters.equals(posterior.result.parameters)
+    assert again.result.parameters.equals(posterior.parameters)
     assert str(again) == str(posterior)
-    assert predict_posterior(again, log.usable).equals(predict_posterior(posterior, log.usable))
+    assert again.predict(log.usable).equals(posterior.predict(log.usable))
     path.write_bytes(b"not netCDF")
     with pytest.raises(InputError, match="no saved posterior"):
         load_posterior(path)
@@ -97,7 +95,7 @@ def test_priors_are_printed_in_users_units(posterior):
 
 
 def test_predicts_sessions_that_were_fitted_as_the_result_does(posterior, log):
-    ours, theirs = predict_posterior(posterior, log.usable), posterior.result.predict(log.usable)
+    ours, theirs = posterior.predict(log.usable), posterior.result.predict(log.usable)
     assert ours["steps"].to_numpy() == pytest.approx(theirs["steps"], rel=2e-4)
     for bound in ("low", "high"):
         reach = np.log(ours[bound] / ours["steps"]) / np.log(theirs[bound] / theirs["steps"])
@@ -107,7 +105,7 @@ def test_predicts_sessions_that_were_fitted_as_the_result_does(posterior, log):
 def test_predicts_a_session_to_come_with_the_spread_between_sessions(posterior, log):
     rows = log.usable.head(4)
     known, to_come = (
-        predict_posterior(posterior, rows.assign(session=session)) for session in (SESSIONS[0], "2012-03-08")
+        posterior.predict(rows.assign(session=session)) for session in (SESSIONS[0], "2012-03-08")
     )
     assert (to_come["relative_error"] > 2 * known["relative_error"]).all()
     # Level, without load, the step size is a alone: its mean is uncertain, and it spreads about that.
@@ -120,7 +118,7 @@ def test_predicts_a_session_to_come_with_the_spread_between_sessions(posterior, 
 
 def test_a_joint_that_was_not_fitted_is_not_predicted(posterior, log):
     with pytest.raises(InputError, match=r"joint 2, direction . was not fitted; fitted were 3 \+, 3 -"):
-        predict_posterior(posterior, log.usable.assign(joint=2))
+        posterior.predict(log.usable.assign(joint=2))
 
 
 def test_predictive_checks_pass_for_the_models_own_counts(posterior):
@@ -145,7 +143,7 @@ def test_leave_one_out_is_the_log_density_of_each_count_foretold(posterior, log)
     """With 30 counts and 9 well-known parameters, close to that of the noise about the law."""
     found = leave_one_out(posterior)
     for row in found.itertuples():
-        noise = posterior.result.joints[3].repeatability[row.direction].value
+        noise = posterior.joints[3].repeatability[row.direction].value
         assert row.elpd == pytest.approx(-30 * (np.log(noise * np.sqrt(2 * np.pi)) + 0.5), abs=25)
         assert 2 < row.p < 15
 
@@ -186,13 +184,13 @@ def test_what_no_session_shows_is_not_reported(campaign, read):
     level = [setting for setting in JOINT_3 if setting["q2_deg"] == -90.0 or setting["theta_deg"] == -90.0]
     log = read(campaign(sessions=SESSIONS, settings=tuple(level)))
     posterior = fit_bayes(log, progress=False)
-    table = posterior.result.parameters
+    table = posterior.parameters
     assert table[table["name"] == "c"]["estimate"].isna().all()
     assert table[table["name"] != "c"]["estimate"].notna().all()
-    flag = next(flag for flag in posterior.result.flags if flag.flag == "not_identified")
+    flag = next(flag for flag in posterior.flags if flag.flag == "not_identified")
     assert flag.parameters == ("c",)
     assert "theta = 0°, psi = 0° (arm upright: recoil and full load)" in flag.message
-    assert predict_posterior(posterior, log.usable)["steps"].isna().all()
+    assert posterior.predict(log.usable)["steps"].isna().all()
 
 
 def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campaign, read):
@@ -225,7 +223,7 @@ def test_what_has_not_converged_is_no_number(log):
     assert table[["estimate", "standard_error", "low", "high"]].isna().all(axis=None)
     assert all("not_converged" in raised for raised in table["flags"])
     assert "after 3 steps" in result.flags[0].message
-    assert predict_posterior(posterior, log.usable)["steps"].isna().all()
+    assert posterior.predict(log.usable)["steps"].isna().all()
 
 
 def test_weights_with_heavy_tails_are_not_trusted(log, monkeypatch):

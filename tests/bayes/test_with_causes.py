@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 from scipy.stats import kstwo
 
-from stickslip_fit.bayes import Priors, fit_bayes, load_posterior, save_posterior
+from stickslip_fit.bayes import Priors, fit_bayes, load_posterior
 from stickslip_fit.bayes.estimator import sample_groups
 from stickslip_fit.bayes.priors import CausePriors, build_group_data
 from stickslip_fit.bayes.sampler import memory_backends
@@ -149,7 +149,7 @@ def posterior(warm):
 def test_sizes_of_causes_are_those_of_least_squares(warm, posterior):
     """Whose error bars hold, and whose sessions are their own: priors are weak beside so many counts."""
     wanted = fit_least_squares(warm, causes=CAUSES).parameters.set_index(["name", "direction", "session"])
-    found = posterior.result.parameters.set_index(["name", "direction", "session"])
+    found = posterior.parameters.set_index(["name", "direction", "session"])
     for name in ("thermal-warm-up.A", "thermal-warm-up.tau", "end-stop-latency.L"):
         one, other = (table.loc[name].iloc[0] for table in (found, wanted))
         assert abs(one["estimate"] - other["estimate"]) < 0.4 * other["standard_error"]
@@ -159,7 +159,7 @@ def test_sizes_of_causes_are_those_of_least_squares(warm, posterior):
 
 
 def test_a_posterior_with_causes_is_saved_and_foretells_a_session_to_come(warm, posterior, tmp_path):
-    save_posterior(posterior, tmp_path / "fit.nc")
+    posterior.save(tmp_path / "fit.nc")
     again = load_posterior(tmp_path / "fit.nc")
     assert again.priors.causes.names == posterior.priors.causes.names
     assert "thermal-warm-up.tau" in str(again)

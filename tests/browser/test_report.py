@@ -8,9 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from stickslip_fit.estimation import fit_closed_form, fit_constant_step, fit_least_squares
 from stickslip_fit.logs import read_log
-from stickslip_fit.reporting import report_html
+from stickslip_fit.reporting import report
 
 pytestmark = pytest.mark.nightly
 
@@ -60,11 +59,8 @@ def hostile(campaign, tmp_path_factory):
 def reported(table, path):
     """Where the report of a table is."""
     table.to_csv(path, index=False)
-    log = read_log(path)
-    calibration = fit_closed_form(log)
-    page = report_html(log, calibration, fit_constant_step(log, calibration), fit_least_squares(log))
     written = path.with_name("report.html")
-    written.write_text(page, encoding="utf-8")
+    report(read_log(path), sections=()).save(written)
     return written
 
 

@@ -26,7 +26,7 @@ def tuned(acoustics, seed=1):
 
 
 class Played:
-    """A source that hands out what it is told to, one `Samples` after the other."""
+    """A source that manipulator out what it is told to, one `Samples` after the other."""
 
     def __init__(self, samples, rate=Acoustics.rate):
         self.samples = iter(samples)

@@ -64,12 +64,12 @@ class Acknowledging(Player):
         self.truth = joints.truth
         self.pipe = pipe
 
-    def begins(self, work: PlannedDrive) -> None:
-        super().begins(work)
+    def begin_drive(self, drive: PlannedDrive) -> None:
+        super().begin_drive(drive)
         self.truth.made = 0
 
-    def reading(self, reading: TraverseReading) -> OperatorReply:
-        number = int(reading.work.title.split(" ")[0]) - 1
+    def review(self, reading: TraverseReading) -> OperatorReply:
+        number = int(reading.drive.title.split(" ")[0]) - 1
         os.write(self.pipe, ACKNOWLEDGED.pack(number, reading.steps, self.truth.made))
         return OperatorReply()
 
@@ -110,26 +110,26 @@ def judge(folder: Path, acknowledged: Acknowledged, truth: Truth, before: int) -
     The first `before` drives of the journal were judged already.
     A reading written down in the instant of the kill is added: it is kept, though nobody was shown it.
     """
-    ledger = ledger_of(folder)
-    assert len(ledger.drives) >= before, "a drive is lost"
-    kept = [(each.planned, each.steps) for each in ledger.drives if each.status == "ok"]
+    replay = replay_of(folder)
+    assert len(replay.drives) >= before, "a drive is lost"
+    kept = [(each.planned, each.steps) for each in replay.drives if each.status == "ok"]
     assert len({planned for planned, _ in kept}) == len(kept), "a reading stands twice"
     assert [(planned, steps) for planned, steps, _ in acknowledged] == kept[: len(acknowledged)], "lost"
     assert len(kept) <= len(acknowledged) + 1, "a reading that nobody was shown"
     assert all(steps == made for _, steps, made in acknowledged), "counted wrong"
     acknowledged += [(planned, steps, steps) for planned, steps in kept[len(acknowledged) :]]
-    if len(ledger.drives) == before or ledger.drives[-1].notes != (INTERRUPTED_NOTE,):
+    if len(replay.drives) == before or replay.drives[-1].notes != (INTERRUPTED_NOTE,):
         return 0
-    broken = ledger.drives[-1]
+    broken = replay.drives[-1]
     assert 0 <= broken.steps - truth.made <= 5, f"{broken.steps} recorded, {truth.made} driven"
     return broken.steps
 
 
-def ledger_of(folder: Path) -> JournalReplay:
-    ledger = JournalReplay()
+def replay_of(folder: Path) -> JournalReplay:
+    replay = JournalReplay()
     if journal_path(folder / "log.csv").exists():
-        read_journal(journal_path(folder / "log.csv"), ledger.take)
-    return ledger
+        read_journal(journal_path(folder / "log.csv"), replay.apply)
+    return replay
 
 
 def main(folder: Path, kills: int, seed: int) -> None:
@@ -143,11 +143,11 @@ def main(folder: Path, kills: int, seed: int) -> None:
     acknowledged: Acknowledged = []
     broken = []
     for _ in range(kills):
-        before = len(ledger_of(folder).drives)
+        before = len(replay_of(folder).drives)
         acknowledged += run_and_kill(folder, plan, truth, chance.uniform(0.0, LONGEST))
         broken.append(judge(folder, acknowledged, truth, before))
     acknowledged += run_and_kill(folder, plan, truth, None)
-    assert judge(folder, acknowledged, truth, len(ledger_of(folder).drives)) == 0
+    assert judge(folder, acknowledged, truth, len(replay_of(folder).drives)) == 0
     print(*filter(None, broken))
 
 

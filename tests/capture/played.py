@@ -121,7 +121,7 @@ class Player:
         self._steps = 0
         self._title = ""
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         pass
 
     def begin_session(self, label: str) -> OperatorReply:
@@ -135,15 +135,15 @@ class Player:
             self.joints.position[joint] = (low + high) / 2
         return OperatorReply()
 
-    def bring(self, joint: int, position: float) -> OperatorReply:
+    def bring_joint(self, joint: int, position: float) -> OperatorReply:
         self.brought.append((joint, position))
         self.joints.position[joint] = position
         return OperatorReply()
 
-    def begins(self, work: PlannedDrive) -> None:
-        self._steps, self._title = 0, work.title
+    def begin_drive(self, drive: PlannedDrive) -> None:
+        self._steps, self._title = 0, drive.title
 
-    def progress(self, work: PlannedDrive, steps: int, heard: Detection) -> None:
+    def progress(self, drive: PlannedDrive, steps: int, detection: Detection) -> None:
         self._steps = steps
 
     def stop_wanted(self) -> bool:
@@ -152,11 +152,11 @@ class Player:
             return True
         return False
 
-    def reading(self, reading: TraverseReading) -> OperatorReply:
+    def review(self, reading: TraverseReading) -> OperatorReply:
         self.told.append(reading)
         return next(self.answers, OperatorReply())
 
-    def trouble(self, work: PlannedDrive, why: str) -> OperatorReply:
+    def handle_failure(self, drive: PlannedDrive, why: str) -> OperatorReply:
         self.troubles.append(why)
         return next(self.answers, OperatorReply())
 
@@ -181,7 +181,7 @@ class Capture:
     plan: Plan
     joints: Joints = field(default_factory=Joints)
     predictor: Knowing | None = field(default_factory=Knowing)
-    counting: Knowing | None = field(default_factory=Knowing)
+    count_predictor: Knowing | None = field(default_factory=Knowing)
     conditions: dict[str, float] = field(default_factory=dict)
     player: Player = field(init=False)
 
@@ -200,8 +200,8 @@ class Capture:
         self.player.answers = iter(answers)
 
     def run(self, again: bool = False) -> bool:
-        journal, ledger = resume_journal(self.log) if again else begin_journal(self.log)
+        journal, replay = resume_journal(self.log) if again else begin_journal(self.log)
         with journal:
             rig, operator = self.joints.rig, self.player
-            where = (self.plan, MACHINE, self.log, journal, ledger, rig, operator)
-            return Campaign(*where, self.predictor, self.counting, conditions=self.conditions).run()
+            where = (self.plan, MACHINE, self.log, journal, replay, rig, operator)
+            return Campaign(*where, self.predictor, self.count_predictor, conditions=self.conditions).run()

@@ -83,7 +83,7 @@ def assert_whole(capture):
 
 def test_every_traverse_is_made_once_from_stop_to_stop(captured):
     assert_whole(captured)
-    assert not any(reading.departure for reading in captured.player.told)
+    assert not any(reading.deviation for reading in captured.player.told)
     assert not captured.player.troubles
 
 
@@ -112,7 +112,7 @@ def test_a_position_that_is_no_stop_is_reached_by_count_and_is_no_reading(captur
 
 
 def test_without_counting_the_person_brings_joints_to_such_positions(short):
-    short.counting = None
+    short.count_predictor = None
     short.run()
     assert_whole(short)
     assert short.player.brought == [(1, 0.0), (2, -math.pi / 2)]
@@ -123,7 +123,7 @@ def test_a_doubtful_reading_is_marked_and_made_again(short):
     short.answer(OperatorReply(), REPEAT, OperatorReply(OperatorChoice.REPEAT, "door slammed"))
     short.run()
     assert_whole(short)
-    assert "11" in short.player.told[0].departure
+    assert "11" in short.player.told[0].deviation
     doubted = short.rows[short.rows["note"].str.contains("made again")]
     assert doubted["status"].tolist() == ["excluded"] * 2
     assert doubted["note"].tolist() == ["doubted, and made again", "doubted, and made again; door slammed"]
@@ -157,8 +157,8 @@ def test_a_key_breaks_a_drive_off_and_the_traverse_is_made_from_its_beginning(sh
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("the microphone is gone")])
 def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_says_so(short, error):
     class Ends(Player):
-        def progress(self, work, steps, heard):
-            if work.title.startswith("3 of") and steps == 100:
+        def progress(self, drive, steps, detection):
+            if drive.title.startswith("3 of") and steps == 100:
                 raise error
 
     short.player = Ends(short.joints)

@@ -38,7 +38,7 @@ L = "40 steps"
 class Willing:
     """A person who does whatever is asked, and finds everything in order."""
 
-    def tell(self, text):
+    def show(self, text):
         pass
 
     def begin_session(self, label):
@@ -47,22 +47,22 @@ class Willing:
     def set_up(self, wanted, before):
         return OperatorReply()
 
-    def bring(self, joint, position):
+    def bring_joint(self, joint, position):
         return OperatorReply()
 
-    def begins(self, work):
+    def begin_drive(self, drive):
         pass
 
-    def progress(self, work, steps, heard):
+    def progress(self, drive, steps, detection):
         pass
 
     def stop_wanted(self):
         return False
 
-    def reading(self, reading):
+    def review(self, reading):
         return OperatorReply()
 
-    def trouble(self, work, why):
+    def handle_failure(self, drive, why):
         pytest.fail(why)
 
 
@@ -72,21 +72,21 @@ class Leaving(Willing):
     def __init__(self, readings):
         self.left = readings
 
-    def reading(self, reading):
+    def review(self, reading):
         self.left -= 1
         return OperatorReply() if self.left else OperatorReply(OperatorChoice.QUIT)
 
 
 def part(path, truth, plan, operator, opened=begin_journal):
     """A campaign at a rig switched on for it; whether it is complete."""
-    journal, ledger = opened(path)
+    journal, replay = opened(path)
     with journal:
-        began = ledger.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
+        began = replay.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
         rig = emulate_rig(truth, clock=VirtualClock(began))
-        rig.hands.remember(ledger.rows(), rig.clock.today(), rig.clock.now())
-        parts = Rig(rig.controller(pytest.fail), rig.perfect_ear(), rig.clock)
-        operator = EmulatedOperator(operator, rig.hands, rig.clock, plan)
-        complete = Campaign(plan, MACHINE, path, journal, ledger, parts, operator).run()
+        rig.manipulator.remember(replay.rows(), rig.clock.today(), rig.clock.now())
+        parts = Rig(rig.controller(pytest.fail), rig.ideal_detector(), rig.clock)
+        operator = EmulatedOperator(operator, rig.manipulator, rig.clock, plan)
+        complete = Campaign(plan, MACHINE, path, journal, replay, parts, operator).run()
         return complete, rig
 
 
@@ -110,12 +110,22 @@ def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
         assert rows["steps"].to_numpy() == pytest.approx(expected, abs=5)
         assert np.mean(rows["steps"].to_numpy() == expected) > 0.8
     for joint in log.joints:
-        assert rig.hands.driven(joint) == log.rows.loc[log.rows["joint"] == joint, "steps"].sum()
+        assert rig.manipulator.total_steps(joint) == log.rows.loc[log.rows["joint"] == joint, "steps"].sum()
 
 
 def test_only_the_emulator_knows_a_law():
     folder = Path(stickslip_fit.capture.__file__).parent
-    knowing = ("simulate", "laws", "causes", "moves", "fit", "diagnose", "strategies", "anova")
+    knowing = (
+        "simulation",
+        "laws",
+        "causes",
+        "moves",
+        "estimation",
+        "bayes",
+        "diagnosis",
+        "strategies",
+        "anova",
+    )
     for path in folder.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import resource
+import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
@@ -122,3 +126,38 @@ def test_a_full_disk_is_said_and_what_was_whole_remains(tmp_path):
 def test_a_journal_that_is_not_there_is_said(tmp_path):
     with pytest.raises(InputError, match="--resume"):
         continue_journal(tmp_path / "journal", lambda event: None)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """No fcntl, folders that cannot be opened, and msvcrt, which locks bytes from the file's position on."""
+    lock, open_file, locked = fcntl.flock, os.open, []
+
+    def locking(handle, mode, number):
+        assert mode == 2
+        locked.append((os.lseek(handle, 0, os.SEEK_CUR), number))
+        lock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def open_no_folder(path, flags, *mode):
+        if os.path.isdir(path):
+            raise PermissionError(13, "Permission denied")
+        return open_file(path, flags, *mode)
+
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
+    monkeypatch.setattr(os, "open", open_no_folder)
+    return locked
+
+
+def test_two_captures_cannot_write_one_journal_on_windows(windows, tmp_path):
+    test_two_captures_cannot_write_one_journal(tmp_path)
+    assert len(windows) == 3
+
+
+def test_on_windows_the_lock_leaves_every_byte_of_the_journal_readable(windows, tmp_path):
+    path = tmp_path / "journal"
+    written(path)
+    with continue_journal(path, lambda event: None) as journal:
+        journal.append({"event": "more"})
+        assert all(position > 2**30 and number == 1 for position, number in windows)
+        assert found(read_journal, path) == [*(EVENTS * 2), {"event": "more"}]

@@ -11,13 +11,14 @@ import pytest
 from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journal
 from stickslip_fit.capture.devices import open_controller
 from stickslip_fit.capture.emulator.acoustics import Acoustics
+from stickslip_fit.capture.emulator.campaign import tune_emulated
 from stickslip_fit.capture.emulator.manipulator import HiddenLaws
 from stickslip_fit.capture.emulator.rig import emulate_rig, start_emulator
 from stickslip_fit.capture.end_stop import SequentialDetector
 from stickslip_fit.capture.operator import OperatorReply
 from stickslip_fit.capture.protocols import ConnectionLost, RealClock
+from stickslip_fit.capture.rigs import tune_by_hand
 from stickslip_fit.capture.traverse import Rig
-from stickslip_fit.cli.capture import tune_by_hand, tune_emulated
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.simulation import read_law_values
@@ -55,8 +56,8 @@ class AtProcess(Player):
             self.rig.set_stops(*stops)
         return OperatorReply()
 
-    def progress(self, work, steps, heard):
-        if work.title.startswith("2 of 2") and steps >= self.pull_at:
+    def progress(self, drive, steps, detection):
+        if drive.title.startswith("2 of 2") and steps >= self.pull_at:
             self.rig.close()
 
 
@@ -70,10 +71,10 @@ def rig_at_work():
         controller.close()
 
 
-def capture(folder, journal, ledger, rig, controller, tuning, pull_at=math.inf):
+def capture(folder, journal, replay, rig, controller, tuning, pull_at=math.inf):
     """Capture the plan at a rig, which is unplugged at `pull_at`."""
     ear, operator = SequentialDetector(rig, tuning), AtProcess(rig, pull_at)
-    where = (plan_of(folder, PLAN), MACHINE, folder / "log.csv", journal, ledger)
+    where = (plan_of(folder, PLAN), MACHINE, folder / "log.csv", journal, replay)
     with journal:
         return Campaign(*where, Rig(controller, ear, RealClock()), operator).run()
 
@@ -99,24 +100,24 @@ def test_unplugged_in_mid_traverse_it_loses_nothing_and_goes_on_later(tmp_path):
     assert 425 <= made["steps"].iloc[1] <= 500
 
 
-class EarsOfTheirOwn:
+class ListeningOperator:
     """Keys of a person who hears the stop themselves."""
 
-    def __init__(self, hands):
-        self.hands = hands
+    def __init__(self, manipulator):
+        self.manipulator = manipulator
 
     def key(self):
-        self.hands.set(q3=0.003)
+        self.manipulator.set(q3=0.003)
 
     def pressed(self):
-        return self.hands.position(3) == 0.0
+        return self.manipulator.position(3) == 0.0
 
 
 def test_the_ear_is_tuned_with_a_person_who_hears_the_stop():
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
-    keys = EarsOfTheirOwn(emulator.hands)
-    tuning = tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.hands))
+    keys = ListeningOperator(emulator.manipulator)
+    tuning = tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.manipulator))
     assert tuning.separates
     assert abs(tuning.frequency - Acoustics().peak) < 1000
 
@@ -124,7 +125,7 @@ def test_the_ear_is_tuned_with_a_person_who_hears_the_stop():
 def test_a_stop_that_nobody_hears_ends_the_tuning(monkeypatch):
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
-    keys = EarsOfTheirOwn(emulator.hands)
+    keys = ListeningOperator(emulator.manipulator)
     monkeypatch.setattr(keys, "pressed", lambda: False)
     with pytest.raises(InputError, match="nobody said that the joint has met its stop"):
-        tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.hands))
+        tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.manipulator))

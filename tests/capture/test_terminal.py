@@ -14,20 +14,17 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from stickslip_fit.capture import operator as keyboard
-from stickslip_fit.capture import operator as terminal
+from stickslip_fit.capture import terminal
 from stickslip_fit.capture.operator import (
     ExpectedCount,
-    Keyboard,
     OperatorChoice,
     OperatorReply,
     PlannedDrive,
     RigSetting,
-    TerminalOperator,
     TraverseReading,
-    UnattendedOperator,
     format_setting,
 )
+from stickslip_fit.capture.terminal import Keyboard, TerminalOperator, UnattendedOperator
 
 WORK = PlannedDrive(
     pd.Series({"joint": 3, "direction": "+", "start": 0.0, "stop": 0.012}),
@@ -103,48 +100,48 @@ ANSWERS = pytest.mark.parametrize(
 def test_a_doubtful_reading_is_answered(hand, typed, meant):
     with Keyboard() as keys:
         hand(typed)
-        assert TerminalOperator(keys).reading(ODD) == meant
+        assert TerminalOperator(keys).review(ODD) == meant
 
 
 @ANSWERS
 def test_a_doubtful_reading_is_answered_in_a_console_window(window, typed, meant):
     with Keyboard() as keys:
         window.typed += typed.replace("\x7f", "\b").replace("\n", "\r")
-        assert TerminalOperator(keys).reading(ODD) == meant
+        assert TerminalOperator(keys).review(ODD) == meant
 
 
 def test_an_arrow_is_no_answer_and_no_text(hand):
     with Keyboard() as keys:
         hand("\x1b[Cn\x1b[1;5Cloud\x1bOR\ns")  # the first ends in a letter that is a choice
-        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.SKIP, "loud")
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.SKIP, "loud")
 
 
 def test_an_arrow_is_no_answer_and_no_text_in_a_console_window(window):
     with Keyboard() as keys:
         window.typed += ["\xe0", "C", "\x00", "r", "n", "\xe0", "K", "a", "\r", "s"]
-        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.SKIP, "a")
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.SKIP, "a")
         window.typed.append("\xe0")  # the à of a keyboard that has one: nothing waits behind it
         assert keys.key() == "à"
 
 
 def test_a_good_reading_is_shown_with_the_law_beside_it_and_not_waited_for(hand, capsys):
     with Keyboard() as keys:
-        assert TerminalOperator(keys).reading(GOOD) == OperatorReply()
+        assert TerminalOperator(keys).review(GOOD) == OperatorReply()
     assert capsys.readouterr().out.strip() == "12,305 steps, 975.41 nm a step; the law says 12,300, 975.61 nm"
 
 
 def test_where_nobody_answers_a_doubtful_reading_is_kept(hand, monkeypatch):
     monkeypatch.setattr(terminal, "DOUBT_SECONDS", 0.01)
     with Keyboard() as keys:
-        assert TerminalOperator(keys).reading(ODD) == OperatorReply()
+        assert TerminalOperator(keys).review(ODD) == OperatorReply()
 
 
 def test_where_nobody_answers_at_a_console_window_a_doubtful_reading_is_kept(window, monkeypatch):
     ticks = count()
-    monkeypatch.setattr(keyboard, "monotonic", lambda: float(next(ticks)))
-    monkeypatch.setattr(keyboard, "sleep", lambda seconds: None)
+    monkeypatch.setattr(terminal, "monotonic", lambda: float(next(ticks)))
+    monkeypatch.setattr(terminal, "sleep", lambda seconds: None)
     with Keyboard() as keys:
-        assert TerminalOperator(keys).reading(ODD) == OperatorReply()
+        assert TerminalOperator(keys).review(ODD) == OperatorReply()
     assert next(ticks) == pytest.approx(terminal.DOUBT_SECONDS + 2, abs=1)
 
 
@@ -152,7 +149,7 @@ def test_once_somebody_has_answered_there_is_no_hurry(hand, monkeypatch):
     monkeypatch.setattr(terminal, "DOUBT_SECONDS", 0.2)
     with Keyboard() as keys:
         hand("pr")
-        assert TerminalOperator(keys).reading(ODD) == OperatorReply(OperatorChoice.REPEAT)
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.REPEAT)
 
 
 def test_repeat_is_no_answer_to_a_setting(hand):
@@ -187,7 +184,7 @@ def test_control_c_ends_it_in_a_console_window(window):
 
 
 def test_a_key_that_comes_late_is_waited_for(window, monkeypatch):
-    monkeypatch.setattr(keyboard, "POLL", 0.001)
+    monkeypatch.setattr(terminal, "POLL", 0.001)
     window.looks = 20
     with Keyboard() as keys:
         window.typed.append("R")
@@ -225,10 +222,10 @@ def test_only_what_changes_is_asked_for():
 
 def test_where_nobody_is_there_a_drive_that_keeps_failing_ends_it():
     nobody = UnattendedOperator()
-    answers = [nobody.trouble(WORK, "deaf").choice for _ in range(3)]
+    answers = [nobody.handle_failure(WORK, "deaf").choice for _ in range(3)]
     assert answers == [OperatorChoice.GO_ON, OperatorChoice.GO_ON, OperatorChoice.QUIT]
     nobody = UnattendedOperator()
-    nobody.trouble(WORK, "deaf")
-    nobody.trouble(WORK, "deaf")
-    nobody.reading(GOOD)
-    assert nobody.trouble(WORK, "deaf").choice is OperatorChoice.GO_ON
+    nobody.handle_failure(WORK, "deaf")
+    nobody.handle_failure(WORK, "deaf")
+    nobody.review(GOOD)
+    assert nobody.handle_failure(WORK, "deaf").choice is OperatorChoice.GO_ON

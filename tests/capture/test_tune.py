@@ -49,7 +49,7 @@ def test_a_sound_that_scatters_more_than_noise_is_believed():
 
 
 @pytest.mark.parametrize(
-    ("snr_db", "said"), [(12.0, "well"), (-1.0, "poorly"), (-9.0, "cannot be told apart")]
+    ("snr_db", "said"), [(12.0, "well"), (-1.0, "poorly"), (-9.0, "cannot be distinguished")]
 )
 def test_how_well_they_separate_is_said_in_words(snr_db, said):
     found = tuned(Acoustics(snr_db))
@@ -69,7 +69,7 @@ def test_a_bang_while_listening_changes_nothing_much():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda sound: sound[:24000], "at the stop: 10 checks were heard and at least 20"),
+        (lambda sound: sound[:24000], "at the stop: only 10 checks, and at least 20"),
         (lambda sound: 0 * sound, "at the stop: the microphone is dead"),
         (lambda sound: np.clip(200 * sound, -1, 1), "at the stop: the sound clips"),
     ],
@@ -105,12 +105,12 @@ def test_a_damaged_tuning_is_refused(tuning, tmp_path, damage):
     path = tmp_path / "ear.json"
     save_tuning(tuning, path)
     path.write_text(json.dumps(damage(json.loads(path.read_text()))))
-    with pytest.raises(InputError, match=r"ear\.json: is (no tuning|damaged); tune the ear again"):
+    with pytest.raises(InputError, match=r"ear\.json: is (no tuning|damaged); tune the detector again"):
         load_tuning(path)
 
 
 def test_no_tuning_at_all_is_refused(tmp_path):
-    with pytest.raises(InputError, match="tune the ear first"):
+    with pytest.raises(InputError, match="tune the detector first"):
         load_tuning(tmp_path / "none.json")
 
 

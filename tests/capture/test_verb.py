@@ -23,7 +23,7 @@ joint = 3
 q2_deg = -90
 ranges_mm = [[0, 12], [2, 3]]
 """
-ALONE = ("--emulate", "--perfect-ear", "--unattended")
+ALONE = ("--emulate", "--ideal-detector", "--unattended")
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_by_ear_the_stop_is_heard_within_two_checks(run, plan, tmp_path):
     run("capture", plan, "-o", logs["perfect"], *ALONE)
     status, said, _ = run("capture", plan, "-o", logs["sound"], "--emulate", "--unattended")
     assert status == 0
-    assert "can be told apart well" in said
+    assert "can be distinguished well" in said
     sound, perfect = (read_log(path).usable["steps"] for path in logs.values())
     assert (sound - perfect).between(0, 10).all()
 
@@ -146,8 +146,8 @@ def test_an_ear_cannot_be_tuned_by_nothing(run, tmp_path, options, complaint):
     assert not (tmp_path / "ear.json").exists()
 
 
-def test_an_emulated_ear_can_be_tried(run, tmp_path):
-    assert "told apart well" in run("capture", "tune", "-o", tmp_path / "a.json", "--emulate")[1]
-    assert "cannot be told apart" in run(
+def test_tuning_at_an_emulated_rig(run, tmp_path):
+    assert "distinguished well" in run("capture", "tune", "-o", tmp_path / "a.json", "--emulate")[1]
+    assert "cannot be distinguished" in run(
         "capture", "tune", "-o", tmp_path / "b.json", "--emulate", "--snr", "-9"
     )[1].replace("\n", " ")

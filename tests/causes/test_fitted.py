@@ -25,7 +25,7 @@ from stickslip_fit.causes import (
     WornSpot,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import Result, fit_least_squares, load_result, save_result
+from stickslip_fit.estimation import Result, fit_least_squares, load_result
 from stickslip_fit.estimation.result import ALL_JOINTS
 from stickslip_fit.logs import Log, read_log
 
@@ -161,7 +161,7 @@ def test_it_is_the_least_of_all_sums_of_squares(warm, result):
 
 
 def test_saved_and_loaded_it_is_the_same(result, warm, tmp_path):
-    save_result(result, tmp_path / "fit.json")
+    result.save(tmp_path / "fit.json")
     back = load_result(tmp_path / "fit.json")
     pd.testing.assert_frame_equal(back.parameters, result.parameters)
     pd.testing.assert_frame_equal(back.predict(warm.usable), result.predict(warm.usable))
@@ -273,7 +273,7 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
     found = fit_least_squares(log, causes=(Humming(),))
     row = causes_of(found).loc["humming.k"]
     assert abs(row["estimate"] - 0.01) < 3.5 * row["standard_error"]
-    save_result(found, tmp_path / "fit.json")
+    found.save(tmp_path / "fit.json")
     with pytest.raises(InputError, match=r"'humming'.*not in the library"):
         load_result(tmp_path / "fit.json")
     back = load_result(tmp_path / "fit.json", causes=(Humming(),))

@@ -130,7 +130,7 @@ def test_a_move_takes_the_published_law_s_steps_less_what_warmth_saves_and_none_
     for before, after in zip(*moves, strict=True):
         assert before.steps / after.steps == pytest.approx(1.05, rel=2e-3)
         law, values, _, _ = cold.law(before.joint, before.direction)
-        row = cold.drive(q, before.joint, before.stop)
+        row = cold.drive_row(q, before.joint, before.stop)
         alone = law.law.counts(row, values[: len(law.law.parameters)])[0][0]
         assert before.steps == pytest.approx(alone, abs=0.51)
         q[before.joint - 1] = before.stop
@@ -139,7 +139,7 @@ def test_a_move_takes_the_published_law_s_steps_less_what_warmth_saves_and_none_
 def test_stepping_through_a_traverse_gives_its_count(result):
     arm = calibrated_arm(result, conditions={"session_seconds": 900.0})
     law, values, _, _ = arm.law(2, "-")
-    row = arm.drive(np.radians([0.0, -90.0, 0.0]), 2, np.radians(-100.0))
+    row = arm.drive_row(np.radians([0.0, -90.0, 0.0]), 2, np.radians(-100.0))
     assert abs(int(step_through(law, row, values)[0]) - law.counts(row, values)[0][0]) <= 1
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from stickslip_fit import causes
 from stickslip_fit.causes import covariates, library
-from stickslip_fit.causes.parameters import moments
+from stickslip_fit.causes.parameters import candidate_moments
 from stickslip_fit.logs import Log, read_log
 from stickslip_fit.units import UNITS
 from tests.causes.table import LAWS, MACHINE, NAMED, own_values
@@ -147,7 +147,7 @@ def test_a_column_that_differs_between_sessions_only_is_recalibrated_away(log):
 
 def test_moments_lie_between_the_traverses_of_each_session(log):
     rows = log.rows
-    found = moments(rows)
+    found = candidate_moments(rows)
     assert [session for session, _ in found] == list(rows["session"].astype(str).unique())
     for session, when in found:
         seconds = rows.loc[rows["session"].astype(str) == session, "session_seconds"].to_numpy()
@@ -188,5 +188,5 @@ def test_an_installed_package_adds_its_causes_by_entry_point(named, monkeypatch)
         return [Point()]
 
     own = library()
-    monkeypatch.setattr(causes, "entry_points", entry_points)
+    monkeypatch.setattr(causes.registry, "entry_points", entry_points)
     assert [cause.name for cause in library()] == [*(cause.name for cause in own), "drift"]

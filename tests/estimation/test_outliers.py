@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.estimation.outliers import outliers
+from stickslip_fit.estimation.reweighting import outliers
 from stickslip_fit.laws import Prismatic
 
 STEP = {"+": (970e-9, 0.30, 430e-9), "-": (950e-9, 0.27, -400e-9)}

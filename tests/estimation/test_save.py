@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result, save_result
+from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
 from stickslip_fit.logs import read_log
 
 
@@ -21,7 +21,7 @@ def log(campaign, tmp_path_factory):
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_a_result_comes_back_as_it_was(log, tmp_path, estimator):
     result = estimator(log, command="stickslip-fit fit")
-    save_result(result, tmp_path / "result.json")
+    result.save(tmp_path / "result.json")
     back = load_result(tmp_path / "result.json")
     pd.testing.assert_frame_equal(back.parameters, result.parameters)
     pd.testing.assert_frame_equal(back.residuals, result.residuals, check_index_type=False)
@@ -32,7 +32,7 @@ def test_a_result_comes_back_as_it_was(log, tmp_path, estimator):
 
 
 def test_the_file_lists_parameters_in_peoples_units(log, tmp_path):
-    save_result(fit_least_squares(log), tmp_path / "result.json")
+    fit_least_squares(log).save(tmp_path / "result.json")
     listed = json.loads((tmp_path / "result.json").read_text("utf-8"))["parameters"]
     first = next(item for item in listed if item["name"] == "a" and item["direction"] == "+")
     assert set(first) == {
@@ -47,7 +47,7 @@ def test_the_file_lists_parameters_in_peoples_units(log, tmp_path):
 def test_an_unknown_number_is_null(campaign, tmp_path):
     table = campaign(("2012-03-05",), ({"joint": 3, "q2_deg": -90.0},))
     table.to_csv(tmp_path / "log.csv", index=False)
-    save_result(fit_least_squares(read_log(tmp_path / "log.csv")), tmp_path / "result.json")
+    fit_least_squares(read_log(tmp_path / "log.csv")).save(tmp_path / "result.json")
     text = (tmp_path / "result.json").read_text("utf-8")
     assert "NaN" not in text
     unknown = [item for item in json.loads(text)["parameters"] if item["name"] == "c"]
@@ -71,7 +71,7 @@ def test_a_failed_write_leaves_what_was_there(log, tmp_path):
     result = fit_least_squares(log)
     broken = type(result)(**{**vars(result), "method": object()})
     with pytest.raises(TypeError):
-        save_result(broken, path)
+        broken.save(path)
     assert path.read_text() == "precious"
     assert list(tmp_path.iterdir()) == [path]
 

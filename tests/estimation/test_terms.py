@@ -11,7 +11,7 @@ from scipy.optimize import least_squares as scipy_least_squares
 from scipy.stats import binom
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import fit_least_squares, load_result, save_result
+from stickslip_fit.estimation import fit_least_squares, load_result
 from stickslip_fit.estimation.least_squares import profile_intervals
 from stickslip_fit.estimation.noise import StudentT
 from stickslip_fit.logs import read_log
@@ -118,7 +118,7 @@ def test_all_parameters_shared_is_one_fit_of_all_sessions(read):
 
 def test_shared_parameters_are_saved_with_a_null_session_and_come_back(read, tmp_path):
     result = fit_least_squares(read(), shared=("b",), likelihood=StudentT())
-    save_result(result, tmp_path / "fit.json")
+    result.save(tmp_path / "fit.json")
     saved = json.loads((tmp_path / "fit.json").read_text())["parameters"]
     assert [(row["direction"], row["session"]) for row in saved if row["name"] == "b"] == [
         ("+", None),

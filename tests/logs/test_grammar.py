@@ -80,5 +80,5 @@ def test_records_are_those_of_the_csv_module(content, width):
         elif record:
             ragged.append((line, len(record)))
         line = reader.line_num + 1
-    assert records.lines.tolist() == expected
-    assert [(each.line, each.cells) for each in records.ragged] == ragged
+    assert records.scan.lines.tolist() == expected
+    assert [(each.line, each.cells) for each in records.scan.ragged] == ragged

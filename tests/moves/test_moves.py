@@ -28,7 +28,7 @@ def stepped(arm, q, joint, way, steps):
     """Where a joint ends that literally makes its steps one by one."""
     law, values, _, _ = arm.law(joint, way)
     q = np.array(q, float)
-    row = arm.drive(q, joint, arm.machine.ranges[joint][way == "+"])
+    row = arm.drive_row(q, joint, arm.machine.ranges[joint][way == "+"])
     for _ in range(steps):
         gamma = law.step_size(row, np.array([[q[joint - 1]]]), values)[0, 0]
         q[joint - 1] += gamma if way == "+" else -gamma
@@ -78,7 +78,7 @@ def test_the_tip_error_is_that_of_many_moves(arm):
             drawn = rng.multivariate_normal(values, covariance, method="svd")
             there = np.array(q)
             there[leg.joint - 1] = leg.stop
-            counts = law.counts(arm.drive(q, leg.joint, leg.stop), drawn)[0][0]
+            counts = law.counts(arm.drive_row(q, leg.joint, leg.stop), drawn)[0][0]
             share = leg.steps / (counts * np.exp(repeatability * rng.standard_normal()))
             q[leg.joint - 1] += share * (leg.stop - leg.start)
         tips.append(forward(arm.machine, q))

@@ -67,9 +67,9 @@ def test_the_joints_end_where_literal_steps_take_them():
     scale, base = np.array([np.degrees(1), np.degrees(1), 1e3]), np.degrees([paths.theta, paths.psi]).T
     for move in range(len(paths)):
         q = paths.joint_positions[move, 0] * scale
-        for part in (part for part in paths.parts if move in part.moves):
+        for part in (part for part in paths.segments if move in part.moves):
             unit = 1e-6 if part.joint == 3 else np.degrees(1e-6)
-            for _ in range(int(steps[0, move, part.drive])):
+            for _ in range(int(steps[0, move, part.drive_index])):
                 gamma = HAND.step_size(part.joint, part.direction, tuple(q), tuple(base[move]))
                 q[part.joint - 1] += unit * gamma * (1 if part.direction == "+" else -1)
         assert np.all(np.abs(found[move] - q / scale) < 0.01 * STEP)
@@ -81,13 +81,13 @@ def test_the_joints_end_where_the_emulated_manipulator_takes_them(name):
     paths, true = draw_random_paths(MACHINE, 10, seed=9), truth(name)
     steps = commanded(paths, true)
     found, q = simulate_open_loop(paths, true, steps)[0], paths.joint_positions[:, 0].copy()
-    for part in paths.parts:
+    for part in paths.segments:
         stop = found[part.moves, part.joint - 1]
         rows = {f"q{joint}": q[part.moves, joint - 1] for joint in LAWS}
         rows |= {"theta": paths.theta[part.moves], "psi": paths.psi[part.moves], "stop": stop}
         rows |= {"start": q[part.moves, part.joint - 1], "session_seconds": np.full(len(stop), 600.0)}
         law, values = true.laws[part.joint], true.values[part.joint, part.direction]
-        made, expected = step_through(law, rows, values), steps[0, part.moves, part.drive]
+        made, expected = step_through(law, rows, values), steps[0, part.moves, part.drive_index]
         assert np.all((made - expected >= 0) & (made - expected <= 1))
         q[part.moves, part.joint - 1] = stop
 

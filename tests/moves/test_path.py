@@ -44,9 +44,9 @@ def test_each_drive_moves_its_joint_only():
     for drive, joint in enumerate(paths.order):
         assert not np.delete(moved[:, drive], joint - 1, axis=1).any()
     made = np.zeros((50, len(paths.order)), int)
-    for part in paths.parts:
+    for part in paths.segments:
         assert np.all((part.stop > part.start) == (part.direction == "+"))
-        made[part.moves, part.drive] += 1
+        made[part.moves, part.drive_index] += 1
     assert np.array_equal(made, moved.any(axis=2))
 
 
@@ -58,7 +58,7 @@ def test_what_each_drive_follows():
                 paths.joint_positions[move, drive, joint - 1],
                 paths.joint_positions[move, drive + 1, joint - 1],
             )
-            part = next((p for p in paths.parts if p.drive == drive and move in p.moves), None)
+            part = next((p for p in paths.segments if p.drive_index == drive and move in p.moves), None)
             if part is None:
                 continue
             at = int(np.flatnonzero(part.moves == move)[0])
@@ -70,7 +70,7 @@ def test_what_each_drive_follows():
             loads = published_load(joint, q[:, 0], q[:, 1], paths.theta[move], paths.psi[move])
             assert part.before_load[at] == pytest.approx(loads.mean(), abs=0.03)
             last[move, joint] = ("+" if stop > start else "-", (start, stop))
-    turned = [part.before_direction != part.direction for part in paths.parts if part.drive > 2]
+    turned = [part.before_direction != part.direction for part in paths.segments if part.drive_index > 2]
     assert np.concatenate(turned).sum() > 3
 
 
@@ -93,7 +93,7 @@ def test_how_far_the_tip_strays_between_the_ends_of_its_drives():
     [
         ({"direction": [1.0, 1.0, 0.0]}, "vector of length 1"),
         ({"order": (1, 2)}, "every joint once"),
-        ({"legs": 0}, "one leg or more"),
+        ({"n_segments": 0}, "one segment or more"),
         ({"length": 0.2}, "out of reach"),
         ({"start": [0.0, -1.2, 0.013]}, "start q3 = 13.00 mm is outside its range"),
     ],

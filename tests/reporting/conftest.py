@@ -12,7 +12,7 @@ import pytest
 
 from stickslip_fit.estimation import Result, fit_closed_form, fit_constant_step, fit_least_squares
 from stickslip_fit.logs import Log, read_log
-from stickslip_fit.reporting import report_html
+from stickslip_fit.reporting import report
 
 VOID = {"br", "input", "meta"}
 
@@ -93,9 +93,14 @@ class Fitted:
 
     @property
     def html(self) -> str:
-        return report_html(
-            self.log, self.calibration, self.constant, self.fit, command="stickslip-fit report"
+        page = report(
+            self.log,
+            calibration=self.calibration,
+            fit=self.fit,
+            sections=(),
+            command="stickslip-fit report",
         )
+        return page.html
 
 
 @dataclass(frozen=True)

@@ -223,12 +223,12 @@ def factors(months):
 def test_factors_are_shown_with_sizes_and_adjusted_p(factors, read_page):
     page = read_page(factors._repr_html_())
     table = page.tables["Factors of joint 3 (prismatic)"]
-    assert len(table) == len(factors.answers)
+    assert len(table) == len(factors.factor_tests)
     cells = page.column("Factors of joint 3 (prismatic)", "difference (95 %)nm")
     sizes = [number(cell.split()[0]) for cell in cells]
-    assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.answers], abs=0.051)
+    assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.factor_tests], abs=0.051)
     told = [row[7] for row in table]
-    assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.answers]
+    assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.factor_tests]
     assert "No change from session to session shows" in page.text
 
 

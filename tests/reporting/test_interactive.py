@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from stickslip_fit._summary import embed_json
-from stickslip_fit.estimation.traverses import select_recent, thin_rows
+from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting.residuals import FIT_MAX_POINTS
 from stickslip_fit.reporting.page import MAX_OUTLYING, MAX_TRAVERSES, make_traverses_payload, thin_traverses
 

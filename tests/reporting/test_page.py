@@ -174,7 +174,7 @@ def test_claims_are_the_published_ones():
     law = [claim.limit for claim in ROTARY_CLAIMS if claim.model == "law"]
     assert law == numbers["claimed_accuracy_rotary"]
     constant = [
-        c.limit for claims in (PRISMATIC_CLAIMS, ROTARY_CLAIMS) for c in claims if c.model == "constant"
+        c.limit for claims in (PRISMATIC_CLAIMS, ROTARY_CLAIMS) for c in claims if c.model == "constant step"
     ]
     assert constant == numbers["claimed_constant_step_error"]
 

@@ -32,7 +32,7 @@ def test_the_page_is_complete(written, campaign):
     page = written(campaign(settings=CALIBRATION + PSI))
     assert {"answer", "measured", "parameters", "accuracy", "factors", *SECTIONS} <= headings(page)
     assert {"figures", "remarks", "provenance"} <= headings(page)
-    assert "What is left against everything, joint 3 (prismatic)" in page.text
+    assert "Residuals against each quantity, joint 3 (prismatic)" in page.text
     assert "Strategies for joint 3 (prismatic)" in page.tables
     assert page.text.index("See the diagnosis") < page.text.index("Error on traverses")
 

@@ -17,15 +17,17 @@ def test_how_much_variances_have_in_common_is_found_again(prior):
     """Drawn as Smyth's model has it: s0^2 d0 / chi2(d0), each then seen with 2 degrees of freedom."""
     rng = np.random.default_rng(1)
     true = 0.09 * prior / chi2.rvs(prior, size=40_000, random_state=rng)
-    found = shrink_variances(true * chi2.rvs(2, size=len(true), random_state=rng) / 2, df=2, most=10**6)
-    assert found.df == pytest.approx(prior + 2, rel=0.15)
+    shrunk, df = shrink_variances(
+        true * chi2.rvs(2, size=len(true), random_state=rng) / 2, df=2, max_df=10**6
+    )
+    assert df == pytest.approx(prior + 2, rel=0.15)
     # The best guess of each, in the mean of its inverse, is the truth.
-    assert np.mean(found.variance / true) == pytest.approx(1.0, rel=0.03)
+    assert np.mean(shrunk / true) == pytest.approx(1.0, rel=0.03)
 
 
 def test_without_company_a_variance_stays_as_it_is():
-    found = shrink_variances(np.array([1.0, 4.0]), df=2, most=2)
-    assert (found.variance.tolist(), found.df) == ([1.0, 4.0], 2.0)
+    shrunk, df = shrink_variances(np.array([1.0, 4.0]), df=2, max_df=2)
+    assert (shrunk.tolist(), df) == ([1.0, 4.0], 2.0)
 
 
 def errors_of(rms: np.ndarray) -> pd.DataFrame:

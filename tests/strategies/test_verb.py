@@ -6,7 +6,6 @@ import pandas as pd
 
 from stickslip_fit import estimation as fit
 from stickslip_fit.causes import library
-from stickslip_fit.estimation import save_result
 from stickslip_fit.logs import read_log
 from tests.conftest import CALIBRATION, SWEEPS
 
@@ -32,7 +31,7 @@ def test_what_cannot_be_is_refused_before_any_work(run, log, written, tmp_path):
     path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)
     drift = next(each for each in library() if each.name == "drift")
     saved = tmp_path / "law.json"
-    save_result(fit.fit_least_squares(read_log(path), causes=[drift]), saved)
+    fit.fit_least_squares(read_log(path), causes=[drift]).save(saved)
     assert (
         "fitted to the traverses that they would be judged by"
         in run("compare", path, "--causes-from", saved)[2]
@@ -47,7 +46,7 @@ def test_what_cannot_be_is_refused_before_any_work(run, log, written, tmp_path):
 def test_causes_of_another_log_may_be_taken(run, written, tmp_path):
     drift = next(each for each in library() if each.name == "drift")
     other = read_log(written(sessions=("2012-04-05", "2012-04-06"), settings=JOINT_3, seed=4))
-    save_result(fit.fit_least_squares(other, causes=[drift]), tmp_path / "law.json")
+    fit.fit_least_squares(other, causes=[drift]).save(tmp_path / "law.json")
     path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)
     status, told, _ = run("compare", path, "--causes-from", tmp_path / "law.json")
     assert status == 0

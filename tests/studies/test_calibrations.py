@@ -64,7 +64,7 @@ def test_all_at_once_as_task_by_task(strategy, study):
     plan = study(JOINT_3 + ROTARY, scenarios=(warm,), strategies=(strategy,), scatter="t5")
     campaigns = simulate_campaigns(plan, warm, draw_campaigns(plan, warm, range(4)))
     for _, _, cells, _ in design_study(plan).drives():
-        places = campaigns.places(np.concatenate([cell.offered for cell in cells]))
+        places = campaigns.row_positions(np.concatenate([cell.offered for cell in cells]))
         number = np.arange(4)[:, None] * 2 + np.repeat([0, 1], len(cells[0].offered))
         rows = campaigns.rows.iloc[places.ravel()]
         together = calibrate_sessions(plan, strategy, cells, campaigns)
@@ -81,7 +81,9 @@ def test_a_session_without_an_answer_has_no_prediction(study):
     campaigns = simulate_campaigns(plan, plan.scenarios[0], draw_campaigns(plan, plan.scenarios[0], range(3)))
     _, _, cells, _ = next(design_study(plan).drives())
     # The same traverse three times over leaves two parameters open.
-    blind = [type(cell)(**vars(cell) | {"made": {"closed form": cell.offered[[0, 0, 0]]}}) for cell in cells]
+    blind = [
+        type(cell)(**vars(cell) | {"chosen": {"closed form": cell.offered[[0, 0, 0]]}}) for cell in cells
+    ]
     found = calibrate_by_law(cells[0].law, "closed form", blind, campaigns)
     mean, sd = found.predict(campaigns.rows.iloc[:4], np.zeros(4, int))
     assert np.isnan(mean).all()
@@ -96,7 +98,7 @@ def test_any_strategy_takes_part(study):
     found = run_study(plan, backend=Cores(1))
     assert set(found.strategies(3)) == {"first traverse", "picky", "Bayes, 2 I-optimal", "closed form"}
     assert set(found.strategies(2)) == {"first traverse", "Bayes, 2 I-optimal", "closed form"}
-    assert "picky: joint 1, direction + and -: it is made for joint 3" in str(found)
+    assert "picky 1 + and \N{MINUS SIGN} it is made for joint 3" in " ".join(str(found).split())
     table = found.campaigns[(found.campaigns["joint"] == 3) & (found.campaigns["direction"] == "+")]
     failed = table.pivot(index="campaign", columns="strategy", values="failed")
     assert 0 < failed["picky"].sum() < 8

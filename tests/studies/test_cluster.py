@@ -17,7 +17,7 @@ import pytest
 from stickslip_fit.errors import InputError
 from stickslip_fit.studies import Cluster, Cores, Scenario, run_study
 from stickslip_fit.studies import execution as clusters
-from stickslip_fit.studies import run as running
+from stickslip_fit.studies import study as study_module
 from stickslip_fit.studies.calibration import design_study
 from stickslip_fit.studies.execution import CodeVersion, ResultStore, current_code_version
 from tests.studies.test_run import same
@@ -40,7 +40,7 @@ def cluster():
 
 
 def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "CHUNK_CAMPAIGNS", 20)
+    monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 20)
     plan = study(campaigns=240)
     written, killed = [], []
     write = ResultStore.write
@@ -68,14 +68,14 @@ def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, 
 def test_a_chunk_that_kills_every_worker_is_named(cluster, study):
     plan = study()
     end = SimpleNamespace(drives=partial(os._exit, 1), paths=None)
-    deadly = running.Chunk(plan, end, Scenario("too much"), 0, 20)
+    deadly = study_module.Chunk(plan, end, Scenario("too much"), 0, 20)
     with pytest.raises(InputError, match=r"died one after the other on campaigns 0 to 19 of 'too much'"):
         list(Cluster(cluster.scheduler_address).run([deadly]))
 
 
 def test_a_worker_with_other_versions_is_refused(study):
     plan = study()
-    chunk = running.Chunk(plan, design_study(plan), plan.scenarios[0], 0, 2)
+    chunk = study_module.Chunk(plan, design_study(plan), plan.scenarios[0], 0, 2)
     subset = current_code_version()
     assert clusters.run_on_worker(5, chunk, subset)[0] == 5
     other = CodeVersion((("stickslip_fit", "9.9"), *subset.versions[1:]), subset.code)

@@ -53,7 +53,7 @@ def test_least_squares_reaches_the_cramer_rao_bound(joint, study):
         )
         places = cell.offered
         _, slopes = slopes_by_hand(Truth(), joint, by_hand(rows.iloc[places]))
-        made = np.isin(places, cell.made[strategy.name])
+        made = np.isin(places, cell.chosen[strategy.name])
         variance = prediction_variance(slopes, slopes[made], np.full(made.sum(), 0.0027**2))
         subset = found[
             (found["strategy"] == strategy.name) & (found["joint"] == joint) & (found["direction"] == "+")

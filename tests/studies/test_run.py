@@ -11,7 +11,7 @@ import pytest
 from stickslip_fit.errors import InputError
 from stickslip_fit.strategies import ClosedForm
 from stickslip_fit.studies import Cores, Scenario, run_study
-from stickslip_fit.studies import run as running
+from stickslip_fit.studies import study as study_module
 
 ORDER = ["scenario", "campaign", "strategy", "joint", "direction"]
 
@@ -33,7 +33,7 @@ class Watched:
 
 @pytest.fixture
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(running, "CHUNK_CAMPAIGNS", 7)
+    monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 7)
 
 
 def same(first, second):
@@ -45,7 +45,7 @@ def test_chunks_and_processes_change_nothing(study, monkeypatch):
     plan = study(scatter="uneven", scenarios=(Scenario("a"), Scenario("b")))
     whole = run_study(plan, backend=Cores(1))
     assert len(whole.campaigns) == 2 * 20 * 3 * 2
-    monkeypatch.setattr(running, "CHUNK_CAMPAIGNS", 7)
+    monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 7)
     same(whole, run_study(plan, backend=Cores(2)))
 
 
@@ -112,13 +112,13 @@ def test_what_cannot_be_told_apart_is_refused(study):
 
 def test_large_plans_come_in_smaller_pieces(study, monkeypatch):
     plan = study()
-    monkeypatch.setattr(running, "MAX_ROWS", 5 * len(plan.plan.rows()))
-    assert [chunk.last - chunk.first for chunk in running.make_chunks(plan, None)] == [5, 5, 5, 5]
+    monkeypatch.setattr(study_module, "MAX_ROWS", 5 * len(plan.plan.rows()))
+    assert [chunk.last - chunk.first for chunk in study_module.make_chunks(plan, None)] == [5, 5, 5, 5]
     sessions = plan.plan.sessions
     later = replace(sessions[1], begins=sessions[1].begins + timedelta(days=365 * 30))
     spread = replace(plan, plan=replace(plan.plan, sessions=(sessions[0], later)))
-    monkeypatch.setattr(running, "MAX_ROWS", 10**9)
-    assert max(map(len, running.make_chunks(spread, None))) == 8
+    monkeypatch.setattr(study_module, "MAX_ROWS", 10**9)
+    assert max(map(len, study_module.make_chunks(spread, None))) == 8
     assert len(run_study(spread, backend=Cores(1)).campaigns) == 20 * 3 * 2
 
 

@@ -27,7 +27,7 @@ def published():
 @pytest.mark.parametrize("means", [(976e-9, 951e-9), (976e-9, 951e-9, 960e-9)])
 def test_the_analysis_of_reconstructed_readings_has_the_printed_p_and_means(analysis, p_value, means):
     named = {f"level {index}": mean for index, mean in enumerate(means)}
-    (found,) = run_factor_tests([reconstruct(analysis, named, p_value)]).answers
+    (found,) = run_factor_tests([reconstruct(analysis, named, p_value)]).factor_tests
     assert found.p_value == pytest.approx(p_value, rel=1e-9)
     assert found.effect.means == pytest.approx(means)
     assert found.squares.df[1:] == (len(means) - 1, 2 * len(means))
@@ -53,7 +53,7 @@ def test_what_is_known_of_the_thesis_hangs_together(published):
     for change in published["day_to_day_change_implied_by_p_values"] / 100 * means.mean():
         by_day = stats.f.sf(readings * change**2 / 2 / noise**2, 1, 4)
         days = {"first": means.mean() * 1e-9, "second": (means.mean() + change) * 1e-9}
-        (found,) = run_factor_tests([reconstruct("day", days, by_day)]).answers
+        (found,) = run_factor_tests([reconstruct("day", days, by_day)]).factor_tests
         assert found.squares.df[1:] == (1, 4)
         assert found.p_value == pytest.approx(by_day)
         spread = implied_spread(means, by_direction, readings)

@@ -1,3 +1,3 @@
-"""A manipulator that is not there: it steps, stops and sounds like one."""
+"""An emulated rig: controller, manipulator with hidden laws, and sound."""
 
 from __future__ import annotations

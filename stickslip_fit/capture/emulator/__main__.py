@@ -19,16 +19,18 @@ from stickslip_fit.simulation import read_law_values
 
 def main() -> None:
     """Serve until the standard input ends, or Ctrl-C."""
-    asked = _parser().parse_args()
+    options = _parser().parse_args()
     try:
-        machine = load_machine(asked.machine)
-        laws = read_law_values(asked.law, machine)
+        machine = load_machine(options.machine)
+        laws = read_law_values(options.law, machine)
     except InputError as error:
         sys.exit(str(error))
-    spread = {(joint, direction): asked.repeatability_pct / 100 for joint in laws.laws for direction in "+-"}
-    truth = HiddenLaws(laws, machine, Noise(spread), asked.seed)
-    rig = emulate_rig(truth, asked.dialect, RealClock(), asked.step_period_ms / 1000)
-    microphone = rig.microphone(Acoustics(asked.snr_db, period=rig.unit.period))
+    spread = {
+        (joint, direction): options.repeatability_pct / 100 for joint in laws.laws for direction in "+-"
+    }
+    truth = HiddenLaws(laws, machine, Noise(spread), options.seed)
+    rig = emulate_rig(truth, options.dialect, RealClock(), options.step_period_ms / 1000)
+    microphone = rig.microphone(Acoustics(options.snr_db, period=rig.emulated_controller.period))
     with suppress(KeyboardInterrupt):
         serve_rig(rig, microphone, sys.stdin.fileno(), partial(print, flush=True))
 
@@ -36,13 +38,13 @@ def main() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m stickslip_fit.capture.emulator",
-        description="A manipulator that is not there, behind a pseudo-terminal. It prints the terminal's "
+        description="An emulated rig behind a pseudo-terminal. It prints the terminal's "
         'name, and takes orders such as {"set": {"theta": 0.5}} (SI), one a line.',
     )
     parser.add_argument("law", help="law file (TOML) by which the joints step, with or without causes")
     parser.add_argument("--machine", help="machine file (TOML); the nominal MM3A without it")
     parser.add_argument("--dialect", choices=list(DIALECTS), default="new")
-    parser.add_argument("--repeatability-pct", type=float, default=0.27, help="spread of the counts")
+    parser.add_argument("--repeatability-pct", type=float, default=0.27, help="repeatability of the counts")
     parser.add_argument("--step-period-ms", type=float, default=1000 * STEP_PERIOD)
     parser.add_argument("--snr-db", type=float, default=12.0, help="of the stop's sound")
     parser.add_argument("--seed", type=int, default=0)

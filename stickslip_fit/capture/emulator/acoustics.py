@@ -18,10 +18,10 @@ from stickslip_fit.capture.audio import power_df
 from stickslip_fit.capture.protocols import Sound
 from stickslip_fit.capture.tuning import Tuning, select_band, select_reference
 
-BAND_WIDTH = 2000.0  # Hz; the signal-to-noise ratio is that of a band so wide about the stop's peak
+BAND_WIDTH = 2000.0  # Hz, about the stop's peak; in it the signal-to-noise ratio is taken
 CORNER_FREQUENCY = 800.0  # Hz; below it the room's noise grows as 1/f
 CLICK_TONE, CLICK_DECAY = 1800.0, 4e-4  # Hz, s: each step rings so
-PEAK_ORDER = 8  # exponent of the peak's shape: the higher, the flatter its top and the steeper its sides
+PEAK_ORDER = 8  # exponent of the peak's shape: a higher one is flatter on top and steeper at the sides
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,12 @@ class Acoustics:
     Attributes
     ----------
     snr_db : float
-        Signal-to-noise ratio. *Signal* is the mean power of the extra sound that the joint makes while it
-        pushes against its stop; *noise* is the mean power of everything that the microphone hears while the
-        joint moves freely: the room, the hum, the clicks of the steps. Both are taken over a band of 2 kHz
-        about `peak`. Bangs, speech and the drift of the gain come on top and are part of neither.
+        Signal-to-noise ratio. *Signal* is the mean power of the extra sound at the stop; *noise* is that of
+        everything that the microphone hears while the joint moves freely: room, hum, clicks of the steps.
+        Both are taken over a band of 2 kHz about `peak`. Bangs, speech and drift are part of neither.
     peak, peak_width : float
         Of the extra sound's spectrum, Hz. It is random noise, the hardest case: at 2 kHz, the default, it
-        fills the whole band and is no easier to tell from the room than by its power.
+        fills the whole band and differs from the room by its power alone.
     rate : int
         Samples per second.
     period : float
@@ -51,9 +50,9 @@ class Acoustics:
     bang, voice : float
         Root mean square at the loudest.
     drift_db : float
-        The gain wanders up and down by so much, within two minutes.
+        Amplitude of the gain's drift, with a period of two minutes.
     seed : int
-        When bangs and speech come.
+        Of the times of bangs and speech.
 
     Examples
     --------
@@ -127,13 +126,7 @@ def _integrate(density: Callable[[Array], Array], band: Array) -> float:
 
 @dataclass(frozen=True)
 class PowerDistribution:
-    """The power of some bins, over that of the moving joint: `mean` times chi2(n) / n.
-
-    Attributes
-    ----------
-    mean, freedom : float
-        While moving, where `mean` is 1, or at the stop.
-    """
+    """Distribution of the power of some bins, over that of the moving joint: `mean` times chi2(df) / df."""
 
     mean: float
     df: float
@@ -145,7 +138,7 @@ class PowerDistribution:
 
 @dataclass(frozen=True)
 class CheckPowers:
-    """What the ear makes of an emulated manipulator: the band and the reference, moving and at the stop."""
+    """Distributions of the powers of an emulated manipulator."""
 
     band: PowerDistribution
     reference: PowerDistribution
@@ -154,35 +147,22 @@ class CheckPowers:
 
 
 def compute_powers(acoustics: Acoustics, tuning: Tuning) -> CheckPowers:
-    """How the powers of checks are distributed that `Tuning.powers` would find in the sound.
+    """Distributions of the powers that `Tuning.powers` would find in the sound.
 
-    Parameters
-    ----------
-    acoustics : Acoustics
-    tuning : Tuning
-        The choice of the band; how loud things are is taken from the acoustics.
-
-    Returns
-    -------
-    Powers
+    Of the tuning only the choice of the band matters; the levels are those of the acoustics.
 
     Notes
     -----
     A sum of powers of Gaussian noise with means m_k over bins is very nearly sum(m) chi2(n) / n, where
-    n = 2 (sum m)^2 / sum(m^2) before the window takes its part. Bangs, speech and drift come on top.
+    n = 2 (sum m)^2 / sum(m^2), reduced by the window. Bangs, speech and drift are not included.
     """
     bins = tuning.frequencies[1:]
     moving = acoustics.room_density(bins) + acoustics.click_density(bins)
     rise = 1 + acoustics.stop_density(bins) / moving
     band = select_band(bins, tuning.frequency, tuning.width)
     reference = select_reference(bins, tuning.rate, tuning.frequency, tuning.width)
-    return CheckPowers(
-        *(
-            _make_distribution(means, tuning.samples)
-            for means in (np.ones(band.sum()), np.ones(reference.sum()))
-        ),
-        *(_make_distribution(rise[part], tuning.samples) for part in (band, reference)),
-    )
+    means = (np.ones(band.sum()), np.ones(reference.sum()), rise[band], rise[reference])
+    return CheckPowers(*(_make_distribution(part, tuning.samples) for part in means))
 
 
 def _make_distribution(means: Array, samples: int) -> PowerDistribution:
@@ -190,60 +170,48 @@ def _make_distribution(means: Array, samples: int) -> PowerDistribution:
     return PowerDistribution(float(means.mean()), float(even * power_df(len(means), samples)))
 
 
-MAX_DISTURBANCE_SECONDS = 2  # s; nothing lasts longer
+MAX_DISTURBANCE_SECONDS = 2  # longest duration
 BANG_DECAY = (0.005, 0.06)  # s, shortest and longest
 SPEECH_SECONDS = (0.3, 1.5)  # s
 SYLLABLE_RATE = 4.0  # per second
 VOICED_BAND, HISS_BAND = (150.0, 3500.0), (4000.0, 9000.0)  # Hz
-HISS_SHARE = 0.3  # share of a talk's syllables that hiss
+HISS_SHARE = 0.3  # of the syllables hiss
 
 
 def synthesize_disturbances(acoustics: Acoustics, began: float, number: int) -> Array:
-    """Bangs and speech in a stretch of sound; the same at the same time however it is cut into stretches.
+    """Bangs and speech in `number` samples from `began`, s; shape (number,).
 
-    Each second has its own random numbers, so that what begins in one stretch goes on in the next.
-
-    Parameters
-    ----------
-    acoustics : Acoustics
-    began : float
-        When the stretch begins, s.
-    number : int
-        Its samples.
-
-    Returns
-    -------
-    array, shape (number,)
+    Each second has its own random numbers, so that the sound does not depend on how it is cut into stretches.
     """
-    heard = np.zeros(number)
+    sound = np.zeros(number)
     if acoustics.bangs == 0 and acoustics.speech == 0:
-        return heard
+        return sound
     first = round(began * acoustics.rate)
     last_second = int((first + number) / acoustics.rate)
     for second in range(max(int(began) - MAX_DISTURBANCE_SECONDS, 0), last_second + 1):
         rng = np.random.default_rng((acoustics.seed, second))
         for rate, event in ((acoustics.bangs, _synthesize_bang), (acoustics.speech, _synthesize_speech)):
             for _ in range(rng.poisson(rate)):
-                place = round((second + rng.random()) * acoustics.rate) - first
-                _add_event(heard, event(acoustics, rng), place)
-    return heard
+                position = round((second + rng.random()) * acoustics.rate) - first
+                _add_event(sound, event(acoustics, rng), position)
+    return sound
 
 
-def _add_event(heard: Array, event: Array, place: int) -> None:
-    low, high = max(place, 0), min(place + len(event), len(heard))
+def _add_event(sound: Array, event: Array, position: int) -> None:
+    low, high = max(position, 0), min(position + len(event), len(sound))
     if low < high:
-        heard[low:high] += event[low - place : high - place]
+        sound[low:high] += event[low - position : high - position]
 
 
 def _synthesize_bang(acoustics: Acoustics, rng: np.random.Generator) -> Array:
-    """Noise of all frequencies, the high ones fading in a lesser or greater degree, that dies away."""
+    """Decaying noise, its high frequencies more or less damped."""
     decay = np.exp(rng.uniform(*np.log(BANG_DECAY)))
     noise = rng.standard_normal(round(8 * decay * acoustics.rate))
     dull = rng.uniform(0.0, 0.9)
     noise[1:] += dull * noise[:-1]
     noise /= np.sqrt(1 + dull**2)
-    loud = acoustics.bang * 10 ** rng.uniform(-1, 0)
-    return loud * noise * np.exp(-np.arange(len(noise)) / (decay * acoustics.rate))
+    loudness = acoustics.bang * 10 ** rng.uniform(-1, 0)
+    return loudness * noise * np.exp(-np.arange(len(noise)) / (decay * acoustics.rate))
 
 
 def _synthesize_speech(acoustics: Acoustics, rng: np.random.Generator) -> Array:
@@ -252,13 +220,13 @@ def _synthesize_speech(acoustics: Acoustics, rng: np.random.Generator) -> Array:
     length = round(acoustics.rate / SYLLABLE_RATE)
     swell = np.sin(np.pi * np.arange(length) / length)
     frequencies = np.fft.rfftfreq(length, 1 / acoustics.rate)
-    said = []
+    sounds = []
     for _ in range(syllables):
         low, high = HISS_BAND if rng.random() < HISS_SHARE else VOICED_BAND
         spectrum = np.fft.rfft(rng.standard_normal(length)) * ((frequencies > low) & (frequencies < high))
         sound = np.fft.irfft(spectrum, length)
-        said.append(acoustics.voice * swell * sound / sound.std())
-    return np.concatenate(said)
+        sounds.append(acoustics.voice * swell * sound / sound.std())
+    return np.concatenate(sounds)
 
 
 CLICK_HEIGHT_SD = 0.05  # relative standard deviation of a click's height
@@ -274,24 +242,24 @@ def synthesize_sound(
 ) -> Sound:
     """The sound of a stretch of time, a whole number of step periods long.
 
-    Stretches that follow each other make one recording: hum, drift, bangs and speech know the time.
+    Consecutive stretches make one recording: hum, drift, bangs and speech depend on the time.
 
     Parameters
     ----------
     acoustics : Acoustics
     began : float
-        When the stretch begins, s.
+        Beginning of the stretch, s.
     moving : array of bool, shape (n,)
         For each step period, whether a step is made in it.
     at_stop : array of bool, shape (n,)
         Whether that step pushes against the stop.
     rng : Generator
-        For the room's noise, the stop's and the clicks' unevenness.
+        Of the noise and the heights of the clicks.
 
     Returns
     -------
     array of float32, shape (n * period * rate,)
-        Cut off at full scale, 1, as a converter does.
+        Clipped at full scale, 1.
 
     Examples
     --------
@@ -302,18 +270,18 @@ def synthesize_sound(
     moving, at_stop = np.asarray(moving, bool), np.asarray(at_stop, bool)
     step = round(acoustics.period * acoustics.rate)
     number = step * len(moving)
-    at = began + np.arange(number) / acoustics.rate
+    time = began + np.arange(number) / acoustics.rate
     heights = moving * (1 + CLICK_HEIGHT_SD * rng.standard_normal(len(moving)))
-    heard = draw_shaped_noise(acoustics.room_density, number, acoustics.rate, rng)
-    heard += np.outer(heights, acoustics.click()).ravel()
-    heard += np.sqrt(2) * acoustics.hum * np.sin(2 * np.pi * acoustics.mains * at)
+    sound = draw_shaped_noise(acoustics.room_density, number, acoustics.rate, rng)
+    sound += np.outer(heights, acoustics.click()).ravel()
+    sound += np.sqrt(2) * acoustics.hum * np.sin(2 * np.pi * acoustics.mains * time)
     pushing = moving & at_stop
     if pushing.any():
         stop = draw_shaped_noise(acoustics.stop_density, number, acoustics.rate, rng)
-        heard += np.repeat(pushing, step) * stop
-    heard += synthesize_disturbances(acoustics, began, number)
-    heard *= 10 ** (acoustics.drift_db / 20 * np.sin(2 * np.pi * at / DRIFT_PERIOD))
-    return np.clip(heard, -1, 1).astype(np.float32)
+        sound += np.repeat(pushing, step) * stop
+    sound += synthesize_disturbances(acoustics, began, number)
+    sound *= 10 ** (acoustics.drift_db / 20 * np.sin(2 * np.pi * time / DRIFT_PERIOD))
+    return np.clip(sound, -1, 1).astype(np.float32)
 
 
 def draw_shaped_noise(

@@ -26,65 +26,51 @@ from stickslip_fit.moves import position_after
 from stickslip_fit.simulation import LawValues, draw_noise, expected_counts
 from stickslip_fit.units import JOINTS
 
-NO_NOISE = Noise({})
-
 
 @dataclass(frozen=True, eq=False)
 class HiddenLaws:
-    """How the emulated joints truly step.
+    """The true laws of the emulated joints.
 
     Attributes
     ----------
     laws : LawValues
-        Laws may have causes in them.
+        With or without causes.
     machine : Machine
         Its ranges end at the mechanical stops.
     noise : Noise
-        How well traverses repeat; a joint and direction that it doesn't name repeat exactly.
+        Repeatability; a joint and direction that it doesn't name repeats exactly.
     seed : int
-        Settles how days differ, and all that is left to chance.
+        Of day-to-day differences, noise and misfires.
     """
 
     laws: LawValues
     machine: Machine
-    noise: Noise = NO_NOISE
+    noise: Noise = Noise({})
     seed: int = 0
 
     def law_of(self, row: pd.DataFrame) -> tuple[StepLaw, Array, float]:
-        """Law, parameters, shape (1, p), and the day's factor of the step size, for one row of a log.
-
-        Raises
-        ------
-        InputError
-            If there is no law for the joint and direction.
-        """
+        """Law, parameters, shape (1, p), and the day's factor of the step size, for one row of a log."""
         joint, direction = int(row["joint"].iloc[0]), str(row["direction"].iloc[0])
         values, shared = self.laws.of_rows(row, joint)
-        factor = self._day(str(row["session"].iloc[0]), joint, direction) if shared[0] else 1.0
+        factor = self._day_factor(str(row["session"].iloc[0]), joint, direction) if shared[0] else 1.0
         return self.laws.laws[joint], values, factor
 
-    def _day(self, session: str, joint: int, direction: str) -> float:
-        """The same whenever a session is taken up again."""
+    def _day_factor(self, session: str, joint: int, direction: str) -> float:
+        """The same in every capture of a session."""
         spread = self.laws.day_to_day.get((joint, direction), 0.0)
         stream = [self.seed, zlib.crc32(f"{session}/{joint}{direction}".encode())]
         return 1.0 + spread * float(np.random.default_rng(stream).standard_normal())
 
 
 def count_steps(law: StepLaw, row: pd.DataFrame, values: Array, factor: float) -> float:
-    """Steps from a row's start to its stop without noise, as `simulate` has them.
-
-    Raises
-    ------
-    InputError
-        If the joint comes to a halt on its way.
-    """
+    """Steps from a row's start to its stop without noise, as `simulate` computes them."""
     added = float(law.added(row, values)[0]) if isinstance(law, ExtendedLaw) else 0.0
     return (float(expected_counts(law, row, values)[0]) - added) / factor + added
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """A traverse as it truly goes, however many steps of it are made.
+    """The true motion of a joint in one direction, however many steps of it are made.
 
     Attributes
     ----------
@@ -92,10 +78,10 @@ class JointMotion:
         One row of a log, with its history; stop is the mechanical stop ahead.
     steps_to_stop : float
         Steps, not necessarily whole, after which the joint is at its stop.
-    heard : float
-        Steps after which it sounds so: a cause may have the stop heard late, or imagined.
-    departure : float
-        Log steps by which this traverse takes more than usual.
+    steps_to_sound : float
+        Steps after which it sounds so: a cause may delay the detection, or make it premature.
+    deviation : float
+        Random deviation of the log steps.
     """
 
     truth: HiddenLaws
@@ -103,78 +89,63 @@ class JointMotion:
     direction: str
     row: pd.DataFrame
     steps_to_stop: float
-    heard: float
-    departure: float
+    steps_to_sound: float
+    deviation: float
 
     def position(self, steps: int) -> float:
-        """Where the joint stands after so many steps, rad or m.
-
-        Raises
-        ------
-        InputError
-            If it has come to a halt.
-        """
+        """Position after so many steps, rad or m; raises InputError where the joint has stalled."""
         if steps >= self.steps_to_stop:
             return float(self.row["stop"].iloc[0])
         law, values, factor = self.truth.law_of(self.row)
-        lost = 0.0
+        added = 0.0
         if isinstance(law, ExtendedLaw):
             values = law.in_motion(values)
-            lost = float(law.added(self.row, values)[0])
-        usual = steps * np.exp(-self.departure)
-        moved = max(lost + (usual - lost) * factor, 0.0)
-        return float(position_after(law, self.row, values, moved)[0])
+            added = float(law.added(self.row, values)[0])
+        effective = max(added + (steps * np.exp(-self.deviation) - added) * factor, 0.0)
+        return float(position_after(law, self.row, values, effective)[0])
 
 
-def begin_motion(truth: HiddenLaws, row: pd.DataFrame, departure: float, misfire_draws: Array) -> JointMotion:
-    """A leg along a row of a log.
+def begin_motion(truth: HiddenLaws, row: pd.DataFrame, deviation: float, misfire_draws: Array) -> JointMotion:
+    """The motion along a row of a log; equal start and stop mean that the joint is at its stop already.
 
     Parameters
     ----------
-    truth : Truth
+    truth : HiddenLaws
     row : DataFrame
-        One row; equal start and stop are a joint that stands at its stop already.
-    departure : float
-        Log steps by which it takes more than usual.
-    luck : array, shape (3,)
-        See `simulate.chance.Chance`.
+        One row.
+    deviation : float
+        Random deviation of the log steps.
+    misfire_draws : array, shape (3,)
+        Uniform; see `ExtendedLaw.misfires`.
 
     Raises
     ------
     InputError
-        If the joint has no law, or comes to a halt on its way.
+        If the joint has no law, or stalls.
     """
     joint, direction = int(row["joint"].iloc[0]), str(row["direction"].iloc[0])
     if row["start"].iloc[0] == row["stop"].iloc[0]:
-        return JointMotion(truth, joint, direction, row, 0.0, 0.0, departure)
+        return JointMotion(truth, joint, direction, row, 0.0, 0.0, deviation)
     law, values, factor = truth.law_of(row)
     moving, misfire = values, 0.0
     if isinstance(law, ExtendedLaw):
         moving, misfire = law.in_motion(values), float(law.misfires(values, misfire_draws[None])[0])
-    reached = count_steps(law, row, moving, factor) * np.exp(departure)
-    heard = count_steps(law, row, values, factor) * np.exp(departure + misfire)
-    return JointMotion(truth, joint, direction, row, float(reached), float(heard), departure)
+    to_stop = float(count_steps(law, row, moving, factor) * np.exp(deviation))
+    to_sound = float(count_steps(law, row, values, factor) * np.exp(deviation + misfire))
+    return JointMotion(truth, joint, direction, row, to_stop, to_sound, deviation)
 
 
-RANGE_TOL = 1e-9  # of a joint's range, for what converting units rounds off
-MAX_PAUSE_SECONDS = 2.0  # s; who pauses longer begins another traverse
+RANGE_TOL = 1e-9  # of a joint's range, for rounding in unit conversions
+MAX_PAUSE_SECONDS = 2.0  # a longer pause begins another traverse
 MAX_STEP_RECORDS = 1000
 NOISE_STREAM = 1  # a stream of random numbers beside those of the days
 
 
 @dataclass(frozen=True)
 class StepRecord:
-    """Steps that a joint has made one after the other.
+    """Consecutive steps of a joint: from `began` (s), one each `period` (s).
 
-    Attributes
-    ----------
-    began : float
-        When the first began, s.
-    period : float
-        From one to the next, s.
-    steps : int
-    moving : int
-        As many of them sound like a joint that moves, and the rest like one at its stop.
+    The first `moving` of them sound like a joint that moves, the rest like one at its stop.
     """
 
     began: float
@@ -184,13 +155,13 @@ class StepRecord:
 
     @property
     def ended(self) -> float:
-        """When the last was over, s."""
+        """End of the last step, s."""
         return self.began + self.steps * self.period
 
 
 @dataclass(frozen=True)
 class JointHistory:
-    """What a joint remembers: direction and load of its leg before, and how many steps it has made."""
+    """Direction and mean load of a joint's last motion, and all its steps so far."""
 
     direction: str = ""
     load: float = 0.0
@@ -198,90 +169,66 @@ class JointHistory:
 
 
 class Manipulator:
-    """Joints that move by hidden laws, and where they stand.
-
-    Parameters
-    ----------
-    truth : Truth
-    session : str
-        Under way when it is switched on.
+    """Joints that move by hidden laws, and their positions.
 
     Attributes
     ----------
-    made : deque of Made
-        The latest steps, and enough of those before them to hear them.
+    step_records : deque of StepRecord
+        The latest steps, enough to compute their sound.
     """
 
     def __init__(self, truth: HiddenLaws, session: str = "") -> None:
         self.truth = truth
         self._session = session
-        self._began: float | None = None
-        self._stands = {"q1": 0.0, "q2": -np.pi / 2, "q3": 0.0, "theta": 0.0, "psi": 0.0}
-        self._given = dict.fromkeys(CONDITIONS, np.nan)
+        self._session_began: float | None = None
+        self._positions = {"q1": 0.0, "q2": -np.pi / 2, "q3": 0.0, "theta": 0.0, "psi": 0.0}
+        self._conditions = dict.fromkeys(CONDITIONS, np.nan)
         self._stops = dict(truth.machine.ranges)
-        self._past = dict.fromkeys(JOINTS, JointHistory())
-        self._leg: JointMotion | None = None
-        self._steps = 0  # of the leg under way
+        self._history = dict.fromkeys(JOINTS, JointHistory())
+        self._motion: JointMotion | None = None
+        self._steps = 0  # of the motion in progress
         self._random = np.random.default_rng([truth.seed, NOISE_STREAM])
-        self.made = deque([StepRecord(-np.inf, 0.0, 0, 0)], maxlen=MAX_STEP_RECORDS)
+        self.step_records = deque([StepRecord(-np.inf, 0.0, 0, 0)], maxlen=MAX_STEP_RECORDS)
 
     def step(self, joint: int, steps: int, began: float, period: float) -> None:
-        """Make steps, more than 0 in `+`, less in `-`, the first at `began`, s.
-
-        Raises
-        ------
-        InputError
-            If the joint has no law, or comes to a halt.
-        """
+        """Make steps, more than 0 in `+`, less in `-`, the first at `began`, s; raises as `begin_motion`."""
         direction = "+" if steps > 0 else "-"
-        motion = self._under_way(joint, direction, began) or self._begin(joint, direction, began, period)
-        moving = int(np.clip(np.ceil(motion.heard) - 1 - self._steps, 0, abs(steps)))
+        motion = self._continue(joint, direction, began) or self._begin(joint, direction, began, period)
+        moving = int(np.clip(np.ceil(motion.steps_to_sound) - 1 - self._steps, 0, abs(steps)))
         self._steps += abs(steps)
-        self.made.append(StepRecord(began, period, abs(steps), moving))
+        self.step_records.append(StepRecord(began, period, abs(steps), moving))
 
     def set(self, **quantities: float) -> None:
-        """Set by hand: q1, q2, q3, theta, psi; or what is to be read: temperature, ..., all SI.
-
-        Raises
-        ------
-        InputError
-            For any other quantity, or a joint beyond its stops.
-        """
-        self._end_leg()
+        """Set q1, q2, q3, theta, psi or a condition (SI); raises InputError for others, or beyond a stop."""
+        self._end_motion()
         for name, value in quantities.items():
-            if name in self._stands:
-                self._stands[name] = self._within_stops(name, value)
-            elif name in self._given or name.startswith(COVARIATE_PREFIX):
-                self._given[name] = value
+            if name in self._positions:
+                self._positions[name] = self._within_stops(name, value)
+            elif name in self._conditions or name.startswith(COVARIATE_PREFIX):
+                self._conditions[name] = value
             else:
-                known = ", ".join([*self._stands, *CONDITIONS])
+                known = ", ".join([*self._positions, *CONDITIONS])
                 raise InputError(f"{name!r} cannot be set; choose among {known}, covariate:COLUMN")
 
     def set_stops(self, joint: int, low: float, high: float) -> None:
-        """Put a joint's stops by hand, rad or m; a joint that stands beyond one is pushed back to it.
-
-        Raises
-        ------
-        InputError
-            If they lie outside the joint's range.
-        """
-        self._end_leg()
+        """Set a joint's stops, rad or m, within its range; a joint beyond one is pushed back to it."""
+        self._end_motion()
         lowest, highest = self.truth.machine.ranges[joint]
         if not lowest <= low < high <= highest:
             raise InputError(f"joint {joint} can't have stops at {low:g} and {high:g}; keep to its range")
         self._stops[joint] = (low, high)
-        self._stands[f"q{joint}"] = min(max(self._stands[f"q{joint}"], low), high)
+        self._positions[f"q{joint}"] = min(max(self._positions[f"q{joint}"], low), high)
 
     def begin_session(self, label: str) -> None:
-        """Begin a session, if it is not the one under way; its clock starts with its first step."""
-        self._end_leg()
-        if label == self._session and self._began is not None:
+        """Begin a session, unless it is the current one; its clock starts with its first step."""
+        self._end_motion()
+        if label == self._session and self._session_began is not None:
             return
-        self._session, self._began = label, None
-        self._past = {joint: JointHistory(steps=past.steps) for joint, past in self._past.items()}
+        self._session, self._session_began = label, None
+        self._history = {joint: JointHistory(steps=last.steps) for joint, last in self._history.items()}
 
     def remember(self, rows: pd.DataFrame, today: datetime, now: float) -> None:
-        """Be worn and warmed by drives that were made before it was switched on again.
+        """Take over the wear and the session time of drives that were made before.
 
         Parameters
         ----------
@@ -298,73 +245,71 @@ class Manipulator:
             last = subset.iloc[[-1]]
             position = (last[name].to_numpy() for name in ("start", "stop", "q1", "q2", "theta", "psi"))
             load = float(mean_load(int(joint), *position)[0])
-            self._past[int(joint)] = JointHistory(
-                str(last["direction"].iloc[0]), load, int(subset["steps"].sum())
-            )
+            direction, total = str(last["direction"].iloc[0]), int(subset["steps"].sum())
+            self._history[int(joint)] = JointHistory(direction, load, total)
         self._session = str(rows["session"].iloc[-1])
         began = rows["time"][rows["session"] == self._session].iloc[0]
-        self._began = now - (today - began).total_seconds()
+        self._session_began = now - (today - began).total_seconds()
 
     def position(self, joint: int) -> float:
-        """Where a joint truly stands, rad or m."""
+        """True position of a joint, rad or m."""
         self._settle()
-        return self._stands[f"q{joint}"]
+        return self._positions[f"q{joint}"]
 
-    def driven(self, joint: int) -> int:
-        """Steps that a joint has made since it was new, those against its stop among them."""
-        past = self._past[joint].steps
-        return past + self._steps if self._leg is not None and self._leg.joint == joint else past
+    def total_steps(self, joint: int) -> int:
+        """Steps that a joint has ever made, those against its stop included."""
+        in_progress = self._steps if self._motion is not None and self._motion.joint == joint else 0
+        return self._history[joint].steps + in_progress
 
-    def _under_way(self, joint: int, direction: str, began: float) -> JointMotion | None:
-        """The leg that steps beginning now go on with."""
-        motion = self._leg
+    def _continue(self, joint: int, direction: str, began: float) -> JointMotion | None:
+        """The motion that steps beginning now continue, if any."""
+        motion = self._motion
         if motion is None or (motion.joint, motion.direction) != (joint, direction):
             return None
-        return motion if began - self.made[-1].ended <= MAX_PAUSE_SECONDS else None
+        return motion if began - self.step_records[-1].ended <= MAX_PAUSE_SECONDS else None
 
     def _begin(self, joint: int, direction: str, began: float, period: float) -> JointMotion:
-        self._end_leg()
-        self._began = began if self._began is None else self._began
-        past = self._past[joint]
+        self._end_motion()
+        self._session_began = began if self._session_began is None else self._session_began
+        last = self._history[joint]
         row = pd.DataFrame(
             {
                 "session": [self._session],
                 "joint": [joint],
                 "direction": [direction],
-                **{name: [value] for name, value in self._stands.items()},
-                "start": [self._stands[f"q{joint}"]],
+                **{name: [value] for name, value in self._positions.items()},
+                "start": [self._positions[f"q{joint}"]],
                 "stop": [self._stops[joint][direction == "+"]],
-                **{name: [value] for name, value in self._given.items()},
+                **{name: [value] for name, value in self._conditions.items()},
                 "step_period": [period],
-                "session_seconds": [began - self._began],
-                "before_direction": [past.direction],
-                "before_load": [past.load],
-                "steps_before": [past.steps],
+                "session_seconds": [began - self._session_began],
+                "before_direction": [last.direction],
+                "before_load": [last.load],
+                "steps_before": [last.steps],
             }
         )
         noise = self.truth.noise
-        departure = float(draw_noise(noise.kind, 1, self._random)[0])
-        departure *= noise.repeatability.get((joint, direction), 0.0)
-        self._leg = begin_motion(self.truth, row, departure, self._random.random(3))
-        return self._leg
+        deviation = float(draw_noise(noise.kind, 1, self._random)[0])
+        deviation *= noise.repeatability.get((joint, direction), 0.0)
+        self._motion = begin_motion(self.truth, row, deviation, self._random.random(3))
+        return self._motion
 
-    def _end_leg(self) -> None:
-        """Where the joint stands, and what it remembers of the way there."""
+    def _end_motion(self) -> None:
+        """Update the joint's position and history."""
         self._settle()
-        motion, self._leg = self._leg, None
+        motion, self._motion = self._motion, None
         if motion is None:
             return
         position = {name: motion.row[name].to_numpy() for name in ("start", "q1", "q2", "theta", "psi")}
-        load = float(mean_load(motion.joint, stop=self._stands[f"q{motion.joint}"], **position)[0])
-        self._past[motion.joint] = JointHistory(
-            motion.direction, load, self._past[motion.joint].steps + self._steps
-        )
+        load = float(mean_load(motion.joint, stop=self._positions[f"q{motion.joint}"], **position)[0])
+        total = self._history[motion.joint].steps + self._steps
+        self._history[motion.joint] = JointHistory(motion.direction, load, total)
         self._steps = 0
 
     def _settle(self) -> None:
-        """Work out where the steps of the leg under way have brought its joint."""
-        if self._leg is not None:
-            self._stands[f"q{self._leg.joint}"] = self._leg.position(self._steps)
+        """Update the position of the moving joint."""
+        if self._motion is not None:
+            self._positions[f"q{self._motion.joint}"] = self._motion.position(self._steps)
 
     def _within_stops(self, name: str, value: float) -> float:
         if not name.startswith("q"):

@@ -54,26 +54,20 @@ STOP_LEVEL_DB, MOVING_LEVEL_DB = 20.0, 0.0  # dB
 
 
 class EmulatedMicrophone:
-    """A `Source` of the sound that the joints of an emulated controller make.
+    """An `AudioSource` of the sound of an emulated controller's joints, with the same step period."""
 
-    Parameters
-    ----------
-    unit : Unit
-    acoustics : Acoustics
-        Of the same step period.
-    rng : Generator
-    """
-
-    def __init__(self, unit: EmulatedController, acoustics: Acoustics, rng: np.random.Generator) -> None:
+    def __init__(
+        self, controller: EmulatedController, acoustics: Acoustics, rng: np.random.Generator
+    ) -> None:
         self.rate = acoustics.rate
-        self._unit = unit
+        self._controller = controller
         self._acoustics = acoustics
         self._rng = rng
-        self._heard_until = unit.clock.now()
+        self._heard_until = controller.clock.now()
 
     def read(self, seconds: float) -> Samples:
-        """See `Source.read`; whole step periods, at least one."""
-        period, clock = self._acoustics.period, self._unit.clock
+        """See `AudioSource.read`; whole step periods, at least one."""
+        period, clock = self._acoustics.period, self._controller.clock
         slots = max(round(seconds / period), 1)
         self._heard_until = max(clock.now(), self._heard_until + slots * period)
         clock.sleep(self._heard_until - clock.now())
@@ -82,90 +76,86 @@ class EmulatedMicrophone:
         return Samples(synthesize_sound(self._acoustics, began, moving, at_stop, self._rng))
 
     def close(self) -> None:
-        """See `Source.close`."""
+        """See `AudioSource.close`."""
 
     def _steps(self, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whether a step is made at each time, and whether it pushes against a stop."""
-        self._unit.advance()
+        self._controller.advance()
         moving, at_stop = np.zeros((2, len(middles)), bool)
-        for made in reversed(self._unit.manipulator.made):
-            if made.ended <= middles[0]:
+        for record in reversed(self._controller.manipulator.step_records):
+            if record.ended <= middles[0]:
                 break
-            number = np.floor((middles - made.began) / made.period)
-            within = (number >= 0) & (number < made.steps)
+            number = np.floor((middles - record.began) / record.period)
+            within = (number >= 0) & (number < record.steps)
             moving |= within
-            at_stop |= within & (number >= made.moving)
+            at_stop |= within & (number >= record.moving)
         return moving, at_stop
 
 
 class IdealDetector:
-    """An `Ear` that knows at which step the stop was met."""
+    """An `EndStopDetector` that knows at which step the stop was met."""
 
-    def __init__(self, unit: EmulatedController) -> None:
-        self._unit = unit
-        self._heard_until = unit.clock.now()
+    def __init__(self, controller: EmulatedController) -> None:
+        self._controller = controller
+        self._heard_until = controller.clock.now()
 
     def begin(self) -> None:
-        """See `Ear.begin`."""
-        self._heard_until = self._unit.clock.now()
+        """See `EndStopDetector.begin`."""
+        self._heard_until = self._controller.clock.now()
 
     def check(self, seconds: float) -> Detection:
-        """See `Ear.check`."""
-        self._unit.advance()
+        """See `EndStopDetector.check`."""
+        self._controller.advance()
         at_stop = False
-        for made in reversed(self._unit.manipulator.made):
-            if made.ended <= self._heard_until + made.period / 2:
+        for record in reversed(self._controller.manipulator.step_records):
+            if record.ended <= self._heard_until + record.period / 2:
                 break
-            at_stop |= made.moving < made.steps
-        self._heard_until = self._unit.clock.now()
+            at_stop |= record.moving < record.steps
+        self._heard_until = self._controller.clock.now()
         return Detection(at_stop, STOP_LEVEL_DB if at_stop else MOVING_LEVEL_DB)
 
     def close(self) -> None:
-        """See `Ear.close`."""
+        """See `EndStopDetector.close`."""
 
 
 DIALECTS: dict[str, type[EmulatedController]] = {"new": NewDialect, "old": OldDialect}
-SOUND_STREAM = 2  # a stream of random numbers beside those of the truth
+SOUND_STREAM = 2  # a stream of random numbers beside those of the hidden laws
 
 
 @dataclass(frozen=True, eq=False)
 class EmulatedRig:
-    """An emulated rig within this program, by a clock of its own.
+    """An emulated rig within this program, with a clock of its own."""
 
-    Attributes
-    ----------
-    unit : Unit
-        Takes and gives the bytes of its dialect.
-    """
-
-    unit: EmulatedController
+    emulated_controller: EmulatedController
 
     @property
     def clock(self) -> Clock:
-        """By which everything in the rig runs."""
-        return self.unit.clock
+        """The clock of everything in the rig."""
+        return self.emulated_controller.clock
 
     @property
-    def hands(self) -> Manipulator:
-        """What a person sets: `set`, `set_stops`, `begin_session`."""
-        self.unit.advance()
-        return self.unit.manipulator
+    def manipulator(self) -> Manipulator:
+        """The joints, to be set by hand: `set`, `set_stops`, `begin_session`."""
+        self.emulated_controller.advance()
+        return self.emulated_controller.manipulator
 
-    def controller(self, tell: Callable[[str], None]) -> Controller:
-        """A controller that talks to the unit in its own dialect; see `open_controller`."""
-        line = LineTransport(EmulatedTransport(self.unit), self.clock, self.unit.ends)
-        if isinstance(self.unit, OldDialect):
-            return OldNanoControl(line, self.unit.period)
-        return NanoControl(line, tell, self.unit.period)
+    def controller(self, notify: Callable[[str], None]) -> Controller:
+        """A controller that talks to the emulated one in its dialect; see `open_controller`."""
+        line = LineTransport(
+            EmulatedTransport(self.emulated_controller), self.clock, self.emulated_controller.terminator
+        )
+        if isinstance(self.emulated_controller, OldDialect):
+            return OldNanoControl(line, self.emulated_controller.period)
+        return NanoControl(line, notify, self.emulated_controller.period)
 
     def microphone(self, acoustics: Acoustics) -> EmulatedMicrophone:
-        """A source of what a microphone hears; `acoustics` with the unit's step period."""
-        rng = np.random.default_rng([self.hands.truth.seed, SOUND_STREAM])
-        return EmulatedMicrophone(self.unit, acoustics, rng)
+        """A microphone at the rig; `acoustics` with the controller's step period."""
+        rng = np.random.default_rng([self.manipulator.truth.seed, SOUND_STREAM])
+        return EmulatedMicrophone(self.emulated_controller, acoustics, rng)
 
-    def perfect_ear(self) -> IdealDetector:
-        """An ear that is always right."""
-        return IdealDetector(self.unit)
+    def ideal_detector(self) -> IdealDetector:
+        """A detector without error."""
+        return IdealDetector(self.emulated_controller)
 
 
 def emulate_rig(
@@ -175,12 +165,12 @@ def emulate_rig(
 
     Parameters
     ----------
-    truth : Truth
+    truth : HiddenLaws
     dialect : {'new', 'old'}
     clock : Clock, optional
-        A virtual one unless given, so that hours pass in seconds.
+        A virtual one by default, so that hours pass in seconds.
     period : float
-        From one step to the next, s.
+        Of a step, s.
 
     Raises
     ------
@@ -194,9 +184,9 @@ def emulate_rig(
     >>> from stickslip_fit.simulation import LawValues
     >>> values = {(3, "+", None): np.array([976e-9, 0.3, 438e-9])}
     >>> rig = emulate_rig(HiddenLaws(LawValues({3: Prismatic()}, values), load_machine()))
-    >>> controller = rig.controller(tell=print)
+    >>> controller = rig.controller(notify=print)
     >>> controller.step(3, 1000)
-    >>> round(1e6 * rig.hands.position(3)), rig.clock.now()
+    >>> round(1e6 * rig.manipulator.position(3)), rig.clock.now()
     (976, 10.0)
     """
     if dialect not in DIALECTS:
@@ -205,97 +195,88 @@ def emulate_rig(
 
 
 class EmulatedOperator:
-    """Passes everything on to a person, and does with the emulated rig what they have agreed to do.
+    """Passes everything on to an operator, and carries out their actions at the emulated rig.
 
-    Parameters
-    ----------
-    person : Person
-    hands : Manipulator
-    clock : Clock
-        Goes on while the person sets things and sleeps.
-    plan : Plan
-        Says when its sessions begin, and how long setting takes.
+    The plan says when its sessions begin, and how long an adjustment takes.
     """
 
-    def __init__(self, operator: Operator, hands: Manipulator, clock: Clock, plan: Plan) -> None:
+    def __init__(self, operator: Operator, manipulator: Manipulator, clock: Clock, plan: Plan) -> None:
         self.operator = operator
-        self.hands = hands
+        self.manipulator = manipulator
         self.clock = clock
         self.plan = plan
 
-    def tell(self, text: str) -> None:
-        """See `Person.tell`."""
-        self.operator.tell(text)
+    def show(self, text: str) -> None:
+        """See `Operator.show`."""
+        self.operator.show(text)
 
     def begin_session(self, label: str) -> OperatorReply:
-        """See `Person.begin_session`."""
-        answer = self.operator.begin_session(label)
-        begins = next(each.begins for each in self.plan.sessions if each.label == label)
+        """See `Operator.begin_session`."""
+        reply = self.operator.begin_session(label)
+        begins = next(session.begins for session in self.plan.sessions if session.label == label)
         self.clock.sleep((begins.replace(tzinfo=UTC) - self.clock.today()).total_seconds())
-        self.hands.begin_session(label)
-        self.hands.set(**answer.conditions)
-        return answer
+        self.manipulator.begin_session(label)
+        return self._note(reply)
 
     def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
-        """See `Person.set_up`."""
-        answer = self.operator.set_up(wanted, before)
-        self.hands.set(**answer.conditions)
-        if answer.choice is OperatorChoice.GO_ON:
+        """See `Operator.set_up`."""
+        reply = self._note(self.operator.set_up(wanted, before))
+        if reply.choice is OperatorChoice.GO_ON:
             self.clock.sleep(sum(self.plan.timing.pause) / 2)
-            self.hands.set(theta=wanted.theta, psi=wanted.psi)
-            stops = self.hands.truth.machine.ranges | {joint: ends for joint, *ends in wanted.stops}
+            self.manipulator.set(theta=wanted.theta, psi=wanted.psi)
+            stops = self.manipulator.truth.machine.ranges | {joint: ends for joint, *ends in wanted.stops}
             for joint, (low, high) in stops.items():
-                self.hands.set_stops(joint, low, high)
-        return answer
+                self.manipulator.set_stops(joint, low, high)
+        return reply
 
-    def bring(self, joint: int, position: float) -> OperatorReply:
-        """See `Person.bring`."""
-        answer = self.operator.bring(joint, position)
-        self.hands.set(**answer.conditions)
-        if answer.choice is OperatorChoice.GO_ON:
-            self.hands.set(**{f"q{joint}": position})
-        return answer
+    def bring_joint(self, joint: int, position: float) -> OperatorReply:
+        """See `Operator.bring_joint`."""
+        reply = self._note(self.operator.bring_joint(joint, position))
+        if reply.choice is OperatorChoice.GO_ON:
+            self.manipulator.set(**{f"q{joint}": position})
+        return reply
 
-    def begins(self, work: PlannedDrive) -> None:
-        """See `Person.begins`."""
-        self.operator.begins(work)
+    def begin_drive(self, drive: PlannedDrive) -> None:
+        """See `Operator.begin_drive`."""
+        self.operator.begin_drive(drive)
 
-    def progress(self, work: PlannedDrive, steps: int, heard: Detection) -> None:
-        """See `Person.progress`."""
-        self.operator.progress(work, steps, heard)
+    def progress(self, drive: PlannedDrive, steps: int, detection: Detection) -> None:
+        """See `Operator.progress`."""
+        self.operator.progress(drive, steps, detection)
 
     def stop_wanted(self) -> bool:
-        """See `Person.stop_wanted`."""
+        """See `Operator.stop_wanted`."""
         return self.operator.stop_wanted()
 
-    def reading(self, reading: TraverseReading) -> OperatorReply:
-        """See `Person.reading`."""
-        answer = self.operator.reading(reading)
-        self.hands.set(**answer.conditions)
-        return answer
+    def review(self, reading: TraverseReading) -> OperatorReply:
+        """See `Operator.review`."""
+        return self._note(self.operator.review(reading))
 
-    def trouble(self, work: PlannedDrive, why: str) -> OperatorReply:
-        """See `Person.trouble`."""
-        answer = self.operator.trouble(work, why)
-        self.hands.set(**answer.conditions)
-        return answer
+    def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
+        """See `Operator.handle_failure`."""
+        return self._note(self.operator.handle_failure(drive, reason))
+
+    def _note(self, reply: OperatorReply) -> OperatorReply:
+        """Set the conditions of a reply."""
+        self.manipulator.set(**reply.conditions)
+        return reply
 
 
 MAX_READ_BYTES = 65_536
 
 
 def serve_rig(rig: EmulatedRig, microphone: AudioSource, orders: int, answer: Callable[[str], None]) -> None:
-    """Serve until the orders end.
+    """Serve a rig by the real clock behind a pseudo-terminal until the orders end.
 
     Parameters
     ----------
-    rig : Emulator
-        By the real clock.
-    microphone : Source
+    rig : EmulatedRig
+    microphone : AudioSource
     orders : int
-        File descriptor of what the person does: one JSON object a line, see `obeyed`.
+        File descriptor of the operator's actions: one JSON object a line, see `execute_order`.
     answer : callable
-        Is given a line for each order, and before them all the pseudo-terminal's name: ``{"port": NAME}``.
+        Called with a line for each order, and before them all with the pseudo-terminal's name:
+        ``{"port": NAME}``.
     """
     import pty
     import tty
@@ -313,21 +294,21 @@ def serve_rig(rig: EmulatedRig, microphone: AudioSource, orders: int, answer: Ca
 def _serve_loop(
     rig: EmulatedRig, microphone: AudioSource, master: int, orders: int, answer: Callable[[str], None]
 ) -> None:
-    begun = b""
+    partial = b""
     while True:
-        due = rig.unit.due()
+        due = rig.emulated_controller.due()
         seconds = None if due is None else max(due - rig.clock.now(), 0.0)
         ready, _, _ = select.select([master, orders], [], [], seconds)
         if master in ready:
-            rig.unit.take(os.read(master, MAX_READ_BYTES))
+            rig.emulated_controller.receive(os.read(master, MAX_READ_BYTES))
         if orders in ready:
-            come = os.read(orders, MAX_READ_BYTES)
-            if not come:
+            data = os.read(orders, MAX_READ_BYTES)
+            if not data:
                 return
-            *lines, begun = (begun + come).split(b"\n")
+            *lines, partial = (partial + data).split(b"\n")
             for line in lines:
                 answer(json.dumps(_answer_line(rig, microphone, line)))
-        os.write(master, rig.unit.send())
+        os.write(master, rig.emulated_controller.send())
 
 
 def _answer_line(rig: EmulatedRig, microphone: AudioSource, line: bytes) -> dict[str, Any]:
@@ -340,12 +321,12 @@ def _answer_line(rig: EmulatedRig, microphone: AudioSource, line: bytes) -> dict
 
 
 def execute_order(rig: EmulatedRig, microphone: AudioSource, order: dict[str, Any]) -> dict[str, Any]:
-    """Carry out an order, and answer it.
+    """Execute an order; returns its answer.
 
     Parameters
     ----------
-    rig : Emulator
-    microphone : Source
+    rig : EmulatedRig
+    microphone : AudioSource
     order : dict
         One of ``{"set": {"theta": ..., "q2": ...}}``, ``{"stops": [joint, low, high]}`` (SI),
         ``{"session": LABEL}``, ``{"listen": SECONDS}``, ``{"position": JOINT}``.
@@ -360,34 +341,27 @@ def execute_order(rig: EmulatedRig, microphone: AudioSource, order: dict[str, An
     InputError
         For anything else, or what cannot be done.
     """
-    rig.unit.advance()
+    rig.emulated_controller.advance()
     match order:
         case {"set": dict(quantities)}:
-            rig.hands.set(**{name: float(value) for name, value in quantities.items()})
+            rig.manipulator.set(**{name: float(value) for name, value in quantities.items()})
         case {"stops": [joint, low, high]}:
-            rig.hands.set_stops(int(joint), float(low), float(high))
+            rig.manipulator.set_stops(int(joint), float(low), float(high))
         case {"session": str(label)}:
-            rig.hands.begin_session(label)
+            rig.manipulator.begin_session(label)
         case {"listen": float(seconds) | int(seconds)}:
             return {"sound": base64.b64encode(microphone.read(seconds).values.tobytes()).decode("ascii")}
         case {"position": int(joint)}:
-            return {"position": rig.hands.position(joint)}
+            return {"position": rig.manipulator.position(joint)}
         case _:
             raise InputError(f"no such order: {order}; give set, stops, session, listen or position")
     return {}
 
 
 class EmulatedProcess:
-    """A rig to be driven over its port, set by hand and listened to; see `emulator_process`.
+    """An emulated rig in a process of its own, an `AudioSource` too; see `start_emulator`.
 
-    It is a `Source` of the sound that its joints make.
-
-    Attributes
-    ----------
-    port : str
-        The pseudo-terminal behind which its controller is, for `open_controller`.
-    rate : int
-        Samples of sound per second.
+    `port` is the pseudo-terminal of its controller, for `open_controller`.
     """
 
     rate = Acoustics.rate
@@ -413,12 +387,12 @@ class EmulatedProcess:
         return float(self._order({"position": joint})["position"])
 
     def read(self, seconds: float) -> Samples:
-        """See `Source.read`."""
+        """See `AudioSource.read`."""
         sound = base64.b64decode(self._order({"listen": seconds})["sound"])
         return Samples(np.frombuffer(sound, np.float32))
 
     def close(self) -> None:
-        """End the process; for its controller that is being unplugged."""
+        """End the process; its controller is unplugged then."""
         self._process.kill()
         self._process.wait()
 
@@ -452,7 +426,7 @@ def start_emulator(law: Path, *options: str) -> Iterator[EmulatedProcess]:
     Raises
     ------
     InputError
-        If it does not come up; with what it says.
+        If it does not start; with its message.
     """
     command = [sys.executable, "-m", "stickslip_fit.capture.emulator", str(law), *options]
     pipe = subprocess.PIPE

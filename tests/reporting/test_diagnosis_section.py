@@ -20,13 +20,13 @@ from stickslip_fit.diagnosis.selection import cause_probabilities
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.diagnosis import (
     compute_confusion_rates,
-    draw_gain,
-    draw_ranking,
     list_selection_steps,
+    plot_gain,
+    plot_ranking,
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
-from stickslip_fit.reporting import report_html
-from stickslip_fit.reporting.diagnosis import diagnosis_page, number_residuals
+from stickslip_fit.reporting import report
+from stickslip_fit.reporting.sections import diagnosis_page, number_residuals
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)
@@ -143,7 +143,7 @@ def test_every_figure_says_in_words_what_to_see(page, found):
     cards = [attrs for _, attrs in page.elements if attrs.get("role") == "img"]
     labels = " ".join(card["aria-label"] for card in cards)
     assert "drift: what is left over before and after" in labels
-    assert "What is left against everything, joint 3" in labels
+    assert "Residuals against each quantity, joint 3" in labels
     assert "How likely each cause is" in labels
     assert "Errors on held-out traverses" in labels
 
@@ -153,8 +153,8 @@ def test_the_same_diagnosis_gives_the_same_page(found, source):
 
 
 def test_the_report_has_it_as_a_section(made, found, read_page):
-    parts = (made.log, made.calibration, made.constant, made.fit)
-    whole = read_page(report_html(*parts, diagnosis=found))
+    made_of = {"calibration": made.calibration, "fit": made.fit, "diagnosis": found}
+    whole = read_page(report(made.log, **made_of, sections=()).html)
     assert "What is wrong" in whole.tables
     assert ("a", {"href": "#diagnosis"}) in whole.elements
     names = [attrs["id"] for _, attrs in whole.elements if "id" in attrs]
@@ -190,9 +190,9 @@ def test_a_panel_for_everything_that_varied(found):
 
 
 def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
-    looks = list_selection_steps(found)
-    assert [named for _, _, named, _ in looks] == ["drift", ""]
-    figure = draw_ranking(found)
+    steps = list_selection_steps(found)
+    assert [named for _, _, named, _ in steps] == ["drift", ""]
+    figure = plot_ranking(found)
     first = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     last = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert first[0] == "drift"
@@ -205,7 +205,7 @@ def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
 
 
 def test_the_gain_of_each_session_is_drawn(found):
-    axis = draw_gain(found.gain).axes[0]
+    axis = plot_gain(found).axes[0]
     before, after, floor = (line.get_ydata() for line in axis.lines)
     assert list(before) == pytest.approx([1.0, 2.0, 3.0])
     assert list(after) == pytest.approx([0.3, 0.4, 0.5])

@@ -14,7 +14,7 @@ LOGS = 250
 
 
 def verdicts(values, time, level, block, name):
-    return next(each.verdict for each in check_assumptions(values, time, level, block) if each.name == name)
+    return next(each.outcome for each in check_assumptions(values, time, level, block) if each.name == name)
 
 
 def rates(draw, level, block, time):
@@ -22,7 +22,7 @@ def rates(draw, level, block, time):
     rng, doubted = np.random.default_rng(1), Counter()
     for _ in range(LOGS):
         checks = check_assumptions(draw(rng), time, level, block)
-        doubted.update(each.name for each in checks if each.verdict == "doubtful")
+        doubted.update(each.name for each in checks if each.outcome == "doubtful")
     return {each.name: doubted[each.name] / LOGS for each in checks}
 
 
@@ -84,5 +84,5 @@ def test_levels_read_one_after_another_are_told_from_levels_in_turn(design):
 def test_few_readings_say_so():
     two = np.array([0, 0, 1, 1])
     found = check_assumptions(np.array([1.0, 2.0, 4.0, 3.0]), np.arange(4.0), two, np.zeros(4, dtype=int))
-    assert [each.verdict for each in found[:3]] == ["cannot tell"] * 3
+    assert [each.outcome for each in found[:3]] == ["cannot tell"] * 3
     assert all("too few" in each.message for each in found[:3])

@@ -1,17 +1,48 @@
-"""Laws with causes in them as plain JSON types, and back."""
+"""The library of causes, and laws with causes as plain JSON types and back."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from importlib.metadata import entry_points
 from typing import Any
 
+import pandas as pd
+
+from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import StepLaw, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
+
+FAMILIES = (temporal, environment, geometry, load, position)
+ENTRY_POINT = "stickslip_fit.causes"
+
+
+def library() -> tuple[Cause, ...]:
+    """Every cause in the order of the documentation, then those of installed packages.
+
+    The toolkit's own are those in ``__all__`` of each family's module. A package adds its own by the entry
+    point ``stickslip_fit.causes``, which names a cause, its class or a function that returns one.
+
+    Examples
+    --------
+    >>> [cause.name for cause in library()][:3]
+    ['thermal-warm-up', 'drift', 'session-jump']
+    """
+    kinds = [getattr(family, name) for family in FAMILIES for name in family.__all__]
+    # A covariate has no name before it has a column.
+    causes = [kind() for kind in kinds if kind is not Covariate]
+    installed = [point.load() for point in entry_points(group=ENTRY_POINT)]
+    return (*causes, *(cause if isinstance(cause, Cause) else cause() for cause in installed))
+
+
+def covariates(rows: pd.DataFrame) -> tuple[Covariate, ...]:
+    """A cause for every numeric column that the lab added."""
+    names = [name for name in rows.columns if name.startswith(COVARIATE_PREFIX)]
+    return tuple(Covariate(name.removeprefix(COVARIATE_PREFIX)) for name in names)
 
 
 def describe(law: StepLaw) -> dict[str, Any]:
@@ -42,34 +73,32 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
     description : mapping
     machine : Machine
     causes : iterable of Cause, optional
-        Of your own, beside those of `library`.
+        Your own, besides those of `library`.
 
     Raises
     ------
     InputError
         For a law or a cause that is not known.
     """
-    from stickslip_fit.causes import library
-
     if description["name"] != ExtendedLaw.name:
         return restore_law(dict(description), machine)
     known = {cause.name: cause for cause in (*library(), *causes)}
-    found = [_restored(each, known) for each in description["causes"]]
-    return ExtendedLaw(restore_law(description["law"], machine), found)
+    restored = [_restore_cause(cause, known) for cause in description["causes"]]
+    return ExtendedLaw(restore_law(description["law"], machine), restored)
 
 
-def _restored(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
-    name, bound = description["name"], {key: _tuples(value) for key, value in description.items()}
+def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
+    name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
         raise InputError(
-            f"the saved law has a cause {name!r} in it, which is not in the library; pass it in `causes`"
+            f"the saved law has a cause {name!r}, which is not in the library; pass it in `causes`"
         )
     cause: Any = known[name]
     return replace(cause, **{field.name: bound[field.name] for field in fields(cause)})
 
 
-def _tuples(value: Any) -> Any:
-    """What JSON made lists of."""
-    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
+def _to_tuples(value: Any) -> Any:
+    """Tuples in place of the lists of JSON."""
+    return tuple(map(_to_tuples, value)) if isinstance(value, list | tuple) else value

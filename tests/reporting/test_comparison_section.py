@@ -7,8 +7,8 @@ import re
 import pandas as pd
 import pytest
 
-from stickslip_fit.reporting import report_html
-from stickslip_fit.reporting.strategies import make_comparison_section
+from stickslip_fit.reporting import report
+from stickslip_fit.reporting.sections import make_comparison_section
 from stickslip_fit.strategies import (
     ClosedForm,
     ConstantStepStrategy,
@@ -40,7 +40,7 @@ def found(made):
 
 @pytest.fixture(scope="module")
 def source(made, found):
-    return report_html(made.log, made.calibration, made.constant, made.fit, comparison=found)
+    return report(made.log, calibration=made.calibration, fit=made.fit, comparison=found, sections=()).html
 
 
 def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_page, found):

@@ -34,7 +34,9 @@ def told(log_of_readings, readings_of):
 
 def steps_of(found):
     """Step sizes in nm by session, direction and orientation, out of the readings that were used."""
-    rows = pd.concat([each.design.readings for each in found.answers]).drop_duplicates(["time", "direction"])
+    rows = pd.concat([each.design.observations for each in found.factor_tests]).drop_duplicates(
+        ["time", "direction"]
+    )
     rows = rows.assign(nm=12e6 / rows["steps"], theta=np.degrees(rows["theta"]).round())
     return {key: part["nm"].to_numpy() for key, part in rows.groupby(["session", "direction", "theta"])}
 
@@ -91,23 +93,23 @@ def test_a_record_has_the_fields_that_were_agreed_and_json_has_no_nan(told):
     for record in found.to_json():
         assert tuple(record) == RECORD_COLUMNS
     again = json.loads(json.dumps(found.to_json(), allow_nan=False))
-    assert len(again) == len(found.answers) + len(found.not_testable)
-    assert found.table["p_value"].notna().sum() == len(found.answers)
+    assert len(again) == len(found.factor_tests) + len(found.not_testable)
+    assert found.table["p_value"].notna().sum() == len(found.factor_tests)
 
 
 def test_p_values_are_adjusted_for_everything_that_was_asked(told):
     from statsmodels.stats.multitest import multipletests
 
     _, found = told()
-    p = [each.p_value for each in found.answers]
+    p = [each.p_value for each in found.factor_tests]
     adjusted = multipletests(p, method="holm")[1]
-    assert [each.p_holm for each in found.answers] == pytest.approx(adjusted)
+    assert [each.p_holm for each in found.factor_tests] == pytest.approx(adjusted)
     assert adjust_holm(p) == pytest.approx(adjusted)
 
 
 def test_tables_add_up(told):
     _, found = told()
-    for each in found.answers:
+    for each in found.factor_tests:
         table = each.table.set_index("term")
         assert table.loc["total", "ss"] == pytest.approx(table["ss"].drop("total").sum(), rel=1e-12)
         assert table.loc["total", "df"] == table["df"].drop("total").sum()
@@ -119,7 +121,7 @@ def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, tmp_p
     settings = tuple({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, 0.0, 60.0))
     campaign(settings=settings).to_csv(tmp_path / "log.csv", index=False)
     found = analyze_variance(read_log(tmp_path / "log.csv"))
-    assert not [each for each in found.answers if each.design.analysis == "normal-force"]
+    assert not [each for each in found.factor_tests if each.design.analysis == "normal-force"]
     (refused,) = [each for each in found.not_testable if each.analysis == "normal-force"]
     assert "rotation about the joint's axis" in refused.reason
 
@@ -127,10 +129,10 @@ def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, tmp_p
 def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign, tmp_path):
     campaign(replicates=2).to_csv(tmp_path / "log.csv", index=False)
     log = read_log(tmp_path / "log.csv")
-    once = Counter((each.design.analysis, each.design.joint) for each in analyze_variance(log).answers)
+    once = Counter((each.design.analysis, each.design.joint) for each in analyze_variance(log).factor_tests)
     assert {joint: once["day", joint] for joint in (1, 2, 3)} == {1: 2, 2: 2, 3: 2}
     all_over = analyze_variance(log, joint=2, choose=choose_all)
-    places = {each.design.configuration for each in all_over.answers if each.design.analysis == "day"}
+    places = {each.design.configuration for each in all_over.factor_tests if each.design.analysis == "day"}
     covered = log.configurations().query("joint == 2").drop_duplicates(["q1", "q3", "theta", "psi", "low"])
     assert len(places) == len(covered)
 
@@ -138,7 +140,7 @@ def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign
 def test_one_joint_and_one_session_can_be_asked_alone(told, log_of_readings, readings_of):
     log = log_of_readings(readings_of(DESIGN))
     found = analyze_variance(log, joint=3, session="Tue")
-    assert {each.design.session for each in found.answers} == {"Tue"}
+    assert {each.design.session for each in found.factor_tests} == {"Tue"}
     assert {each.analysis for each in found.not_testable} == {"day"}
     for wrong in ({"joint": 1}, {"session": "Sunday"}):
         with pytest.raises(InputError, match="no usable traverse of"):
@@ -193,7 +195,7 @@ def test_what_can_be_answered_still_is(told):
 
 def test_readings_that_repeat_exactly_are_refused(told):
     records, found = told(noise=0.0, shift=lambda d, s, t: 10.0 * DAYS.index(d))
-    assert not found.answers
+    assert not found.factor_tests
     assert all(record["F"] is None for record in records.values())
     assert any("no scatter at all" in each.reason for each in found.not_testable)
 
@@ -207,13 +209,13 @@ def test_interrupted_and_excluded_traverses_are_left_out(log_of_readings, readin
     from dataclasses import replace
 
     ours, theirs = analyze_variance(replace(log, rows=spoilt)), analyze_variance(clean)
-    assert [each.statistic for each in ours.answers] == [each.statistic for each in theirs.answers]
+    assert [each.statistic for each in ours.factor_tests] == [each.statistic for each in theirs.factor_tests]
 
 
 def test_the_order_of_sessions_and_their_names_do_not_matter(log_of_readings, readings_of):
     readings = readings_of(DESIGN, lambda d, s, t: 8.0 * DAYS.index(d))
     strange = {"Mon": "001", "Tue": "NA", "Wed": "$x$ -", "Thu": "ü"}
-    plain = analyze_variance(log_of_readings(readings)).answers
-    renamed = analyze_variance(log_of_readings([(strange[d], *rest) for d, *rest in readings])).answers
+    plain = analyze_variance(log_of_readings(readings)).factor_tests
+    renamed = analyze_variance(log_of_readings([(strange[d], *rest) for d, *rest in readings])).factor_tests
     assert [each.statistic for each in plain] == pytest.approx([each.statistic for each in renamed])
     assert {strange[level] for level in plain[0].extreme_levels} == set(renamed[0].extreme_levels)

@@ -29,7 +29,7 @@ def test_an_effect_is_one_only_if_it_is_after_everything_that_was_asked():
 
 def test_what_would_have_shown_goes_with_what_did_not():
     text = told(reconstruct("direction", WAYS, 0.4))
-    (found,) = run_factor_tests([reconstruct("direction", WAYS, 0.4)]).answers
+    (found,) = run_factor_tests([reconstruct("direction", WAYS, 0.4)]).factor_tests
     seen = f"{found.detectable * 1e9:.1f} nm would most likely have shown"
     assert f"No difference between the directions shows (adjusted p = 0.40); one of {seen}" in text
 

@@ -1,4 +1,4 @@
-"""Hearing the end stop at good and bad signal-to-noise ratios, beside a plain fixed threshold."""
+"""End-stop detection at good and bad signal-to-noise ratios, beside a fixed threshold."""
 
 from __future__ import annotations
 
@@ -33,61 +33,61 @@ from stickslip_fit.capture.tuning import (
 
 RATIOS = (-12, -9, -6, -3, -2, -1, 0, 1, 2, 3, 6, 9, 12)  # dB
 STEPS, SECONDS = 5, 0.05  # of a check
-LISTEN = 100  # checks, moving and at the stop
-AFTER = 4  # checks that are listened to at the stop
-DRIFT = 6.0  # dB up and down within two minutes
+TUNING_CHECKS = 100  # moving and at the stop
+CHECKS_AT_STOP = 4
+DRIFT_DB = 6.0  # dB up and down within two minutes
 TRAVERSES, AT_ZERO, SOUNDED = 20_000, 100_000, 40
 BATCH = 4_000
-DISTURBED = {"bangs": 0.05, "speech": 0.03, "drift_db": DRIFT}
+DISTURBED = {"bangs": 0.05, "speech": 0.03, "drift_db": DRIFT_DB}
 
 
 @dataclass
-class Running:
-    """Our ear, for many traverses side by side."""
+class SequentialDetection:
+    """The sequential test, for many traverses side by side."""
 
     limits: DetectionLimits
-    evidence: SequentialTest = field(init=False)
+    test: SequentialTest = field(init=False)
 
     def begin(self, traverses: int) -> None:
-        """Forget the traverses before."""
-        self.evidence = begin_sequential_test(traverses)
+        """Begin new traverses."""
+        self.test = begin_sequential_test(traverses)
 
     def check(self, band: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Whether each is at its stop."""
-        self.evidence, verdict = update_sequential_test(self.limits, self.evidence, band, reference)
-        return verdict.at_stop
+        self.test, decision = update_sequential_test(self.limits, self.test, band, reference)
+        return decision.at_stop
 
 
 @dataclass
-class Fixed:
+class FixedThreshold:
     """A threshold on the band's power, set once, that one check must exceed."""
 
     threshold: float
 
     def begin(self, traverses: int) -> None:
-        """There is nothing to forget."""
+        """Nothing to reset."""
 
     def check(self, band: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Whether each is at its stop."""
         return band > self.threshold
 
 
-Judge = Running | Fixed
+Detector = SequentialDetection | FixedThreshold
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a judge made of traverses.
+class Outcome:
+    """Detections in many traverses.
 
     Attributes
     ----------
-    imagined : float
-        Share of the traverses in which a stop was imagined before it was there.
+    false_stops : float
+        Share of the traverses with a stop detected before it was there.
     at : array of int, shape (n,)
-        By how many checks at the stop it was found, `AFTER` + 1 where it was not.
+        By how many checks at the stop it was found, `CHECKS_AT_STOP` + 1 where it was not.
     """
 
-    imagined: float
+    false_stops: float
     at: np.ndarray
 
     @property
@@ -96,8 +96,8 @@ class Found:
         return float(np.mean(self.at > 2))
 
 
-def rehearse(
-    judge: Judge,
+def simulate_traverses(
+    detector: Detector,
     powers: CheckPowers,
     traverses: int,
     rng: np.random.Generator,
@@ -105,7 +105,7 @@ def rehearse(
     checks: int = CHECKS_PER_TRAVERSE,
     drift_db: float = 0.0,
     pushed: np.ndarray | None = None,
-) -> Found:
+) -> Outcome:
     """Many traverses by the powers of their checks.
 
     Parameters
@@ -113,24 +113,24 @@ def rehearse(
     pushed : array, shape (traverses,), optional
         Share of the last of the moving checks that is at the stop already; without it, none.
     """
-    judge.begin(traverses)
+    detector.begin(traverses)
     phase = rng.uniform(0, 2 * np.pi, traverses)
-    imagined = np.zeros(traverses, bool)
-    at = np.full(traverses, AFTER + 1)
-    for check in range(checks + AFTER):
+    false_stops = np.zeros(traverses, bool)
+    at = np.full(traverses, CHECKS_AT_STOP + 1)
+    for check in range(checks + CHECKS_AT_STOP):
         share = float(check >= checks) if pushed is None or check != checks - 1 else pushed
         gain = 10 ** (drift_db / 10 * np.sin(2 * np.pi * check * SECONDS / 120 + phase))
-        band = mixed(powers.band, powers.band_at_stop, share, traverses, rng)
-        reference = mixed(powers.reference, powers.reference_at_stop, share, traverses, rng)
-        heard = judge.check(gain * band, gain * reference)
+        band = draw_powers(powers.band, powers.band_at_stop, share, traverses, rng)
+        reference = draw_powers(powers.reference, powers.reference_at_stop, share, traverses, rng)
+        heard = detector.check(gain * band, gain * reference)
         if check < checks - (pushed is not None):
-            imagined |= heard
+            false_stops |= heard
         else:
-            at = np.where(heard & (at > AFTER), check - checks + 1, at)
-    return Found(float(imagined.mean()), at)
+            at = np.where(heard & (at > CHECKS_AT_STOP), check - checks + 1, at)
+    return Outcome(float(false_stops.mean()), at)
 
 
-def mixed(
+def draw_powers(
     moving: PowerDistribution,
     at_stop: PowerDistribution,
     share: float | np.ndarray,
@@ -144,17 +144,17 @@ def mixed(
     return mean * moving.draw(traverses, rng)
 
 
-def tuned(acoustics: Acoustics, rng: np.random.Generator) -> Tuning:
+def tune(acoustics: Acoustics, rng: np.random.Generator) -> Tuning:
     """As before a session, from five seconds each."""
     calm = replace(acoustics, bangs=0.0, speech=0.0, drift_db=0.0)
-    ways = [np.full(STEPS * LISTEN, pushing) for pushing in (False, True)]
-    moving, at_stop = (synthesize_sound(calm, 0.0, np.ones(len(way)), way, rng) for way in ways)
+    states = [np.full(STEPS * TUNING_CHECKS, pushing) for pushing in (False, True)]
+    moving, at_stop = (synthesize_sound(calm, 0.0, np.ones(len(state)), state, rng) for state in states)
     return choose_tuning(moving, at_stop, calm.rate, SECONDS)
 
 
-def recorded(acoustics: Acoustics, began: float, checks: int, rng: np.random.Generator) -> Sound:
+def record(acoustics: Acoustics, began: float, checks: int, rng: np.random.Generator) -> Sound:
     """The sound of a traverse that meets its stop after so many checks, made ten seconds at a time."""
-    pushing = np.arange(STEPS * (checks + AFTER)) >= STEPS * checks
+    pushing = np.arange(STEPS * (checks + CHECKS_AT_STOP)) >= STEPS * checks
     parts = np.split(pushing, range(1000, len(pushing), 1000))
     times = began + acoustics.period * np.arange(0, len(pushing), 1000)
     return np.concatenate(
@@ -165,7 +165,7 @@ def recorded(acoustics: Acoustics, began: float, checks: int, rng: np.random.Gen
     )
 
 
-def listened(detector: SequentialDetector) -> tuple[int, bool]:
+def first_detection(detector: SequentialDetector) -> tuple[int, bool]:
     """The check at which a detector stops, and whether for a fault."""
     detector.begin()
     check = 0
@@ -177,78 +177,89 @@ def listened(detector: SequentialDetector) -> tuple[int, bool]:
 
 
 def main() -> None:
-    """Print the operating curve, what bangs and speech do, and the share of a core."""
+    """Print the operating curve, the effect of bangs and speech, and the share of a core."""
     rng = np.random.default_rng(20261121)
-    at_zero = tuned(Acoustics(0.0), rng)
+    at_zero = tune(Acoustics(0.0), rng)
     print("late: not found at the first or second check at the stop, per 1,000 stops")
-    print(f"imagined: traverses of {STEPS * CHECKS_PER_TRAVERSE:,} steps with an imagined stop, per 1,000")
-    print("      ------ ours ------   -- ours, drift --   ---- threshold ---   threshold, drift")
-    print("  dB     late  imagined      late  imagined      late  imagined      late  imagined")
+    print(f"false: traverses of {STEPS * CHECKS_PER_TRAVERSE:,} steps with a false stop, per 1,000")
+    print("      --- sequential ---   sequential, drift   ---- threshold ---   threshold, drift")
+    print("  dB     late     false      late     false      late     false      late     false")
     for ratio in RATIOS:
-        print(f"{ratio:4d}" + "".join(cell(ratio, judge, drift, at_zero, rng)
-              for judge in ("ours", "threshold") for drift in (0.0, DRIFT)), flush=True)  # fmt: skip
+        columns = ((detector, drift) for detector in ("sequential", "threshold") for drift in (0.0, DRIFT_DB))
+        row = "".join(cell(ratio, *column, at_zero, rng) for column in columns)
+        print(f"{ratio:4d}{row}", flush=True)
     for ratio in (0, 3, 6, 12):
-        print(anywhere(ratio, rng), flush=True)
+        print(mid_check_stops(ratio, rng), flush=True)
     for ratio in (0, 6, 12):
         print(disturbed(ratio, rng), flush=True)
     print(speed(rng))
 
 
 def cell(ratio: int, name: str, drift: float, at_zero: Tuning, rng: np.random.Generator) -> str:
-    """Two figures of the table; several tunings for each, so that none is a lucky one."""
+    """Two figures of the table; averaged over several tunings."""
     acoustics = Acoustics(float(ratio))
-    set_once = Fixed(power_quantile(FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, at_zero.df))
-    found = []
+    set_once = FixedThreshold(power_quantile(FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, at_zero.df))
+    outcomes = []
     for _ in range(max((AT_ZERO if ratio == 0 else TRAVERSES) // BATCH, 1)):
-        tuning = tuned(acoustics, rng) if name == "ours" else at_zero
-        judge = Running(tuning.limits) if name == "ours" else set_once
-        found.append(rehearse(judge, compute_powers(acoustics, tuning), BATCH, rng, drift_db=drift))
-        stops = rehearse(judge, compute_powers(acoustics, tuning), 5 * BATCH, rng, checks=80, drift_db=drift)
-        found.append(Found(np.nan, stops.at))
-    late, imagined = (
-        1e3 * np.nanmean([getattr(each, part) for each in found]) for part in ("late", "imagined")
+        tuning = tune(acoustics, rng) if name == "sequential" else at_zero
+        detector = SequentialDetection(tuning.limits) if name == "sequential" else set_once
+        outcomes.append(
+            simulate_traverses(detector, compute_powers(acoustics, tuning), BATCH, rng, drift_db=drift)
+        )
+        stops = simulate_traverses(
+            detector, compute_powers(acoustics, tuning), 5 * BATCH, rng, checks=80, drift_db=drift
+        )
+        outcomes.append(Outcome(np.nan, stops.at))
+    late, false_stops = (
+        1e3 * np.nanmean([getattr(outcome, part) for outcome in outcomes]) for part in ("late", "false_stops")
     )
-    return f"  {late:8.2f}  {imagined:8.2f}"
+    return f"  {late:8.2f}  {false_stops:8.2f}"
 
 
-def anywhere(ratio: int, rng: np.random.Generator) -> str:
-    """What becomes of a count where the stop is met at any of a check's steps."""
+def mid_check_stops(ratio: int, rng: np.random.Generator) -> str:
+    """Counts where the stop is met at any step of a check."""
     acoustics = Acoustics(float(ratio))
-    tuning = tuned(acoustics, rng)
+    tuning = tune(acoustics, rng)
     pushed = rng.integers(1, STEPS + 1, 10 * BATCH) / STEPS
-    judge = Running(tuning.limits)
-    found = rehearse(judge, compute_powers(acoustics, tuning), 10 * BATCH, rng, checks=80, pushed=pushed)
-    off = STEPS * (found.at - 1)  # the count leaves out the later check of the two
+    detector = SequentialDetection(tuning.limits)
+    outcome = simulate_traverses(
+        detector, compute_powers(acoustics, tuning), 10 * BATCH, rng, checks=80, pushed=pushed
+    )
+    off = STEPS * (outcome.at - 1)  # the count leaves out the later check of the two
     right = np.mean(off == 0)
-    return (f"{ratio:4d} dB, the stop met at any step of a check: counts right {100 * right:.1f} %, "
-            f"off by {off.mean():+.2f} steps on average, {off.std():.2f} standard deviation")  # fmt: skip
+    return (
+        f"{ratio:4d} dB, the stop met at any step of a check: counts right {100 * right:.1f} %, "
+        f"off by {off.mean():+.2f} steps on average, {off.std():.2f} standard deviation"
+    )
 
 
 def disturbed(ratio: int, rng: np.random.Generator) -> str:
     """Whole sounds with three bangs and two talks a minute and a drift."""
-    detector_of = tuned(Acoustics(float(ratio)), rng)
-    right = imagined = late = refused = 0
+    tuning = tune(Acoustics(float(ratio)), rng)
+    right = false_stops = late = refused = 0
     for number in range(SOUNDED):
         acoustics = Acoustics(float(ratio), seed=number, **DISTURBED)
-        sound = recorded(acoustics, float(rng.uniform(0, 120)), CHECKS_PER_TRAVERSE, rng)
-        at, fault = listened(SequentialDetector(Recording(sound, acoustics.rate), detector_of))
+        sound = record(acoustics, float(rng.uniform(0, 120)), CHECKS_PER_TRAVERSE, rng)
+        at, fault = first_detection(SequentialDetector(Recording(sound, acoustics.rate), tuning))
         refused += fault
-        imagined += not fault and at <= CHECKS_PER_TRAVERSE
+        false_stops += not fault and at <= CHECKS_PER_TRAVERSE
         right += not fault and CHECKS_PER_TRAVERSE < at <= CHECKS_PER_TRAVERSE + 2
         late += not fault and at > CHECKS_PER_TRAVERSE + 2
-    return (f"{ratio:4d} dB, bangs, speech and drift, {SOUNDED} whole sounds: {right} right, {late} late, "
-            f"{imagined} imagined, {refused} broken off with a fault")  # fmt: skip
+    return (
+        f"{ratio:4d} dB, bangs, speech and drift, {SOUNDED} whole sounds: {right} right, {late} late, "
+        f"{false_stops} false, {refused} broken off with a fault"
+    )
 
 
 def speed(rng: np.random.Generator) -> str:
     """Share of a core at 10 ms a step."""
     acoustics = Acoustics(6.0)
-    tuning = tuned(acoustics, rng)
-    sound = recorded(acoustics, 0.0, 1000, rng)
+    tuning = tune(acoustics, rng)
+    sound = record(acoustics, 0.0, 1000, rng)
     detector = SequentialDetector(Recording(sound, acoustics.rate), tuning)
     detector.check(SECONDS)
     began = process_time()
-    at, _ = listened(detector)
+    at, _ = first_detection(detector)
     took = (process_time() - began) / at
     return f"a check takes {took * 1e6:.0f} µs of {SECONDS * 1e3:.0f} ms: {took / SECONDS:.1%} of one core"
 

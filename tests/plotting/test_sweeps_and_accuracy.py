@@ -6,7 +6,8 @@ import pytest
 
 from stickslip_fit.estimation import held_out_errors as errors_of
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
-from stickslip_fit.estimation.traverses import collect_traverses, select_recent, thin_rows
+from stickslip_fit.estimation.prediction import collect_traverses
+from stickslip_fit.plotting._style import direction_styles, select_recent, thin_rows
 from stickslip_fit.plotting.accuracy import draw_errors
 from stickslip_fit.plotting.residuals import draw_fit_residuals, fit_residuals_picture
 from stickslip_fit.plotting.sweeps import (
@@ -15,7 +16,6 @@ from stickslip_fit.plotting.sweeps import (
     THETA,
     ZETA_ALONG,
     count_beyond_scale,
-    direction_styles,
     draw_panels,
     make_panels,
     select_fixed,

@@ -9,7 +9,7 @@ import pytest
 from stickslip_fit.anova import analyze_variance
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.anova import draw_days, draw_directions, draw_rotations, factor_pictures
-from stickslip_fit.reporting.page import factors
+from stickslip_fit.reporting.sections import make_anova_section
 
 ROTATION = tuple({"joint": 3, "q2_deg": -90.0, "theta_deg": theta} for theta in (0.0, -30.0, -90.0))
 DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")
@@ -26,7 +26,7 @@ def found(turned):
 
 
 def asked(found, analysis):
-    return [each for each in found.answers if each.design.analysis == analysis]
+    return [each for each in found.factor_tests if each.design.analysis == analysis]
 
 
 def drawn(axis):
@@ -38,7 +38,7 @@ def test_the_table_is_the_analysis(turned, found):
     caption = "Factors of joint 3 (prismatic)"
     names = turned.page.column(caption, "question")
     seen = turned.page.column(caption, "difference (95 %)nm")
-    sizes = [(each.effect.difference, each.effect.low, each.effect.high) for each in found.answers]
+    sizes = [(each.effect.difference, each.effect.low, each.effect.high) for each in found.factor_tests]
     expected = ["{:.1f} ({:.1f} to {:.1f})".format(*(1e9 * size for size in each)) for each in sizes]
     assert [cell.replace("−", "-") for cell in seen] == expected
     assert names.count("day +") == names.count("day −") == 1
@@ -71,7 +71,7 @@ def test_every_reading_is_drawn_where_its_count_puts_it(turned, found):
 
 
 def test_figures_stand_only_where_there_are_answers(found, campaign, reported):
-    keys = [picture.key for picture in factor_pictures(3, found.answers)]
+    keys = [picture.key for picture in factor_pictures(3, found.factor_tests)]
     assert keys == ["day-3", "direction-3", "normal-force-3"]
     one_day = analyze_variance(reported(campaign(DAYS[:1], ROTATION)).log)
     assert [picture.key for picture in factor_pictures(3, one_day.answers)] == [
@@ -95,14 +95,14 @@ def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campai
             for day in range(1, 11)
         ]
     )
-    part = factors(analyze_variance(fitted(years).log)).sections[0]
+    part = make_anova_section(analyze_variance(fitted(years).log)).sections[0]
     assert part.figures[0].caption.startswith("The latest 30 of 40 sessions.")
     assert {row[1] for row in part.tables[0].rows} == {"all"}
 
 
 def test_more_answers_than_a_table_has_room_for_are_counted(campaign, fitted):
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 14))
-    part = factors(analyze_variance(fitted(campaign(days, ROTATION)).log)).sections[0]
+    part = make_anova_section(analyze_variance(fitted(campaign(days, ROTATION)).log)).sections[0]
     assert {row[1] for row in part.tables[0].rows} == {"all"}
     assert "Not shown: 27 answers within single sessions." in part.tables[0].note
 
@@ -111,5 +111,5 @@ def test_a_notebook_is_given_the_axes_of_a_factor(found):
     both = found.plot_factor(3, "day")
     assert [axis.get_ylabel() for axis in both] == ["direction + (nm)", "direction − (nm)"]
     assert len(found.plot_factor(3, "direction")) == 1
-    with pytest.raises(InputError, match=r"weather was not answered for joint 3; what was: .*joint 3's day"):
+    with pytest.raises(InputError, match=r"weather was not tested for joint 3; what was: .*joint 3's day"):
         found.plot_factor(3, "weather")

@@ -1,0 +1,326 @@
+"""The operator at a terminal, and the unattended operator; keyboard input on POSIX systems and on Windows."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import sys
+from importlib import import_module
+from math import inf
+from time import monotonic, sleep
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import typer
+
+from stickslip_fit.capture.operator import (
+    CONDITIONS_EXAMPLE,
+    OperatorChoice,
+    OperatorReply,
+    PlannedDrive,
+    RigSetting,
+    TraverseReading,
+    format_conditions,
+    format_position,
+    format_reading,
+    format_setting,
+    parse_conditions,
+)
+from stickslip_fit.capture.protocols import Detection
+from stickslip_fit.errors import InputError
+
+END_OF_INPUT = "q"  # the key that the end of the input counts as
+SPECIAL = "\x1b"  # any arrow or function key
+POLL = 0.02  # s between two queries of a keyboard that cannot be waited for
+
+
+class Console(Protocol):
+    """A terminal that delivers keys as they are pressed, without showing them, between `open` and `close`."""
+
+    def open(self) -> None:
+        """Switch to delivering every key at once."""
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+
+    def waiting(self, seconds: float | None) -> bool:
+        """Whether there is a key to read within so many seconds."""
+
+    def read(self) -> str:
+        """Wait for input and return it."""
+
+
+class PosixConsole:
+    """The standard input, read past Python's buffer, which would hide its content from `waiting`."""
+
+    def __init__(self) -> None:
+        self._before: list[Any] = []
+
+    def open(self) -> None:
+        """See `Console.open`."""
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin)
+
+    def close(self) -> None:
+        """See `Console.close`."""
+        import termios
+
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+
+    def waiting(self, seconds: float | None) -> bool:
+        """See `Console.waiting`."""
+        return bool(select.select([sys.stdin], [], [], seconds)[0])
+
+    def read(self) -> str:
+        """See `Console.read`."""
+        text = os.read(sys.stdin.fileno(), 64).decode("utf-8", "replace")
+        if not text:
+            raise KeyboardInterrupt  # the terminal is closed: nobody can answer
+        return re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", SPECIAL, text)
+
+
+class WindowsConsole:
+    """The console window, which has to be polled and delivers one key at a time."""
+
+    def __init__(self) -> None:
+        self._console: Any = import_module("msvcrt")
+
+    def open(self) -> None:
+        """See `Console.open`: it always does."""
+
+    def close(self) -> None:
+        """See `Console.close`."""
+
+    def waiting(self, seconds: float | None) -> bool:
+        """See `Console.waiting`."""
+        end = monotonic() + (inf if seconds is None else seconds)
+        while not self._console.kbhit():
+            if monotonic() >= end:
+                return False
+            sleep(POLL)
+        return True
+
+    def read(self) -> str:
+        """See `Console.read`."""
+        key = self._console.getwch()
+        if key == "\x03":
+            raise KeyboardInterrupt  # Ctrl-C arrives as a key here
+        if key == "\x00" or (key == "\xe0" and self._console.kbhit()):  # else an à
+            self._console.getwch()  # which special key it is
+            return SPECIAL
+        return key
+
+
+def system_console() -> Console:
+    """The terminal of this system."""
+    try:
+        import_module("termios")
+    except ImportError:
+        return WindowsConsole()
+    return PosixConsole()
+
+
+class Keyboard:
+    """The standard input key by key, while it is used as a context; line by line where it is no terminal."""
+
+    def __init__(self) -> None:
+        self._console: Console | None = None
+        self._unread = ""
+
+    def __enter__(self) -> Self:
+        if sys.stdin.isatty():
+            self._console = system_console()
+            self._console.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._console is not None:
+            self._console.close()
+            self._console = None
+
+    def pressed(self) -> bool:
+        """Whether a key was pressed since the last call; discards all input."""
+        self._unread, pressed = "", False
+        while self._console is not None and self._console.waiting(0.0):
+            pressed = bool(self._console.read())
+        return pressed
+
+    def key(self, seconds: float | None = None) -> str:
+        """Wait for a key, in lower case; empty for Enter, and where none comes within so many seconds."""
+        if self._console is None:
+            line = sys.stdin.readline()
+            return line.strip()[:1].lower() if line else END_OF_INPUT
+        if seconds is not None and not (self._unread or self._console.waiting(seconds)):
+            return ""
+        return self._next(self._console).strip().lower()
+
+    def line(self, label: str) -> str:
+        """A line of text, typed after a label."""
+        if self._console is None:
+            return sys.stdin.readline().strip()
+        text = ""
+        print(f"{label}: ", end="", flush=True)
+        while (key := self._next(self._console)) not in "\r\n":  # Enter comes as either
+            if key.isprintable():
+                text += key
+                print(key, end="", flush=True)
+            elif key in "\b\x7f" and text:
+                text = text[:-1]
+                print("\b \b", end="", flush=True)
+        print()
+        return text.strip()
+
+    def _next(self, console: Console) -> str:
+        self._unread = self._unread or console.read()
+        key, self._unread = self._unread[0], self._unread[1:]
+        return key
+
+
+DOUBT_SECONDS = 30.0  # s to wait for an answer on a doubtful reading, so that an unattended campaign goes on
+PROGRESS_INTERVAL = 20  # checks
+MAX_FAILURES = 3  # in a row, where nobody answers
+KEY_HELP = {
+    "r": "r makes it again",
+    "s": "s leaves it out",
+    "q": "q ends",
+    "n": "n takes a note",
+    "c": "c notes conditions",
+}
+KEY_CHOICES = {
+    "": OperatorChoice.GO_ON,
+    "r": OperatorChoice.REPEAT,
+    "s": OperatorChoice.SKIP,
+    "q": OperatorChoice.QUIT,
+}
+
+
+class ConsoleOutput:
+    """Prints the progress of a capture."""
+
+    def __init__(self) -> None:
+        self._checks = 0
+
+    def show(self, text: str) -> None:
+        """See `Operator.show`."""
+        self._clear()
+        print(text)
+
+    def begin_drive(self, drive: PlannedDrive) -> None:
+        """See `Operator.begin_drive`."""
+        self._checks = 0
+        self.show(f"{drive.title} ({drive.row['joint']}{drive.row['direction']})")
+
+    def progress(self, drive: PlannedDrive, steps: int, detection: Detection) -> None:
+        """See `Operator.progress`; shown at a terminal only."""
+        self._checks += 1
+        if sys.stdout.isatty() and self._checks % PROGRESS_INTERVAL == 0:
+            about = f" of about {drive.expected.steps:,.0f}" if drive.expected.known else ""
+            typer.echo(f"\r\x1b[K  {steps:,}{about} steps, {detection.level:+.1f} dB", nl=False)
+
+    def _clear(self) -> None:
+        if sys.stdout.isatty():
+            typer.echo("\r\x1b[K", nl=False)  # which old Windows consoles have to be told in their way
+
+
+class TerminalOperator(ConsoleOutput):
+    """Asks at the terminal."""
+
+    def __init__(self, keys: Keyboard) -> None:
+        super().__init__()
+        self.keys = keys
+
+    def begin_session(self, label: str) -> OperatorReply:
+        """See `Operator.begin_session`."""
+        return self._ask(f"Session {label}: switch on and warm up.", "sqc")
+
+    def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
+        """See `Operator.set_up`."""
+        return self._ask(format_setting(wanted, before), "sqc")
+
+    def bring_joint(self, joint: int, position: float) -> OperatorReply:
+        """See `Operator.bring_joint`."""
+        return self._ask(f"Bring joint {joint} to {format_position(joint, position)} by hand.", "sqc")
+
+    def stop_wanted(self) -> bool:
+        """See `Operator.stop_wanted`."""
+        return self.keys.pressed()
+
+    def review(self, reading: TraverseReading) -> OperatorReply:
+        """See `Operator.review`; a doubtful one is kept unless answered in time."""
+        self.show(format_reading(reading))
+        if not reading.deviation:
+            return OperatorReply()
+        return self._ask(f"kept in {DOUBT_SECONDS:.0f} s", "rsqnc", DOUBT_SECONDS)
+
+    def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
+        """See `Operator.handle_failure`."""
+        return self._ask(f"Broken off: {reason}.", "sqnc")
+
+    def _ask(self, question: str, choices: str, seconds: float | None = None) -> OperatorReply:
+        keys = ["Enter goes on", *(KEY_HELP[key] for key in choices), "p waits"]
+        self.show(f"{question}\n  [{', '.join(keys)}]")
+        note, conditions = "", dict[str, float]()
+        while True:
+            key = self.keys.key(seconds)
+            if key == "n" and key in choices:
+                note = self.keys.line("note")
+            elif key == "c" and key in choices:
+                conditions |= self._ask_conditions()
+            elif key in KEY_CHOICES and (not key or key in choices):
+                return OperatorReply(KEY_CHOICES[key], note, conditions)
+            seconds = None  # somebody is there: wait for the answer
+
+    def _ask_conditions(self) -> dict[str, float]:
+        self.show(f"  as a log's columns have them, e.g. {CONDITIONS_EXAMPLE}")
+        try:
+            conditions = parse_conditions(self.keys.line("conditions"))
+        except InputError as error:
+            self.show(f"  {error}; nothing is changed, c once more")
+            return {}
+        self.show(f"  from now on {format_conditions(conditions)}" if conditions else "  nothing is changed")
+        return conditions
+
+
+class UnattendedOperator(ConsoleOutput):
+    """Takes everything to be set as asked; quits after three failures in a row."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._failures = 0
+
+    def begin_session(self, label: str) -> OperatorReply:
+        """See `Operator.begin_session`."""
+        self.show(f"Session {label}")
+        return OperatorReply()
+
+    def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
+        """See `Operator.set_up`."""
+        self.show(format_setting(wanted, before))
+        return OperatorReply()
+
+    def bring_joint(self, joint: int, position: float) -> OperatorReply:
+        """See `Operator.bring_joint`."""
+        self.show(f"joint {joint} brought to {format_position(joint, position)} by hand")
+        return OperatorReply()
+
+    def stop_wanted(self) -> bool:
+        """See `Operator.stop_wanted`."""
+        return False
+
+    def review(self, reading: TraverseReading) -> OperatorReply:
+        """See `Operator.review`."""
+        self._failures = 0
+        self.show(format_reading(reading))
+        return OperatorReply()
+
+    def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
+        """See `Operator.handle_failure`."""
+        self._failures += 1
+        self.show(f"  broken off: {reason}")
+        return OperatorReply(OperatorChoice.QUIT if self._failures >= MAX_FAILURES else OperatorChoice.GO_ON)
