@@ -42,12 +42,12 @@ def answer_all(contender: str, folder: Path, logs: list[Path]) -> None:
     done = {json.loads(line)["log"] for line in file.read_text().splitlines()} if file.exists() else set()
     for log in logs:
         if log.stem not in done:
-            line = {"log": log.stem, "contender": contender, **_answered(CONTENDERS[contender], log)}
+            line = {"log": log.stem, "contender": contender, **_timed_answer(CONTENDERS[contender], log)}
             with file.open("a") as out:
                 out.write(json.dumps(line) + "\n")
 
 
-def _answered(contender: Contender, log: Path) -> dict[str, object]:
+def _timed_answer(contender: Contender, log: Path) -> dict[str, object]:
     problem = Problem.load(log)
     began = time.perf_counter()
     try:
@@ -55,17 +55,24 @@ def _answered(contender: Contender, log: Path) -> dict[str, object]:
     except Exception as error:
         traceback.print_exc()
         return {"failed": repr(error), "seconds": time.perf_counter() - began}
-    return {**_told(answer, np.load(log.with_suffix(".fresh.npy"))), "seconds": time.perf_counter() - began}
+    return {
+        **_to_json(answer, np.load(log.with_suffix(".fresh.npy"))),
+        "seconds": time.perf_counter() - began,
+    }
 
 
-def _told(answer: Answer, fresh: np.ndarray) -> dict[str, object]:
+def _to_json(answer: Answer, fresh: np.ndarray) -> dict[str, object]:
     """An answer in plain JSON, with its error on the replicate in place of its predictions."""
     errors = np.sqrt(np.mean((fresh - answer.departures) ** 2, axis=1))
     return {
-        "found": [(cause, float(loud)) for cause, loud in answer.found], "threshold": answer.threshold,
-        "inclusion": answer.inclusion, "quiet": answer.quiet or {}, "rivals": list(answer.rivals),
-        "interval_pct": answer.interval, "errors_pct": [100 * float(each) for each in errors],
-    }  # fmt: skip
+        "found": [(cause, float(score)) for cause, score in answer.found],
+        "threshold": answer.threshold,
+        "inclusion": answer.inclusion,
+        "quiet": answer.quiet or {},
+        "rivals": list(answer.rivals),
+        "interval_pct": answer.interval,
+        "errors_pct": [100 * float(error) for error in errors],
+    }
 
 
 if __name__ == "__main__":

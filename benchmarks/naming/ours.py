@@ -8,27 +8,27 @@ from benchmarks.naming.problem import Answer, Problem
 
 
 def ours(problem: Problem) -> Answer:
-    """Decide and name as ``stickslip-fit diagnose`` does, without the gain and the next experiment."""
+    """Name causes as ``stickslip-fit diagnose`` does, without the gain and the next experiment."""
     from stickslip_fit.diagnosis import diagnose
     from stickslip_fit.logs import read_log
 
-    decided = diagnose(read_log(problem.log), seed=0, gain=False)
-    told = {cause: float(value) for cause, value in decided.inclusion.items() if value is not None}
-    # Alarms go by the p-value of anything at all: digits by which it is below 1 %.
-    loud = -2.0 - float(np.log10(decided.p_value))
-    found = [(each.cause, loud) for each in decided.findings]
-    if not found:
-        found = [(max(told, key=lambda cause: told[cause], default="unknown"), loud)]
+    diagnosis = diagnose(read_log(problem.log), seed=0, gain=False)
+    inclusion = {cause: float(value) for cause, value in diagnosis.inclusion.items() if value is not None}
+    # Powers of ten by which the p-value of the whole search is below 1 %.
+    score = -2.0 - float(np.log10(diagnosis.p_value))
+    ranked = [(finding.cause, score) for finding in diagnosis.findings]
+    if not ranked:
+        ranked = [(max(inclusion, key=lambda cause: inclusion[cause], default="unknown"), score)]
     departure = np.zeros(len(problem.y))
-    kept = np.setdiff1d(np.arange(len(problem.y)), decided.search.outliers)
-    departure[kept] = problem.y[kept] - decided.search.fit.residual
-    first = decided.findings[0] if decided.findings else None
+    kept = np.setdiff1d(np.arange(len(problem.y)), diagnosis.search.outliers)
+    departure[kept] = problem.y[kept] - diagnosis.search.fit.residual
+    first = diagnosis.findings[0] if diagnosis.findings else None
     return Answer(
-        found,
+        ranked,
         0.0,
-        told,
+        inclusion,
         departure[None],
         rivals=first.equivalent if first else (),
         interval=(100 * first.effect.low, 100 * first.effect.high) if first else None,
-        quiet=told,
+        quiet=inclusion,
     )
