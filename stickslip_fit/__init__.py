@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from stickslip_fit.bayes import Posterior, load_posterior
     from stickslip_fit.diagnosis import Diagnosis, diagnose, next_experiment
     from stickslip_fit.errors import InputError
-    from stickslip_fit.estimation import Result, held_out_errors, load_result, save_result
+    from stickslip_fit.estimation import Result, held_out_errors, load_result
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
     from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move, predict
@@ -42,7 +42,7 @@ _HOMES = {
     "bayes": ("Posterior", "load_posterior"),
     "diagnosis": ("Diagnosis", "diagnose", "next_experiment"),
     "errors": ("InputError",),
-    "estimation": ("Result", "held_out_errors", "load_result", "save_result"),
+    "estimation": ("Result", "held_out_errors", "load_result"),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),
     "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "plan_move", "predict"),

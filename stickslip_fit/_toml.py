@@ -96,7 +96,7 @@ class Quantity:
         return core_schema.with_info_wrap_validator_function(read, handler(source))
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a TOML file: no other keys than its fields, no conversion between types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -177,7 +177,9 @@ class Table(BaseModel):
         return schema
 
 
-def read_toml[Model: Table](path: str | Path, model: type[Model], kind: str, context: Any = None) -> Model:
+def read_toml[Model: TomlTable](
+    path: str | Path, model: type[Model], kind: str, context: Any = None
+) -> Model:
     """Read a file that `kind` names; see `file_bytes` and `parse_toml`."""
     return parse_toml(file_bytes(path, kind), str(path), model, context)
 
@@ -191,7 +193,7 @@ def file_bytes(path: str | Path, kind: str) -> bytes:
         raise InputError(InputIssue(message, str(path))) from None
 
 
-def parse_toml[Model: Table](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
+def parse_toml[Model: TomlTable](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
     """A TOML text as a model; InputError with every issue: file, line, key, value, and what to do."""
     try:
         text = raw.decode("utf-8-sig")
@@ -215,7 +217,7 @@ def fault(advice: str, issues: Sequence[InputIssue] = ()) -> PydanticCustomError
     return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "issues": issues})
 
 
-def chosen_by(key: str, models: Mapping[Any, type[Table]], other: type[Table]) -> WrapValidator:
+def chosen_by(key: str, models: Mapping[Any, type[TomlTable]], other: type[TomlTable]) -> WrapValidator:
     """For a table whose keys depend on the value of one; `other` for values without a model."""
 
     def read(written: Any, inner: Any, info: ValidationInfo) -> Any:
@@ -234,12 +236,12 @@ def _convert(change: Callable[[float], float], value: Any) -> Any:
     return [_convert(change, item) for item in value] if isinstance(value, list) else change(value)
 
 
-def _is_table(table: type[Table], name: str) -> bool:
+def _is_table(table: type[TomlTable], name: str) -> bool:
     kind = table.model_fields[name].annotation
-    return isinstance(kind, type) and issubclass(kind, Table)
+    return isinstance(kind, type) and issubclass(kind, TomlTable)
 
 
-def _advice(table: type[Table], key: str, context: Any) -> str:
+def _advice(table: type[TomlTable], key: str, context: Any) -> str:
     """What to write for a key: as its field says, or as its type does."""
     name, unit = table.fields_by_key()[key]
     field = table.model_fields[name]
@@ -258,7 +260,7 @@ def _advice(table: type[Table], key: str, context: Any) -> str:
     return f"write it as a table: [{key}]" if _is_table(table, name) else f"give at least one table [[{key}]]"
 
 
-def _attribute_docstrings(table: type[Table]) -> dict[str, str]:
+def _attribute_docstrings(table: type[TomlTable]) -> dict[str, str]:
     """The strings below fields; pydantic could read them too, but would at every start of a command."""
     docstrings = {}
     for model in table.__mro__[-3::-1]:

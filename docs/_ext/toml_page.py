@@ -9,13 +9,18 @@ from typing import Any
 
 from markdown import code, table, text
 
-from stickslip_fit._toml import Table
+from stickslip_fit._toml import TomlTable
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine.machine_file import MachineFile
 from stickslip_fit.simulation.truth import LawFile
 from stickslip_fit.studies.plan import StudyFile
 
-FILES: dict[str, type[Table]] = {"plan": PlanFile, "law": LawFile, "study": StudyFile, "machine": MachineFile}
+FILES: dict[str, type[TomlTable]] = {
+    "plan": PlanFile,
+    "law": LawFile,
+    "study": StudyFile,
+    "machine": MachineFile,
+}
 Row = tuple[str, str, str, str, str]
 
 

@@ -200,9 +200,10 @@ def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
         estimate.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
     if outputs.chart is not None:
-        from stickslip_fit.plotting._style import write_chart
+        from stickslip_fit.plotting._style import write_figure
+        from stickslip_fit.plotting.parameters import plot_control
 
-        write_chart(estimate.result, outputs.chart)
+        write_figure(plot_control(estimate.result), outputs.chart, "control")
         lines.append(f"control chart written to {outputs.chart}")
     return lines
 
@@ -364,7 +365,7 @@ def predict(
     """Predict the counts of a plan's traverses, with 95 % intervals."""
     from stickslip_fit._io import write_atomically
     from stickslip_fit.logs.plan_reader import read_plan
-    from stickslip_fit.moves.prediction import predict_plan
+    from stickslip_fit.moves.prediction import predict
     from stickslip_fit.reporting.moves import format_predictions, predictions_csv
 
     if output is not None:
@@ -372,7 +373,7 @@ def predict(
     fitted, result = load_fit(calibration, machine)
     planned = read_plan(plan, result.machine)
     conditions = parse_plan_conditions(condition, result)
-    predicted = predict_plan(fitted, planned, session, conditions)
+    predicted = predict(fitted, planned, session, conditions)
     if output is not None:
         write_atomically(output, predictions_csv(planned, predicted))
     print(format_predictions(result, planned, predicted))

@@ -16,7 +16,7 @@ import pandas as pd
 from annotated_types import Interval, Len, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
-from stickslip_fit._toml import Bounds, Count, Give, Quantity, Table, Text, chosen_by, read_toml
+from stickslip_fit._toml import Bounds, Count, Give, Quantity, Text, TomlTable, chosen_by, read_toml
 from stickslip_fit.logs.plan import Noise, NoiseKind, Plan, PlannedSession, Timing, TraverseOrder
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.machine import Machine
@@ -54,7 +54,7 @@ Joint = Annotated[int, JOINT, Interval(ge=1, le=3)]
 Directions = Annotated[list[Literal["+", "-"]], MinLen(1), AfterValidator(_check_distinct)]
 
 
-class Sweep(Table, extra="ignore"):
+class SweepTable(TomlTable, extra="ignore"):
     """Keys of every sweep; further ones depend on the joint."""
 
     joint: Joint
@@ -104,7 +104,7 @@ class Sweep(Table, extra="ignore"):
                 yield (name, self.joint, direction, *(position[axis] for axis in SWEEP_AXES), start, stop)
 
 
-def _sweep_model(joint: int) -> type[Sweep]:
+def _sweep_model(joint: int) -> type[SweepTable]:
     ranges = Annotated[Pairs, Quantity(UNITS_OF[joint], _range(joint), PAIRS)]
     meaning = "Ends of partial traverses, which each direction runs its own way; the full range if left out."
     fields: dict[str, Any] = {
@@ -116,13 +116,17 @@ def _sweep_model(joint: int) -> type[Sweep]:
         # Joints 2 and 3 affect every law: their positions are required.
         default = [0.0] if other == 1 else ...
         fields[f"q{other}"] = (numbers, Field(default, description=f"Where joint {other} stands."))
-    return create_model(f"SweepOfJoint{joint}", __base__=Sweep, __cls_kwargs__={"extra": "forbid"}, **fields)
+    return create_model(
+        f"SweepOfJoint{joint}", __base__=SweepTable, __cls_kwargs__={"extra": "forbid"}, **fields
+    )
 
 
-AnySweep = Annotated[Sweep, chosen_by("joint", {joint: _sweep_model(joint) for joint in JOINTS}, Sweep)]
+AnySweep = Annotated[
+    SweepTable, chosen_by("joint", {joint: _sweep_model(joint) for joint in JOINTS}, SweepTable)
+]
 
 
-def traverses_of(sweeps: list[Sweep], machine: Machine) -> pd.DataFrame:
+def traverses_of(sweeps: list[SweepTable], machine: Machine) -> pd.DataFrame:
     """The traverses of all [[sweep]] tables, in order, with the columns of `Plan.traverses`.
 
     A key's list is taken in every combination with the others', the last key of the table fastest.
@@ -181,7 +185,7 @@ Percent = Annotated[float, Interval(ge=0, le=MAX_REPEATABILITY_PERCENT)]
 Drive = Literal["1+", "1-", "2+", "2-", "3+", "3-"]
 
 
-class SessionsTable(Table):
+class SessionsTable(TomlTable):
     """When it is measured."""
 
     dates: Annotated[list[Day], MinLen(1), Give(DATES)] = []
@@ -222,7 +226,7 @@ class SessionsTable(Table):
         return self
 
 
-class TimingTable(Table):
+class TimingTable(TomlTable):
     """How long things take."""
 
     step_period: Annotated[float, Quantity(("ms", "s"), (1e-5, 10.0))] = Timing.step_period
@@ -233,7 +237,7 @@ class TimingTable(Table):
     """The same where nothing needs to be set."""
 
 
-class NoiseTable(Table):
+class NoiseTable(TomlTable):
     """How well counts repeat; only a simulation needs it."""
 
     repeatability_pct: Annotated[
@@ -249,7 +253,7 @@ class NoiseTable(Table):
     """`"t5"`: Student's t with 5 degrees of freedom, scaled to the same spread."""
 
 
-class PlanFile(Table):
+class PlanFile(TomlTable):
     """A plan: what is measured when."""
 
     name: Text = ""

@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from annotated_types import Len
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from stickslip_fit._toml import Give, Quantity, Table
+from stickslip_fit._toml import Give, Quantity, TomlTable
 
 
 def _rising(ends: list[float]) -> list[float]:
@@ -30,7 +30,7 @@ Length = Annotated[float, Quantity(("mm",), (0.0, inf), "give a length in mm, ze
 Angles = Annotated[Ends, Quantity(("deg",), (-tau, tau), "give [lowest, highest] in deg within ±360")]
 
 
-class GeometryTable(Table):
+class GeometryTable(TomlTable):
     """Lengths between axes."""
 
     a1: Length
@@ -39,7 +39,7 @@ class GeometryTable(Table):
     """Distance of the tip from joint 2's axis with joint 3 at 0."""
 
 
-class RangeTable(Table):
+class RangeTable(TomlTable):
     """Lowest and highest position of each joint between its mechanical stops."""
 
     q1: Angles
@@ -47,7 +47,7 @@ class RangeTable(Table):
     q3: Annotated[Ends, Quantity(("mm",), advice="give [lowest, highest] in mm")]
 
 
-class LinkTable(Table):
+class LinkTable(TomlTable):
     """Mass properties of a link; only the dynamics use them."""
 
     mass: Annotated[float, Quantity(("g",), (sys.float_info.min, inf), "give a mass in g above 0")]
@@ -57,7 +57,7 @@ class LinkTable(Table):
     """Principal moments about the centre of mass, along the axes of the link's frame."""
 
 
-class MachineFile(Table):
+class MachineFile(TomlTable):
     """A machine."""
 
     name: Annotated[str, Give("give the machine's name in quotes")] = ""

@@ -21,6 +21,7 @@ from stickslip_fit.moves.planning import (
     step_model_from_parameters,
     step_models_from_truth,
 )
+from stickslip_fit.moves.prediction import predict
 
 __all__ = [
     "CalibratedArm",
@@ -38,6 +39,7 @@ __all__ = [
     "plan_move",
     "plan_steps",
     "position_after",
+    "predict",
     "simulate_open_loop",
     "step_model_from_parameters",
     "step_models_from_truth",

@@ -19,7 +19,7 @@ TRAVERSE_COLUMNS = ["joint", "direction", "q1", "q2", "q3", "theta", "psi", "sta
 NEW_SESSION_LABEL = ""  # no session of a log has this name
 
 
-def predict_plan(
+def predict(
     fitted: Result | Posterior,
     plan: Plan,
     session: str | None = None,

@@ -27,7 +27,6 @@ from stickslip_fit._format import format_direction, format_plain
 from stickslip_fit._io import write_atomically
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue, shorten
-from stickslip_fit.estimation import Result
 
 DPI = 200  # an inch; sharp on any screen, and shown at `SHOWN` an inch
 SCREEN_DPI = 100
@@ -332,19 +331,6 @@ def check_suffix(path: Path) -> None:
                 "is no kind of picture that can be drawn: end its name in .png, .svg or .pdf", str(path)
             )
         )
-
-
-def write_chart(result: Result, path: Path) -> None:
-    """Draw the control chart of all joints.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, its suffix is none of png, svg and pdf, or no parameter is known.
-    """
-    from stickslip_fit.plotting.parameters import plot_control
-
-    write_figure(plot_control(result), path, "control")
 
 
 def write_figure(figure: Figure, path: Path, key: str) -> None:

@@ -134,7 +134,7 @@ def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> s
         What `predicted` was worked out from.
     plan : Plan
     predicted : DataFrame
-        As `fit.predict.predict_plan` returns it.
+        As `fit.predict.predict` returns it.
     """
     rows = plan.rows()
     both = pd.concat([rows, predicted], axis=1).head(MAX_ROWS)

@@ -24,7 +24,7 @@ from pydantic import (
 )
 
 from stickslip_fit._format import format_value
-from stickslip_fit._toml import Give, Quantity, Table, Text, chosen_by, fault, read_toml
+from stickslip_fit._toml import Give, Quantity, Text, TomlTable, chosen_by, fault, read_toml
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
@@ -39,7 +39,7 @@ DEFAULT_SETTINGS = {"half": "1 K"}  # of a nonlinear response; others do not use
 _QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
-class CauseTable(Table, extra="ignore"):
+class CauseTable(TomlTable, extra="ignore"):
     """A cause, with its parameters and its other settings: the session of a jump, the form of a bend.
 
     A parameter is text with its unit, ``A = "3 %"``, or where each joint and direction has its own, a table
@@ -236,7 +236,7 @@ def _parameter_stem(parameter: Parameter) -> str:
     return parameter.name.removesuffix("_per_mm")
 
 
-class LawTable(Table, extra="ignore"):
+class LawTable(TomlTable, extra="ignore"):
     """What each [[law]] must have; its parameters depend on the joint."""
 
     joint: Joint
@@ -269,7 +269,7 @@ LAWS: dict[int, type[StepLaw]] = {1: Base, 2: Elbow, 3: Prismatic}
 AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joint in LAWS}, LawTable)]
 
 
-class LawFile(Table):
+class LawFile(TomlTable):
     """Laws by joint and direction, and causes that extend them all."""
 
     law: Annotated[list[AnyLaw], MinLen(1)]

@@ -17,7 +17,7 @@ import numpy as np
 from annotated_types import Interval, MinLen
 from pydantic import PlainValidator, ValidationInfo, model_validator
 
-from stickslip_fit._toml import Give, Misfit, Quantity, Table, Text, fault, read_toml
+from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, fault, read_toml
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.errors import InputError
@@ -161,7 +161,7 @@ Share = Annotated[
 ]  # beyond a tenth of a step size, drawn laws would stall
 
 
-class SpreadTable(Table):
+class SpreadTable(TomlTable):
     """Standard deviation of every parameter, as a share of what changes a step by its size; cut off at 3."""
 
     campaigns: Share = 0.0
@@ -170,7 +170,7 @@ class SpreadTable(Table):
     """From session to session."""
 
 
-class ScatterTable(Table):
+class ScatterTable(TomlTable):
     """How well counts repeat."""
 
     repeatability: Annotated[float | None, Quantity(("%",), (1e-6, MAX_REPEATABILITY_PERCENT / 100))] = None
@@ -179,7 +179,7 @@ class ScatterTable(Table):
     """`"uneven"`: up to twice as large in some configurations as in others; the plan's if left out."""
 
 
-class MovesTable(Table):
+class MovesTable(TomlTable):
     """Open-loop moves of the tip after each session, drawn once all over the workspace."""
 
     count: Annotated[int, Interval(ge=0, le=10_000)] = 20
@@ -188,7 +188,7 @@ class MovesTable(Table):
     """Of each."""
 
 
-class ScenarioTable(Table):
+class ScenarioTable(TomlTable):
     """What is hidden; several causes act together."""
 
     name: Text
@@ -197,7 +197,7 @@ class ScenarioTable(Table):
     """Without any, nothing is hidden."""
 
 
-class StudyFile(Table):
+class StudyFile(TomlTable):
     """A study: strategies let loose on simulated campaigns of a plan."""
 
     plan: Annotated[Plan, _of_file(read_plan), NAMED]

@@ -23,7 +23,7 @@ from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
-from stickslip_fit.moves.prediction import predict_plan
+from stickslip_fit.moves.prediction import predict
 from stickslip_fit.simulation import LawValues, read_law_values, simulate, step_through
 
 MACHINE = load_machine()
@@ -158,7 +158,7 @@ def test_a_law_that_knows_the_clock_asks_for_the_time(result):
 
 
 def test_a_plan_is_predicted_with_the_clock_that_it_will_have(plan, result, arm_log):
-    found = predict_plan(result, plan, session=str(arm_log.rows["session"].iloc[0]))
+    found = predict(result, plan, session=str(arm_log.rows["session"].iloc[0]))
     rows = arm_log.rows
     first = (rows["session"] == rows["session"].iloc[0]).to_numpy()
     # The pauses of a person are known on average only: some minutes by the end of a session.

@@ -14,7 +14,7 @@ from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
-from stickslip_fit.moves.prediction import predict_plan
+from stickslip_fit.moves.prediction import predict
 from stickslip_fit.simulation import LawValues, simulate
 
 TRUTH = {"+": np.array([976e-9, 0.30, 438e-9]), "-": np.array([903e-9, 0.27, -405e-9])}
@@ -62,7 +62,7 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     for seed in range(campaigns):
         fit = estimator(simulate(first, truth(), load_machine(), seed=seed))
         later = simulate(then, truth(), load_machine(), seed=10_000 + seed)
-        hits[seed] = inside(predict_plan(fit, then), later)
+        hits[seed] = inside(predict(fit, then), later)
     share = hits.mean(axis=1)
     margin = 4 * share.std() / np.sqrt(campaigns)
     assert 0.95 - margin < share.mean() < 0.955 + margin
@@ -77,7 +77,7 @@ def test_a_session_to_come_lies_where_the_campaign_leads_a_posterior_to_expect_i
     hits, widths = [], []
     for seed in range(campaigns):
         log = simulate(first, truth(day_to_day=0.02), load_machine(), seed=seed)
-        predicted = predict_plan(fit_bayes(log, seed=seed, progress=False), then)
+        predicted = predict(fit_bayes(log, seed=seed, progress=False), then)
         later = simulate(then, truth(day_to_day=0.02), load_machine(), seed=10_000 + seed)
         hits.append(inside(predicted, later)[seed % len(predicted)])
         widths.append(np.log(predicted["high"] / predicted["low"]).median())
@@ -89,7 +89,7 @@ def test_a_session_to_come_lies_where_the_campaign_leads_a_posterior_to_expect_i
 def test_a_posterior_predicts_a_fitted_session_far_better_than_one_to_come(planned):
     log = simulate(planned(CALIBRATION, days(4), '["+"]'), truth(day_to_day=0.02), load_machine())
     posterior, then = fit_bayes(log, progress=False), planned(FRESH, "2012-03-20", '["+"]')
-    known, to_come = (predict_plan(posterior, then, session) for session in ("2012-03-06", None))
+    known, to_come = (predict(posterior, then, session) for session in ("2012-03-06", None))
     width = [np.log(each["high"] / each["low"]).median() for each in (known, to_come)]
     assert width[1] > 3 * width[0]
     expected = fit_least_squares(log).predict(then.rows().assign(session="2012-03-06"))
@@ -101,7 +101,7 @@ def test_counts_are_foretold_as_they_will_be_noted(planned):
     fit = fit_least_squares(simulate(planned(CALIBRATION, check_every=1, noise=0.0), truth(), load_machine()))
     then = planned(FRESH, check_every=100, noise=0.0)
     counts = simulate(then, truth(), load_machine()).rows["steps"].to_numpy()
-    predicted = predict_plan(fit, then)
+    predicted = predict(fit, then)
     assert np.mean(predicted["steps"] == counts) > 0.9
     assert np.abs(predicted["steps"] - counts).max() <= 100
 
@@ -112,12 +112,12 @@ def test_the_latest_session_that_knows_everything_is_taken_unless_one_is_named(p
     rows = np.concatenate([first.rows.to_numpy(), poor.rows.to_numpy()])
     both = replace(first, rows=type(first.rows)(rows, columns=first.rows.columns).infer_objects())
     fit, then = fit_least_squares(both), planned(FRESH)
-    assert set(predict_plan(fit, then)["calibration"]) == {"2012-03-06"}
-    named = predict_plan(fit, then, "2012-03-05")
+    assert set(predict(fit, then)["calibration"]) == {"2012-03-06"}
+    named = predict(fit, then, "2012-03-05")
     expected = fit.predict(then.rows().assign(session="2012-03-05"))
     assert named["step_size"].to_numpy() == pytest.approx(expected["step_size"].to_numpy(), rel=1e-12)
     with pytest.raises(InputError, match=r"session 2012-03-07.*missing: a full traverse"):
-        predict_plan(fit, then, "2012-03-07")
+        predict(fit, then, "2012-03-07")
 
 
 def test_every_planned_traverse_gets_its_own_number(planned):
@@ -125,7 +125,7 @@ def test_every_planned_traverse_gets_its_own_number(planned):
     plan = planned(FRESH, "2012-03-20, 2012-03-21")
     plan = replace(plan, order="random")
     fit = fit_least_squares(simulate(planned(CALIBRATION), truth(), load_machine()))
-    rows, predicted = plan.rows(), predict_plan(fit, plan)
+    rows, predicted = plan.rows(), predict(fit, plan)
     direct = fit.predict(rows.assign(session="2012-03-05"))
     assert (predicted.index == rows.index).all()
     assert predicted["step_size"].to_numpy() == pytest.approx(direct["step_size"].to_numpy(), rel=1e-12)
@@ -135,9 +135,9 @@ def test_what_cannot_be_foretold_is_refused(planned):
     log = simulate(planned(CALIBRATION, directions='["+"]'), truth(), load_machine())
     fit = fit_least_squares(log)
     with pytest.raises(InputError, match="joint 3 was not fitted in direction -"):
-        predict_plan(fit, planned(FRESH))
+        predict(fit, planned(FRESH))
     with pytest.raises(InputError, match="session 'never' was not fitted; sessions fitted: 2012-03-05"):
-        predict_plan(fit, planned(FRESH, directions='["+"]'), "never")
+        predict(fit, planned(FRESH, directions='["+"]'), "never")
 
 
 def test_a_stall_is_refused(planned):
@@ -147,7 +147,7 @@ def test_a_stall_is_refused(planned):
     steep[:, 2] = 1.2 * steep[:, 0]
     stalling = replace(fit, joints={3: replace(fit.joints[3], values=steep)})
     with pytest.raises(InputError, match=r"would stall in a planned traverse in direction [+]"):
-        predict_plan(stalling, planned("q2_deg = [0]\ntheta_deg = [0]\n"))
+        predict(stalling, planned("q2_deg = [0]\ntheta_deg = [0]\n"))
 
 
 def test_without_replicates_there_are_counts_but_no_intervals(planned):
@@ -155,6 +155,6 @@ def test_without_replicates_there_are_counts_but_no_intervals(planned):
         "q2_deg = [-90]\ntheta_deg = [0]\n[[sweep]]\njoint = 3\nq2_deg = [0]\ntheta_deg = [-90, 0]\n"
     )
     fit = fit_least_squares(simulate(replace(plan, replicates=1), truth(), load_machine()))
-    predicted = predict_plan(fit, planned(FRESH))
+    predicted = predict(fit, planned(FRESH))
     assert predicted["steps"].notna().all()
     assert predicted[["low", "high"]].isna().all(axis=None)
