@@ -55,7 +55,7 @@ def test_a_count_that_is_wildly_off_is_told(log):
 
 def test_a_drift_within_the_session_is_told(log):
     hours = log.rows["session_seconds"].to_numpy() / 3600
-    assert "! joint 3 +: neighbours in time depart alike" in said(changed(log, 1 + 0.02 * hours))
+    assert "joint 3 +: neighbours in time have residuals of one sign" in said(changed(log, 1 + 0.02 * hours))
 
 
 def test_what_has_not_converged_is_not_judged(log):
