@@ -254,7 +254,7 @@ def test_an_interrupted_run_says_so_and_leaves_nothing(run, campaign, monkeypatc
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stickslip_fit._io.write_atomically", interrupted)
+    monkeypatch.setattr("stickslip_fit.reporting.page.write_atomically", interrupted)
     campaign(("2012-03-05",), SWEEP).to_csv(tmp_path / "log.csv", index=False)
     quick = ("--no-diagnosis", "--no-strategies", "-o", str(tmp_path / "report.html"))
     status, _, said = run("report", tmp_path / "log.csv", *quick)
