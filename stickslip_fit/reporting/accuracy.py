@@ -246,8 +246,8 @@ def _describe_coverage(kept: pd.Series[float], misfit: pd.DataFrame, errors: pd.
         shares = join_words([format_percent(kept[joint]) for joint in short])
         sentences.append(
             f"For {_name_joints(short)} that is more than repeatability and the calibration's own "
-            f"uncertainty explain ({shares} of the traverses lie within the interval that should hold 95 %), so the law "
-            "lacks something or the joint has changed since its calibration."
+            f"uncertainty explain ({shares} of the traverses lie within the interval that should hold "
+            "95 %), so the law lacks something or the joint has changed since its calibration."
         )
     if one_sided:
         sentences.append(
