@@ -348,10 +348,10 @@ def write_figure(figure: Figure, path: Path, key: str) -> None:
     write_atomically(path, stream.getvalue())
 
 
-MAX_SESSIONS = 3
+MAX_RECENT_SESSIONS = 3
 
 
-def select_recent(rows: pd.DataFrame, most: int = MAX_SESSIONS) -> pd.DataFrame:
+def select_recent(rows: pd.DataFrame, most: int = MAX_RECENT_SESSIONS) -> pd.DataFrame:
     """The rows of the most recent sessions; more of them would hide each other."""
     sessions = rows["session"].astype(object).unique()
     return rows[rows["session"].isin(list(sessions[-most:]))]

@@ -34,7 +34,7 @@ from stickslip_fit.plotting._style import (
     GREEN,
     INK,
     MARKERS,
-    MAX_SESSIONS,
+    MAX_RECENT_SESSIONS,
     PURPLE,
     TITLE_LINE,
     PointStyle,
@@ -334,7 +334,7 @@ def write_caption(panels: Sequence[SweepPanel], rows: pd.DataFrame, fit: Result)
     n_traverses, left_out = points.index.nunique(), sum(panel.left_out for panel in panels)
     n_shown, n_sessions = points["session"].nunique(), rows["session"].nunique()
     sessions = f" in {pluralize(n_shown, 'session')}" if n_sessions > 1 else ""
-    if n_sessions > MAX_SESSIONS:
+    if n_sessions > MAX_RECENT_SESSIONS:
         sessions = f" in the latest {n_shown} of {n_sessions} sessions"
     traverses = f"{pluralize(n_traverses, 'traverse')} of {joint_name(joint)}{sessions}"
     sentences = [f"{traverses}: {low:,.0f} to {high:,.0f} {unit}."]

@@ -236,35 +236,31 @@ def _describe_coverage(kept: pd.Series[float], misfit: pd.DataFrame, errors: pd.
     short = [joint for joint in kept.index if surprising.get(joint, False)]
     unsure = [joint for joint, share in kept.items() if np.isnan(share)]
     fine = [joint for joint in kept.index if joint not in {*one_sided, *short, *unsure}]
-    told = []
+    sentences = []
     if fine:
-        told.append(
+        sentences.append(
             f"For {_name_joints(fine)} that is no more than repeatability and the calibration's own "
-            "uncertainty "
-            "explain."
+            "uncertainty explain."
         )
     if short:
         shares = join_words([format_percent(kept[joint]) for joint in short])
-        told.append(
+        sentences.append(
             f"For {_name_joints(short)} that is more than repeatability and the calibration's own "
-            "uncertainty "
-            f"explain ({shares} of the traverses lie within the interval that should hold 95 %), so the law "
-            "lacks something or the joint has changed since its calibration."
+            f"uncertainty explain ({shares} of the traverses lie within the interval that should hold "
+            "95 %), so the law lacks something or the joint has changed since its calibration."
         )
     if one_sided:
-        told.append(
-            f"The errors of {_name_joints(one_sided)} mostly have one sign: at calibration the step "
-            "was not what "
-            "it was in the rest of the session. See what the law leaves over against the hours in the "
+        sentences.append(
+            f"The errors of {_name_joints(one_sided)} mostly have one sign: at calibration the step was not "
+            "what it was in the rest of the session. See what the law leaves over against the hours in the "
             "session."
         )
     if unsure:
-        told.append(
-            "Whether that is as good as repeatability allows cannot be said for "
-            f"{_name_joints(unsure)}: too few "
-            "replicates within a session. Make each calibration traverse twice."
+        sentences.append(
+            f"Whether that is as good as repeatability allows cannot be said for {_name_joints(unsure)}: too "
+            "few replicates within a session. Make each calibration traverse twice."
         )
-    return [" ".join(told)] if told else []
+    return [" ".join(sentences)] if sentences else []
 
 
 def _is_one_sided(errors: pd.DataFrame) -> bool:
@@ -276,35 +272,34 @@ def _describe_untested(errors: pd.DataFrame, calibration: Result) -> list[str]:
     joints = [joint for joint in calibration.joints if not (errors["joint"] == joint).any()]
     uncalibrated = [joint for joint in joints if joint in _list_uncalibrated(calibration)]
     alone = [joint for joint in joints if joint not in uncalibrated]
-    told = []
+    sentences = []
     if uncalibrated:
-        told.append(
+        sentences.append(
             f"The law of {_name_joints(uncalibrated)} cannot be judged, since it cannot be calibrated."
         )
     if alone:
-        told.append(
+        sentences.append(
             f"The law of {_name_joints(alone)} cannot be judged: there is no traverse beside those that the "
             "calibration used."
         )
-    return told
+    return sentences
 
 
 def _describe_missing(calibration: Result) -> str:
-    told = []
+    sentences = []
     if joints := _list_uncalibrated(calibration):
-        told.append(
+        sentences.append(
             f"Not every parameter of {_name_joints(joints)} can be calibrated: the remarks name the "
-            "traverses "
-            "to make."
+            "traverses to make."
         )
     for joint, fit in calibration.joints.items():
         driven = set(fit.groups["direction"])
-        told += [
+        sentences += [
             f"Joint {joint} was not driven in direction {format_direction(sign)}: nothing is known of that."
             for sign in ("+", "-")
             if sign not in driven
         ]
-    return " ".join(told) or "Every parameter of the laws can be calibrated from this log."
+    return " ".join(sentences) or "Every parameter of the laws can be calibrated from this log."
 
 
 def _list_uncalibrated(calibration: Result) -> list[int]:

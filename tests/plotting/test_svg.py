@@ -60,7 +60,7 @@ def numbers(path):
 def test_everything_stays_where_it_was_and_looks_as_it_did(figure):
     stream = io.StringIO()
     with report_style(), mpl.rc_context({"svg.hashsalt": "key"}):
-        figure.savefig(stream, format="svg")
+        figure.savefig(stream, format="svg", facecolor="none")  # the page shows through
     before, after = tree(stream.getvalue()), tree(to_svg(figure, "key"))
     ends = {"stroke-linecap": "butt"}
     assert after.get("stroke-linecap") == "butt"

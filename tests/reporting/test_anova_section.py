@@ -74,7 +74,7 @@ def test_figures_stand_only_where_there_are_answers(found, campaign, reported):
     keys = [picture.key for picture in factor_pictures(3, found.factor_tests)]
     assert keys == ["day-3", "direction-3", "normal-force-3"]
     one_day = analyze_variance(reported(campaign(DAYS[:1], ROTATION)).log)
-    assert [picture.key for picture in factor_pictures(3, one_day.answers)] == [
+    assert [picture.key for picture in factor_pictures(3, one_day.factor_tests)] == [
         "direction-3",
         "normal-force-3",
     ]

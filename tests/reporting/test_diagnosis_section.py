@@ -306,6 +306,6 @@ def test_points_of_the_evidence_are_numbered_as_in_the_log(found, made, monkeypa
     left = replace(
         compare_residuals(found.search, 0), rows=usable.drop(index=wild.index).reset_index(drop=True)
     )
-    monkeypatch.setattr("stickslip_fit.diagnosis.residuals.compare_residuals", lambda *_: left)
+    monkeypatch.setattr("stickslip_fit.reporting.sections.compare_residuals", lambda *_: left)
     rows = number_residuals(replace(found, findings=(replace(found.findings[0], traverses=wild),))).rows
     assert (rows["time"] == usable.loc[rows.index, "time"]).all()
