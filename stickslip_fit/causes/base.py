@@ -456,7 +456,7 @@ class ExtendedLaw(Composition):
         """See `StepLaw.step_size`."""
         return super().step_size(collect_row_values(rows, self.columns), position, values)
 
-    def in_motion(self, values: Array) -> Array:
+    def without_stop_effects(self, values: Array) -> Array:
         """Values without the causes that affect the stop only, shape (p,) or (n, p)."""
         moving = np.array(values, dtype=float)
         for cause, columns in self.active_causes:

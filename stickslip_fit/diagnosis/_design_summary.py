@@ -79,7 +79,7 @@ def summarize_plan(matrix: SeparabilityMatrix, plan: str, traverses: int, sessio
         f"{plan}: {pluralize(traverses, 'traverse')} in {pluralize(sessions, 'session')} could show "
         f"{number} of {number + len(matrix.untestable)} causes."
     )
-    never = [f"{one} from {other}" for one, other, _ in hard if not matrix.apart(one, other)]
+    never = [f"{one} from {other}" for one, other, _ in hard if not matrix.are_separable(one, other)]
     if never:
         text += f" At no plausible size could they separate {join_words(never, 'or')}."
     elif hard:

@@ -121,7 +121,7 @@ def diagnose_problem(
     )
     findings = size_findings(selection, testable, alpha) if selection.p_value < alpha else ()
     searched = selection.problem
-    row_sd = searched.repeatability[searched.drive] * searched.uneven
+    row_sd = searched.repeatability[searched.drive] * searched.noise_ratio
     return Diagnosis(
         verdict=_choose_verdict(findings),
         findings=findings,

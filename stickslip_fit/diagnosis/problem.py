@@ -61,7 +61,7 @@ class DiagnosisProblem:
         From a LinearizedFit to the unstructured alternatives, which stand for ``unknown``.
     kind : array of int, shape (n,)
         Configuration of each row; the noise may depend on it.
-    uneven : array, shape (n,)
+    noise_ratio : array, shape (n,)
         Standard deviation of each row's configuration over that of its drive.
     """
 
@@ -74,7 +74,7 @@ class DiagnosisProblem:
     causes: tuple[Any, ...]
     alternatives: Callable[[LinearizedFit], list[Hypothesis | AR1]]
     kind: IntArray
-    uneven: Array
+    noise_ratio: Array
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -82,7 +82,7 @@ class DiagnosisProblem:
     @property
     def scale(self) -> Array:
         """Standard deviation of each response, shape (n,)."""
-        return np.sqrt((self.repeatability[self.drive] * self.uneven) ** 2 + self.rounding)
+        return np.sqrt((self.repeatability[self.drive] * self.noise_ratio) ** 2 + self.rounding)
 
     def study(self) -> LinearizedFit:
         """The baseline fit, linearized."""
@@ -100,7 +100,7 @@ class DiagnosisProblem:
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""
-        return replace(self, repeatability=noise.sd, uneven=noise.heteroscedasticity.ratio)
+        return replace(self, repeatability=noise.sd, noise_ratio=noise.heteroscedasticity.ratio)
 
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.
@@ -188,6 +188,6 @@ def problem_from_log(
         causes=tuple(cause.bind(rows, log.machine) for cause in candidates if cause.name not in missing),
         alternatives=build_unstructured_alternatives,
         kind=number_configurations(rows),
-        uneven=np.ones(len(rows)),
+        noise_ratio=np.ones(len(rows)),
     )
     return problem, missing

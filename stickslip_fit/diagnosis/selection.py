@@ -228,7 +228,7 @@ def assess_residuals(
 ) -> Misfit:
     """The misfit test over every cause except some, and over the unstructured alternatives."""
     causes = [cause for cause in problem.causes if cause.name not in without]
-    factor = SELECTION_FACTOR if np.any(problem.uneven != 1) else 1
+    factor = SELECTION_FACTOR if np.any(problem.noise_ratio != 1) else 1
     hypotheses = [*build_candidates(linearized, causes), *problem.alternatives(linearized)]
     return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
 
@@ -297,7 +297,7 @@ def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, Line
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
     problem = problem.with_noise(noise)
-    max_ratio = noise.heteroscedasticity.max_ratio / problem.uneven
+    max_ratio = noise.heteroscedasticity.max_ratio / problem.noise_ratio
     return problem, problem.study(), left.residual * linearized.scale / problem.scale / max_ratio
 
 

@@ -155,7 +155,7 @@ class SeparabilityMatrix:
         pairs = [(one, other, self.needed(one, other)) for one, other in combinations(self.causes, 2)]
         return sorted(pairs, key=lambda pair: -pair[2])
 
-    def apart(self, one: str, other: str) -> bool:
+    def are_separable(self, one: str, other: str) -> bool:
         """Whether both causes are separated from each other at a plausible size."""
         needed = self.needed(one, other)
         return all(self.of(cause).size(needed) <= self.of(cause).largest for cause in (one, other))
@@ -237,7 +237,7 @@ def separability_to_json(matrix: SeparabilityMatrix, strength: float) -> dict[st
                 "causes": [one, other],
                 "confusion": matrix.rate(one, other, strength),
                 "strength_needed": needed if np.isfinite(needed) else None,
-                "told_apart": matrix.apart(one, other),
+                "told_apart": matrix.are_separable(one, other),
             }
             for one, other, needed in matrix.pairs()
         ],

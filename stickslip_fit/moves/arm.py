@@ -145,7 +145,7 @@ class CalibratedArm:
             raise InputError(reasons)
         values, covariance = fit.values[index], fit.covariance[index]
         if isinstance(fit.law, ExtendedLaw):
-            moving = fit.law.in_motion(np.stack([values, np.full_like(values, np.nan)]))
+            moving = fit.law.without_stop_effects(np.stack([values, np.full_like(values, np.nan)]))
             values, varied = moving[0], np.isnan(moving[1])
             covariance = covariance * np.outer(varied, varied)
         return fit.law, values, covariance, fit.repeatability[direction].value

@@ -164,7 +164,7 @@ class TrueLaws:
     def session_values(self, group: Group) -> Array:
         """Each session's parameters of a joint and direction in motion, shape (c, p)."""
         law, values = self.laws[group[0]], np.asarray(self.values[group], float)
-        moving = law.in_motion(values) if isinstance(law, ExtendedLaw) else values
+        moving = law.without_stop_effects(values) if isinstance(law, ExtendedLaw) else values
         return np.broadcast_to(moving, (len(self.sessions), len(law.parameters)))
 
     def factors(self, group: Group) -> Array:
@@ -243,7 +243,7 @@ def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
     """
     if isinstance(law, FixedCauseLaw):
         return step_model_from_parameters(law.extended, law.whole(np.asarray(values, float)))
-    moving = law.in_motion(values) if isinstance(law, ExtendedLaw) else np.asarray(values, float)
+    moving = law.without_stop_effects(values) if isinstance(law, ExtendedLaw) else np.asarray(values, float)
 
     def steps_for(rows: pd.DataFrame) -> Array:
         own = moving[rows["number"].to_numpy()] if moving.ndim == 2 else moving

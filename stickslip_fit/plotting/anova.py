@@ -83,14 +83,16 @@ def _prefer_over_sessions(factor_tests: Sequence[FactorTest]) -> list[FactorTest
 
 def _describe_days(factor_tests: Sequence[FactorTest]) -> str:
     return (
-        f"{_describe_points(factor_tests)}; bars: the session's mean with its 95 % interval, for the scatter of "
+        f"{_describe_points(factor_tests)}; bars: the session's mean with its 95 % interval, for the "
+        "scatter of "
         "readings alone. Means further apart than their bars are days that differ."
     )
 
 
 def _describe_directions(factor_tests: Sequence[FactorTest]) -> str:
     return (
-        f"{_describe_points(factor_tests)}; lines join the means of the two directions in a session. Lines of "
+        f"{_describe_points(factor_tests)}; lines join the means of the two directions in a session. "
+        "Lines of "
         "one slope are a difference that holds in every session."
     )
 
@@ -99,7 +101,8 @@ def _describe_rotations(factor_tests: Sequence[FactorTest]) -> str:
     over = _prefer_over_sessions(factor_tests)
     n_rows = sum(len(test.design.observations) for test in over)
     return (
-        f"{pluralize(n_rows, 'reading')} at {typeset_text(over[0].design.configuration)}, each less the mean of "
+        f"{pluralize(n_rows, 'reading')} at {typeset_text(over[0].design.configuration)}, each less "
+        "the mean of "
         "its session; bars: the mean of each orientation with its 95 % interval. The load along the axis is "
         "the same in all of them, so that a level row says that the force across it does not matter."
     )

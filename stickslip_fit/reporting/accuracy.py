@@ -239,25 +239,29 @@ def _describe_coverage(kept: pd.Series[float], misfit: pd.DataFrame, errors: pd.
     told = []
     if fine:
         told.append(
-            f"For {_name_joints(fine)} that is no more than repeatability and the calibration's own uncertainty "
+            f"For {_name_joints(fine)} that is no more than repeatability and the calibration's own "
+            "uncertainty "
             "explain."
         )
     if short:
         shares = join_words([format_percent(kept[joint]) for joint in short])
         told.append(
-            f"For {_name_joints(short)} that is more than repeatability and the calibration's own uncertainty "
+            f"For {_name_joints(short)} that is more than repeatability and the calibration's own "
+            "uncertainty "
             f"explain ({shares} of the traverses lie within the interval that should hold 95 %), so the law "
             "lacks something or the joint has changed since its calibration."
         )
     if one_sided:
         told.append(
-            f"The errors of {_name_joints(one_sided)} mostly have one sign: at calibration the step was not what "
+            f"The errors of {_name_joints(one_sided)} mostly have one sign: at calibration the step "
+            "was not what "
             "it was in the rest of the session. See what the law leaves over against the hours in the "
             "session."
         )
     if unsure:
         told.append(
-            f"Whether that is as good as repeatability allows cannot be said for {_name_joints(unsure)}: too few "
+            "Whether that is as good as repeatability allows cannot be said for "
+            f"{_name_joints(unsure)}: too few "
             "replicates within a session. Make each calibration traverse twice."
         )
     return [" ".join(told)] if told else []
@@ -289,7 +293,8 @@ def _describe_missing(calibration: Result) -> str:
     told = []
     if joints := _list_uncalibrated(calibration):
         told.append(
-            f"Not every parameter of {_name_joints(joints)} can be calibrated: the remarks name the traverses "
+            f"Not every parameter of {_name_joints(joints)} can be calibrated: the remarks name the "
+            "traverses "
             "to make."
         )
     for joint, fit in calibration.joints.items():

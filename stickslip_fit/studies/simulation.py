@@ -128,7 +128,9 @@ class CampaignTruths:
         moving = {}
         for (joint, direction), values in self.values.items():
             law = self.laws[joint]
-            moving[joint, direction] = law.in_motion(values) if isinstance(law, ExtendedLaw) else values
+            moving[joint, direction] = (
+                law.without_stop_effects(values) if isinstance(law, ExtendedLaw) else values
+            )
         return CampaignTruths(self.laws, moving, self.factor)
 
     def steps(self, rows: pd.DataFrame, number: IntArray) -> Array:

@@ -43,7 +43,7 @@ def make_problem(
         causes=tuple(cause for cause in known if cause.name not in missing),
         alternatives=build_alternatives,
         kind=drop,
-        uneven=np.ones(len(rows)),
+        noise_ratio=np.ones(len(rows)),
     )
     return problem, missing
 

@@ -122,8 +122,8 @@ def test_only_recoil_tells_an_offset_of_psi_from_one_of_q2():
     both, _ = of_plan(ARM + GUIDE_CALIBRATION + BETWEEN)
     assert arm.needed("psi-offset", "q2-offset") == np.inf
     assert arm.rate("psi-offset", "q2-offset", 8.0) == pytest.approx(0.5, abs=0.01)
-    assert not arm.apart("psi-offset", "q2-offset")
-    assert both.apart("psi-offset", "q2-offset")
+    assert not arm.are_separable("psi-offset", "q2-offset")
+    assert both.are_separable("psi-offset", "q2-offset")
 
 
 def test_a_plan_says_what_it_cannot_see():

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
@@ -45,7 +45,7 @@ class HiddenLaws:
 
     laws: LawValues
     machine: Machine
-    noise: Noise = Noise({})
+    noise: Noise = field(default_factory=lambda: Noise({}))
     seed: int = 0
 
     def law_of(self, row: pd.DataFrame) -> tuple[StepLaw, Array, float]:
@@ -99,7 +99,7 @@ class JointMotion:
         law, values, factor = self.truth.law_of(self.row)
         added = 0.0
         if isinstance(law, ExtendedLaw):
-            values = law.in_motion(values)
+            values = law.without_stop_effects(values)
             added = float(law.added(self.row, values)[0])
         effective = max(added + (steps * np.exp(-self.deviation) - added) * factor, 0.0)
         return float(position_after(law, self.row, values, effective)[0])
@@ -129,7 +129,10 @@ def begin_motion(truth: HiddenLaws, row: pd.DataFrame, deviation: float, misfire
     law, values, factor = truth.law_of(row)
     moving, misfire = values, 0.0
     if isinstance(law, ExtendedLaw):
-        moving, misfire = law.in_motion(values), float(law.misfires(values, misfire_draws[None])[0])
+        moving, misfire = (
+            law.without_stop_effects(values),
+            float(law.misfires(values, misfire_draws[None])[0]),
+        )
     to_stop = float(count_steps(law, row, moving, factor) * np.exp(deviation))
     to_sound = float(count_steps(law, row, values, factor) * np.exp(deviation + misfire))
     return JointMotion(truth, joint, direction, row, to_stop, to_sound, deviation)
