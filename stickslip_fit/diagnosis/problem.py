@@ -140,7 +140,7 @@ class DiagnosisProblem:
             parts=tuple(parts),
             **{
                 name: getattr(self, name)[kept]
-                for name in ("responses", "rounding", "drive", "kind", "uneven")
+                for name in ("responses", "rounding", "drive", "kind", "noise_ratio")
             },
         )
         return replace(smaller, parts=smaller.fit_extended().parts)

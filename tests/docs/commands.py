@@ -96,7 +96,7 @@ def make_targets() -> set[str]:
 
 
 def all_options() -> set[str]:
-    """Every option that any verb of the command line has."""
+    """Every option that any command has."""
 
     def of(command: Any) -> set[str]:
         inner = set().union(*map(of, getattr(command, "commands", {}).values()))
