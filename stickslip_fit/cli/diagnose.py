@@ -179,7 +179,7 @@ def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report:
         save_diagnosis(diagnosis, json_path)
         saved.append(f"saved to {json_path}")
     if report is not None:
-        from stickslip_fit.reporting.sections import diagnosis_page
+        from stickslip_fit.reporting.page import diagnosis_page
 
         write_atomically(report, diagnosis_page(diagnosis, command=command_line()))
         saved.append(f"report written to {report}")

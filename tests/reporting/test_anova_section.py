@@ -9,7 +9,7 @@ import pytest
 from stickslip_fit.anova import analyze_variance
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.anova import draw_days, draw_directions, draw_rotations, factor_pictures
-from stickslip_fit.reporting.sections import make_anova_section
+from stickslip_fit.reporting.page import make_anova_section
 
 ROTATION = tuple({"joint": 3, "q2_deg": -90.0, "theta_deg": theta} for theta in (0.0, -30.0, -90.0))
 DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.reporting import report
-from stickslip_fit.reporting.sections import make_comparison_section
+from stickslip_fit.reporting.page import make_comparison_section
 from stickslip_fit.strategies import (
     ClosedForm,
     ConstantStepStrategy,
