@@ -14,10 +14,10 @@ test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
 
 nightly: $(VENV)/.ready-nightly
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile -m ""
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m ""
 
 format: $(VENV)/.ready-test
 	$(BIN)/ruff check --fix .

@@ -15,7 +15,7 @@ from joblib import parallel_config
 
 HERE = Path(__file__).parent
 OF_A_RUN = {"versions", "command", "seconds"}
-ROUNDING = 1e-13  # of quantities of the order of 1 that are 0 but for rounding
+ROUNDING = 1e-11  # a residual is the difference of two logarithms near 10
 
 
 def leaves(value, path=""):
