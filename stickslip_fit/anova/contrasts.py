@@ -73,10 +73,13 @@ def adjust_holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     >>> adjust_holm([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.06, 0.06]
     """
-    from statsmodels.stats.multitest import multipletests
-
+    # statsmodels gives the same, but takes 0.1 s a call.
     p_values = np.asarray(p_values, float)
-    return multipletests(p_values, method="holm")[1] if p_values.size else p_values
+    order = np.argsort(p_values, kind="stable")
+    n_left = len(p_values) - np.arange(len(p_values))
+    adjusted = np.empty_like(p_values)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * n_left))
+    return adjusted
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ def test_the_analysis_of_reconstructed_readings_has_the_printed_p_and_means(anal
     (found,) = run_factor_tests([reconstruct(analysis, named, p_value)]).factor_tests
     assert found.p_value == pytest.approx(p_value, rel=1e-9)
     assert found.effect.means == pytest.approx(means)
-    assert found.squares.df[1:] == (len(means) - 1, 2 * len(means))
+    assert found.sums.df[1:] == (len(means) - 1, 2 * len(means))
     assert all(record["configuration"] == LABEL for record in run_factor_tests([found.design]).to_json())
 
 
@@ -54,7 +54,7 @@ def test_what_is_known_of_the_thesis_hangs_together(published):
         by_day = stats.f.sf(readings * change**2 / 2 / noise**2, 1, 4)
         days = {"first": means.mean() * 1e-9, "second": (means.mean() + change) * 1e-9}
         (found,) = run_factor_tests([reconstruct("day", days, by_day)]).factor_tests
-        assert found.squares.df[1:] == (1, 4)
+        assert found.sums.df[1:] == (1, 4)
         assert found.p_value == pytest.approx(by_day)
         spread = implied_spread(means, by_direction, readings)
         assert implied_difference(spread, by_day, readings) == pytest.approx(change)
