@@ -20,8 +20,8 @@ def ours(problem: Problem) -> Answer:
     if not ranked:
         ranked = [(max(inclusion, key=lambda cause: inclusion[cause], default="unknown"), score)]
     departure = np.zeros(len(problem.y))
-    kept = np.setdiff1d(np.arange(len(problem.y)), diagnosis.search.outliers)
-    departure[kept] = problem.y[kept] - diagnosis.search.fit.residual
+    kept = np.setdiff1d(np.arange(len(problem.y)), diagnosis.selection.outliers)
+    departure[kept] = problem.y[kept] - diagnosis.selection.fit.residual
     first = diagnosis.findings[0] if diagnosis.findings else None
     return Answer(
         ranked,

@@ -137,9 +137,9 @@ def build_proposal(
 
     `start` and `error`, shape (q,), are estimates and standard errors; NaN or 0 where these are unknown.
     """
-    eta, free = priors.at(start), priors.free
+    eta, free = priors.standardize(start), priors.free
     step = 1e-4
-    slope = (priors.values(eta + step) - priors.values(eta - step)) / (2 * step)
+    slope = (priors.unstandardize(eta + step) - priors.unstandardize(eta - step)) / (2 * step)
     with np.errstate(divide="ignore", invalid="ignore"):
         width = np.where(free, np.abs(error / slope), 1.0)
     root = np.where((width > 0) & (width < 1), width, 1.0)
@@ -178,7 +178,7 @@ class CauseProposal:
         """Standard normal coordinates of the free parameters; and all parameters, shape (k, q)."""
         eta = np.tile(self.centre, (len(xi), 1))
         eta[:, self.free] += self.root[self.free] * xi
-        return eta[:, self.free], self.priors.values(eta)
+        return eta[:, self.free], self.priors.unstandardize(eta)
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Parameters, shape (size, q), and the log of the prior over what they were drawn from, (size,)."""
@@ -218,7 +218,7 @@ def fit_jointly(
     """
     start, error, laws = _least_squares_start(fit_least_squares(log, causes=causes))
     common = priors.causes or weak_cause_priors(next(iter(laws.values())), start, log.usable)
-    fixed = common.values(common.at(start))
+    fixed = common.unstandardize(common.standardize(start))
     data_by_group: dict[Group, GroupData] = {}
     backends: dict[Group, list[Any]] = {}
     for joint, direction, traverses in iterate_groups(log):
@@ -310,7 +310,7 @@ def sample_groups(
 def _least_squares_start(result: Result) -> tuple[Array, Array, dict[int, ExtendedLaw]]:
     """Sizes of the causes by least squares, their standard errors, and the laws with the causes' versions."""
     laws = {joint: fit.law for joint, fit in result.joints.items() if isinstance(fit.law, ExtendedLaw)}
-    last = slice(-len(next(iter(laws.values())).common), None)
+    last = slice(-len(next(iter(laws.values())).cause_parameters), None)
     fits = list(result.joints.values())
     variance = np.concatenate([np.diagonal(fit.covariance, axis1=1, axis2=2)[:, last] for fit in fits])
     sure = variance[np.argmax(np.isfinite(variance).all(axis=1))]

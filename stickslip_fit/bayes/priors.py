@@ -140,7 +140,7 @@ class CausePriors:
     lower: Array
     upper: Array
 
-    def values(self, eta: Array) -> Array:
+    def unstandardize(self, eta: Array) -> Array:
         """Parameters at points that are standard normal under the prior, (..., q) -> (..., q).
 
         Examples
@@ -155,7 +155,7 @@ class CausePriors:
             values[..., j] = self._value(j, eta[..., j])
         return values
 
-    def at(self, values: Array) -> Array:
+    def standardize(self, values: Array) -> Array:
         """Points at which parameters have these values, (..., q) -> (..., q); none beyond the plausible."""
         eta = np.zeros(values.shape)
         for j in range(len(self.names)):
@@ -164,16 +164,16 @@ class CausePriors:
 
     def draw(self, size: int, rng: np.random.Generator) -> Array:
         """Parameters from the prior, shape (size, q)."""
-        return self.values(rng.standard_normal((size, len(self.names))))
+        return self.unstandardize(rng.standard_normal((size, len(self.names))))
 
     @property
     def free(self) -> npt.NDArray[np.bool_]:
         """Which parameters are not fixed, shape (q,)."""
         return self.width > 0
 
-    def lines(self) -> list[list[str]]:
+    def describe(self) -> list[list[str]]:
         """Name, and range of 95 %, of each parameter, as people read it."""
-        low, high = (self.values(np.full(len(self.names), sign * NORMAL_QUANTILE)) for sign in (-1, 1))
+        low, high = (self.unstandardize(np.full(len(self.names), sign * NORMAL_QUANTILE)) for sign in (-1, 1))
         lines = []
         for j, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             text = f"held at {format_value(self.centre[j], unit, 3)}"
@@ -231,24 +231,24 @@ def weak_cause_priors(law: ExtendedLaw, chosen: Array, rows: pd.DataFrame) -> Ca
     `chosen`, shape (q,), fixes parameters that are chosen among trials, such as a moment.
     """
     width = np.concatenate([_prior_width(cause, rows) for cause in law.causes])
-    sudden = np.array([parameter.sudden for parameter in law.common])
+    sudden = np.array([parameter.sudden for parameter in law.cause_parameters])
     return CausePriors(
-        names=tuple(parameter.name for parameter in law.common),
-        units=tuple(parameter.unit for parameter in law.common),
-        centre=np.where(sudden, chosen, law.absent),
+        names=tuple(parameter.name for parameter in law.cause_parameters),
+        units=tuple(parameter.unit for parameter in law.cause_parameters),
+        centre=np.where(sudden, chosen, law.null_values),
         width=np.where(sudden, 0.0, width),
-        lower=np.array([parameter.lower for parameter in law.common]),
-        upper=np.array([parameter.upper for parameter in law.common]),
+        lower=np.array([parameter.lower for parameter in law.cause_parameters]),
+        upper=np.array([parameter.upper for parameter in law.cause_parameters]),
     )
 
 
 def _prior_width(cause: Cause, rows: pd.DataFrame) -> Array:
     """How far each parameter may plausibly be from no effect, shape (q,)."""
-    absent = np.array(cause.absent, dtype=float)
-    sizes: Sequence[Array] = cause.largest()
+    absent = np.array(cause.null_values, dtype=float)
+    sizes: Sequence[Array] = cause.largest_plausible()
     if not sizes:
         trials = np.concatenate([values for version, values in cause.trials(rows) if version == cause])
-        most = np.where(np.arange(len(absent)) == 0, cause.most, 1.0)
+        most = np.where(np.arange(len(absent)) == 0, cause.max_trial_factor, 1.0)
         sizes = list(absent + most * (trials - absent))
     return np.maximum(np.max(np.abs(np.array(sizes) - absent), axis=0), cause.scale)
 
@@ -322,7 +322,7 @@ class Priors:
         if self.causes is None:
             return (session_values,)
         columns = (*words("cause"), *numbers("for the whole campaign (95 %)"))
-        rows = tuple(tuple(line) for line in self.causes.lines())
+        rows = tuple(tuple(line) for line in self.causes.describe())
         return session_values, Table("Priors of causes", columns, rows)
 
     def prior(self, joint: int, direction: str) -> Prior:

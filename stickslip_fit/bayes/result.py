@@ -179,7 +179,7 @@ def identifiable_causes(sample: PosteriorSample) -> BoolArray:
     """Which parameters of causes the log knows better than the prior, or are fixed; shape (q,)."""
     if sample.causes is None:
         return np.zeros(0, dtype=bool)
-    eta = sample.causes.at(sample.draws.mean[:, len(sample.prior.names) :])
+    eta = sample.causes.standardize(sample.draws.mean[:, len(sample.prior.names) :])
     return eta.std(axis=0) < MAX_POSTERIOR_SD
 
 
@@ -191,7 +191,7 @@ def flag_cause_parameters(sample: PosteriorSample) -> list[Flag]:
     assert isinstance(law, ExtendedLaw)
     causes = [cause for cause in law.causes for _ in cause.parameters]
     free, known = sample.causes.free, identifiable_causes(sample)
-    for k, (name, prior) in enumerate(sample.causes.lines()):
+    for k, (name, prior) in enumerate(sample.causes.describe()):
         if not free[k]:
             text = f"{name} is {prior}, where least squares chose it; it has no error bar"
             flags.append(Flag("chosen", ALL_JOINTS, "", "", (name,), text))

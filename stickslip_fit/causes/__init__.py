@@ -15,7 +15,7 @@ notebook or a file:
 ...     shows_best = "one configuration twice, a minute apart"
 ...     columns = ("session_seconds",)
 ...     parameters = (CauseParameter("k", "%", "change of the step size while it is on"),)
-...     absent, scale = (0.0,), (0.01,)
+...     null_values, scale = (0.0,), (0.01,)
 ...
 ...     def factor(self, state, values):
 ...         return 1.0 + values[0] * (state.column("session_seconds") // 60 % 2)

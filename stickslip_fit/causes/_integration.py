@@ -161,7 +161,7 @@ class CountableLaw(Protocol):
         """Widest panel, rad or m, that resolves the step size along a traverse."""
 
     @property
-    def along(self) -> bool:
+    def varies_along_traverse(self) -> bool:
         """Whether the step size varies along a traverse beyond what the published law does."""
 
     def gamma(self, state: State, values: Array) -> Array:
@@ -186,7 +186,7 @@ class AdaptiveCounter:
         self.row_values = row_values
         self._prepared: dict[tuple[Any, ...], tuple[StepCounter, State]] = {}
         self._simple_counters: list[type[StepCounter]] = [UniformCounter]
-        if law.joint != PRISMATIC and not law.along:
+        if law.joint != PRISMATIC and not law.varies_along_traverse:
             self._simple_counters.append(SinusoidalCounter)
         self._n_halvings = 0
 

@@ -58,19 +58,19 @@ class Cause(ABC):
     columns : tuple of str
         Quantities of a traverse that it needs besides positions and angles.
     parameters : tuple of CauseParameter
-    absent, scale : tuple of float
+    null_values, scale : tuple of float
         Of each parameter the value without effect, and a size or a change that matters.
     trial_values : array_like, shape (m, q)
         Values that `trials` has in place of `scale`.
     largest_sizes : tuple of tuple of float
-        The largest plausible values, see `largest`.
-    most : float
+        The largest plausible values, see `largest_plausible`.
+    max_trial_factor : float
         Without `largest_sizes`: how many times its size in `trials` the first parameter may be.
     forms : tuple of str
         Values of its field `form`: equations between which it chooses.
-    along : bool
+    varies_along_traverse : bool
         Whether it varies along a traverse beyond what the law itself does.
-    joined : bool
+    combine_trials : bool
         Whether the trials of a version act in any combination, not one at a time.
     affects_stop_only : bool
         Whether it concerns the detection of the stop, not the motion before it.
@@ -88,15 +88,15 @@ class Cause(ABC):
     session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
-    absent: tuple[float, ...]
+    null_values: tuple[float, ...]
     scale: tuple[float, ...]
     trial_values: ClassVar[npt.ArrayLike | None] = None
     largest_sizes: ClassVar[tuple[tuple[float, ...], ...]] = ()
     forms: ClassVar[tuple[str, ...]] = ()
-    along: ClassVar[bool] = False
-    joined: ClassVar[bool] = False
+    varies_along_traverse: ClassVar[bool] = False
+    combine_trials: ClassVar[bool] = False
     affects_stop_only: ClassVar[bool] = False
-    most: ClassVar[float] = 10.0
+    max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -114,7 +114,7 @@ class Cause(ABC):
         """`max_panel` for given values, shape (n, q)."""
         return self.max_panel
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         """The largest plausible sizes, each shape (q,); a cause that shows at none of them is untestable."""
         return tuple(map(np.array, self.largest_sizes))
 
@@ -148,7 +148,7 @@ class Cause(ABC):
         steps, response = self.extend(law).steps(rows), law.predict(rows, values)
         extended = np.concatenate([values, np.empty((len(values), trials.shape[1]))], axis=1)
         concerned = [parameter.joint in (None, law.joint) for parameter in self.parameters]
-        acts = np.any((trials != np.array(self.absent)) & concerned, axis=1)
+        acts = np.any((trials != np.array(self.null_values)) & concerned, axis=1)
         changes = np.zeros((len(values), len(trials)))
         for k in np.flatnonzero(acts):
             extended[:, values.shape[1] :] = trials[k]
@@ -163,13 +163,13 @@ class Cause(ABC):
         """The cause in a log: with the means and ranges of the log that its equation refers to."""
         return self
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """Why a log cannot show it, or None where nothing is missing."""
         if not rows["joint"].isin(self.joints).any():
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
 
-    def departures(self, values: Array, misfire_draws: Array) -> Array:
+    def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off by chance, (n, q) and (n, 3) -> (n,); none unless overridden."""
         return np.zeros(len(values))
 
@@ -243,7 +243,7 @@ class Composition(StepLaw):
 
     Attributes
     ----------
-    common : tuple of CauseParameter
+    cause_parameters : tuple of CauseParameter
         The causes' parameters, which follow the law's own: one number each for the whole campaign.
     """
 
@@ -251,8 +251,10 @@ class Composition(StepLaw):
         self.law = law
         self.causes = tuple(causes)
         self.joint = law.joint
-        self.common = tuple(_qualify(cause, parameter) for cause in causes for parameter in cause.parameters)
-        self.parameters = (*law.parameters, *self.common)
+        self.cause_parameters = tuple(
+            _qualify(cause, parameter) for cause in causes for parameter in cause.parameters
+        )
+        self.parameters = (*law.parameters, *self.cause_parameters)
 
     @cached_property
     def active_causes(self) -> tuple[tuple[Cause, range], ...]:
@@ -293,7 +295,7 @@ class Composition(StepLaw):
         true = self.true_state(state, values)
         before, factor = self._before_factors(true, values), self._factor(true, values)
         by_law = self._law_slopes(true, values) * factor[..., None]
-        slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.common), len(values), 1))]
+        slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.cause_parameters), len(values), 1))]
         gamma_by_kind: dict[type[Any], Callable[[Array], Array]] = {
             StateCause: lambda shifted: self.gamma(state, shifted),
             TermCause: lambda shifted: self._before_factors(true, shifted) * factor,
@@ -407,14 +409,14 @@ class ExtendedLaw(Composition):
         return min([self.law.max_panel, *panels])
 
     @cached_property
-    def along(self) -> bool:
+    def varies_along_traverse(self) -> bool:
         """Whether a cause varies along a traverse beyond what the law itself does."""
-        return any(cause.along for cause, _ in self.active_causes)
+        return any(cause.varies_along_traverse for cause, _ in self.active_causes)
 
     @property
-    def absent(self) -> Array:
+    def null_values(self) -> Array:
         """Values of the causes' parameters under which the law is the published one, shape (q,)."""
-        return np.array([value for cause in self.causes for value in cause.absent], dtype=float)
+        return np.array([value for cause in self.causes for value in cause.null_values], dtype=float)
 
     def counter(self, rows: Rows) -> Counter:
         """See `StepLaw.counter`; NaN where the step size is not above 0."""
@@ -461,26 +463,26 @@ class ExtendedLaw(Composition):
         moving = np.array(values, dtype=float)
         for cause, columns in self.active_causes:
             if cause.affects_stop_only:
-                moving[..., columns.start : columns.stop] = cause.absent
+                moving[..., columns.start : columns.stop] = cause.null_values
         return moving
 
-    def added(self, rows: Rows, values: Array) -> Array:
+    def steps_added_by_causes(self, rows: Rows, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,)."""
         return self._steps_added(self.parts(rows), values)
 
     def _steps_added(self, parts: list[tuple[slice, AdaptiveCounter]], values: Array) -> Array:
         return np.concatenate([self.steps_added(part.start_state, values[subset]) for subset, part in parts])
 
-    def misfires(self, values: Array, misfire_draws: Array) -> Array:
+    def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
         deviation = np.zeros(len(values))
         for cause, columns in self.active_causes:
-            deviation += cause.departures(values[:, columns.start : columns.stop], misfire_draws)
+            deviation += cause.misfire_deviations(values[:, columns.start : columns.stop], misfire_draws)
         return deviation
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`: the law's own, with the causes absent."""
-        return _append(self.law.start_values(mean_step), self.absent)
+        return _append(self.law.start_values(mean_step), self.null_values)
 
     def scales(self, mean_step: Array) -> Array:
         """See `StepLaw.scales`."""

@@ -35,13 +35,13 @@ class ColumnCause(FactorCause):
 
     mean: float = 0.0
 
-    absent = (0.0,)
+    null_values = (0.0,)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""
         return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         return missing_column(rows, self.columns[0])
 
@@ -93,7 +93,7 @@ class Temperature(ColumnCause):
         return TEMPERATURE_PARAMETERS[: 1 + (self.form == "curved")]
 
     @property
-    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (0.0,) * len(self.parameters)
 
@@ -111,7 +111,7 @@ class Temperature(ColumnCause):
         straight, curved = (replace(self, form=form) for form in self.forms)
         return [(straight, np.array([[0.002]])), (curved, np.array([[0.002, 0.5], [0.002, -0.5]]))]
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
         return (np.array([0.02, 0.0])[: len(self.parameters)],)
 
@@ -183,7 +183,7 @@ class StepRate(FactorCause):
     remedy = "keeping to one step period"
     columns = ("step_period",)
     parameters = (CauseParameter("k", "%", "change of the step size per e-fold of the step period"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.2,),)
 
@@ -191,7 +191,7 @@ class StepRate(FactorCause):
         """See `Cause.bind`."""
         return replace(self, median=float(np.nanmedian(rows["step_period"].to_numpy(float))))
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         return missing_column(rows, "step_period")
 
@@ -232,8 +232,8 @@ class Covariate(FactorCause):
         CauseParameter(f"f{order}", "%", f"Chebyshev coefficient {order} over the column's range")
         for order in range(1, CHEBYSHEV_ORDER + 1)
     )
-    absent = (0.0,) * CHEBYSHEV_ORDER
-    joined = True
+    null_values = (0.0,) * CHEBYSHEV_ORDER
+    combine_trials = True
     scale = (0.01,) * CHEBYSHEV_ORDER
     trial_values = 0.01 * np.eye(CHEBYSHEV_ORDER)
     largest_sizes = ((0.1, 0.0, 0.0),)
@@ -262,7 +262,7 @@ class Covariate(FactorCause):
         values = rows[self.name].astype(float)
         return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         return missing_column(rows, self.name)
 

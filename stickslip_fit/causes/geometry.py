@@ -24,7 +24,7 @@ class AngleOffset(StateCause):
 
     angle: ClassVar[str]
 
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (radians(1.0),)
     trial_values = np.radians([[1.0], [-1.0], [4.0], [-4.0]])
     largest_sizes = ((radians(10.0),), (radians(-10.0),))
@@ -102,17 +102,17 @@ class Q1Gravity(StateCause):
     remedy = "calibrating at the q1 that is used"
     joints = (2, 3)
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.5,)
     largest_sizes = ((1.0,),)
     stage = 2
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         subset = rows[rows["joint"].isin(self.joints)]
         if len(subset) and not subset["q1"].fillna(0.0).any():
             return "every traverse of joints 2 and 3 was made at q1 = 0"
-        return super().missing(rows)
+        return super().explain_missing(rows)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`."""
@@ -138,7 +138,7 @@ class RecoilAxis(StateCause):
     sentence = "The arm recoils most at q2 = {phi:+}, where the law has it at 0 deg"
     joints = (3,)
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (radians(2.0),)
     trial_values = np.radians([[2.0], [-2.0], [6.0], [-6.0], [15.0], [-15.0]])
     largest_sizes = ((radians(15.0),), (radians(-15.0),))
@@ -164,7 +164,7 @@ class RecoilShape(StateCause):
     sentence = "Recoil follows the cosine of q2 to the power {p:.2f}"
     joints = (3,)
     parameters = (CauseParameter("p", "1", "exponent; 1 in the published law", 0.1, 6.0),)
-    absent = (1.0,)
+    null_values = (1.0,)
     scale = (0.2,)
     trial_values = np.array([[0.6], [0.85], [1.2], [1.8]])
     largest_sizes = ((0.5,), (2.0,))

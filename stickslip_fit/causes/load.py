@@ -54,7 +54,7 @@ class SideLoad(FactorCause):
     remedy = "calibrating in the orientation that is used"
     joints = (3,)
     parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.2,),)
 
@@ -96,8 +96,8 @@ class LoadNonlinearity(TermCause):
     shows_best = "joint 3 or 2 at half the full load, upwards and downwards"
     remedy = "calibrating at the loads that are used"
     forms = tuple(BEND_SHAPES)
-    along = True
-    joined = True
+    varies_along_traverse = True
+    combine_trials = True
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -108,7 +108,7 @@ class LoadNonlinearity(TermCause):
         )
 
     @property
-    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (0.0,) * len(self.groups)
 
@@ -126,7 +126,7 @@ class LoadNonlinearity(TermCause):
         """See `Cause.trials`."""
         return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BEND_SHAPES]
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
         return (np.full(len(self.groups), 0.1),)
 
@@ -160,7 +160,7 @@ class LoadHysteresis(FactorCause):
     remedy = "letting a traverse of little load come before each"
     columns = ("before_load",)
     parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.01,)
     largest_sizes = ((0.1,),)
 
@@ -191,7 +191,7 @@ class PayloadChange(StateCause):
         "whatever the configuration, while the step size without load stays what it was. After a session's "
         "end it is part of the next session's calibration."
     )
-    most = 5.0
+    max_trial_factor = 5.0
     shows_best = "joint 3 upright before and after, in both directions"
     remedy = "calibrating anew with each payload"
 
@@ -207,7 +207,7 @@ class PayloadChange(StateCause):
         return ("session", "session_seconds") if self.session else ("payload",)
 
     @property
-    def absent(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (0.0, 0.0) if self.session else (0.0,)
 
@@ -276,16 +276,16 @@ class InertiaQuadratic(TermCause):
     remedy = "calibrating joint 2 at the q3 that is used"
     joints = (2,)
     parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.3,),)
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         subset = rows[rows["joint"] == 2]
         if len(subset) and subset["q3"].round(6).nunique() < 3:
             return "joint 2 was driven at fewer than three positions of joint 3"
-        return super().missing(rows)
+        return super().explain_missing(rows)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`: the bend in the middle, where it is largest."""
@@ -322,10 +322,10 @@ class CableTorque(TermCause):
     remedy = "relieving the cable"
     joints = (1, 2)
     parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.01e-6 * 180 / np.pi,)
     largest_sizes = ((0.1e-6 * 180 / np.pi,),)
-    along = True
+    varies_along_traverse = True
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""

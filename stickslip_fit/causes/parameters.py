@@ -100,8 +100,8 @@ def fill_empty(values: Array, mean: float) -> Array:
 
 
 # A joint's first traverse of a session follows none.
-FIRST = {"before_direction": "", "before_load": 0.0}
-NEEDED = {
+FIRST_TRAVERSE = {"before_direction": "", "before_load": 0.0}
+REQUIRED_HISTORY = {
     "session": "the session's name",
     "session_seconds": "the time since the session's first traverse, s",
     "steps_before": "the steps that the joint has made so far",
@@ -125,14 +125,14 @@ def collect_row_values(rows: Rows, columns: Iterable[str]) -> dict[str, Any]:
     array([nan])
     """
     columns = tuple(columns)
-    absent = [name for name in columns if name in NEEDED and name not in rows]
+    absent = [name for name in columns if name in REQUIRED_HISTORY and name not in rows]
     if absent:
         raise InputError(
-            [InputIssue(f"the law needs {NEEDED[name]}: give it", column=name) for name in absent]
+            [InputIssue(f"the law needs {REQUIRED_HISTORY[name]}: give it", column=name) for name in absent]
         )
     values: dict[str, Any] = {"start": float_column(rows, "start"), "stop": float_column(rows, "stop")}
     for name in columns:
-        default = np.full(len(values["start"]), FIRST.get(name, np.nan))
+        default = np.full(len(values["start"]), FIRST_TRAVERSE.get(name, np.nan))
         values[name] = np.asarray(rows[name]) if name in rows else default
     return values
 

@@ -46,11 +46,11 @@ class BearingRunout(FactorCause):
         CauseParameter("A", "%", "amplitude of the step size over a turn"),
         CauseParameter("phi", "deg", "where the step size is greatest"),
     )
-    absent = (0.0, 0.0)
+    null_values = (0.0, 0.0)
     scale = (0.01, 0.5)
     trial_values = np.column_stack([np.full(4, 0.01), np.radians([0.0, 45.0, 90.0, 135.0])])
     largest_sizes = ((0.1, 0.0), (0.1, np.pi / 2))
-    along = True
+    varies_along_traverse = True
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
@@ -61,7 +61,7 @@ class GuideProfileCause(FactorCause):
     """gamma times a factor that depends on the position along the guide alone."""
 
     joints = (PRISMATIC,)
-    along = True
+    varies_along_traverse = True
 
     @abstractmethod
     def profile(self, position: Array, values: list[Array]) -> Array:
@@ -71,13 +71,13 @@ class GuideProfileCause(FactorCause):
         """See `FactorCause.factor`."""
         return self.profile(state.position, values)
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         subset = rows[rows["joint"].isin(self.joints)]
         ends = np.sort(subset[["start", "stop"]].to_numpy(float), axis=1).round(7)
         if len(subset) and len(np.unique(ends, axis=0)) < 2:
             return "every prismatic traverse runs the whole guide"
-        return super().missing(rows)
+        return super().explain_missing(rows)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: under a published law, each distinct stretch is integrated once."""
@@ -107,7 +107,7 @@ class GuideGradient(GuideProfileCause):
     sentence = "Joint 3's steps {k:grow|shrink} by {k} along the guide"
     remedy = "calibrating over the stretch that is used"
     parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (2.0,)
     largest_sizes = ((20.0,),)
 
@@ -139,7 +139,7 @@ class WornSpot(GuideProfileCause):
         CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
         CauseParameter("w", "mm", "its width", lower=NARROWEST_SPOT, upper=6e-3),
     )
-    absent = (0.0, 6e-3, 1e-3)
+    null_values = (0.0, 6e-3, 1e-3)
     scale = (0.05, 1e-3, 1e-3)
     largest_sizes = tuple((0.5, x0, 1e-3) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
     max_panel = WIDTHS_IN_PANEL * NARROWEST_SPOT
@@ -178,7 +178,7 @@ class EndStopLatency(CountCause):
     sentence = "The end stop is heard {L} {L:late|early}"
     remedy = "taking those steps off every count"
     parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (20.0,)
     largest_sizes = ((300.0,),)
     affects_stop_only = True
@@ -203,11 +203,11 @@ class ReversalLoss(CountCause):
     remedy = "adding those steps after each reversal"
     columns = ("before_direction",)
     parameters = (CauseParameter("L", "steps", "steps lost at a reversal"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (20.0,)
     largest_sizes = ((300.0,),)
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
         reversals = is_reversed(rows["before_direction"], rows["direction"])
         if not reversals.any():
@@ -243,7 +243,7 @@ class EndStopMisfire(Cause):
         CauseParameter("share", "%", "of the counts", lower=0.0, upper=1.0),
         CauseParameter("size", "%", "typical departure of such a count", lower=0.0),
     )
-    absent = (0.0, 0.0)
+    null_values = (0.0, 0.0)
     scale = (0.01, 0.05)
     affects_stop_only = True
 
@@ -256,7 +256,7 @@ class EndStopMisfire(Cause):
         one_in = round(1 / sizes["share"].size.estimate)
         return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
 
-    def departures(self, values: Array, misfire_draws: Array) -> Array:
+    def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps that misfires add to counts, (n, 2) -> (n,).
 
         `misfire_draws`, shape (n, 3), are uniform in [0, 1]: for its occurrence, its size and its sign.

@@ -49,7 +49,7 @@ class ThermalWarmUp(FactorCause):
         CauseParameter("A", "%", "change of the step size once warm"),
         CauseParameter("tau", "min", "time constant of warming up", lower=30.0, upper=3 * 3600.0),
     )
-    absent = (0.0, 600.0)
+    null_values = (0.0, 600.0)
     scale = (0.01, 600.0)
     trial_values = np.column_stack([np.full(len(TIME_CONSTANTS), 0.01), TIME_CONSTANTS])
     largest_sizes = tuple((0.1, tau) for tau in TIME_CONSTANTS)
@@ -78,7 +78,7 @@ class Drift(FactorCause):
     remedy = "recalibrating within the session"
     columns = ("session_seconds",)
     parameters = (CauseParameter("k", "%/h", "change of the step size per hour"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.01 / SECONDS_PER_HOUR,)
     largest_sizes = ((0.1 / SECONDS_PER_HOUR,),)
 
@@ -103,7 +103,7 @@ class SessionJump(FactorCause):
     sentence = "Steps {A:grow|shrink} by {A} {moment} into session {session}, and stay so"
     remedy = "calibrating anew after it"
     columns = ("session", "session_seconds")
-    absent = (0.0, 0.0)
+    null_values = (0.0, 0.0)
     scale = (0.01, 600.0)
 
     @property
@@ -159,7 +159,7 @@ class Wear(FactorCause):
         CauseParameter("k", "%", "change of the step size per e-fold of steps"),
         CauseParameter("n0", "steps", "steps after which wear has slowed down", lower=1e3, upper=1e7),
     )
-    absent = (0.0, 1e5)
+    null_values = (0.0, 1e5)
     scale = (0.005, 1e5)
     trial_values = np.column_stack([np.full(len(WEAR_SCALES), 0.005), WEAR_SCALES])
     largest_sizes = tuple((0.05, scale) for scale in WEAR_SCALES)

@@ -271,7 +271,7 @@ def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
 
     laws = (Base, Elbow, Prismatic)
     law_units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
-    cause_parameters = ExtendedLaw(Prismatic(), library()).common
+    cause_parameters = ExtendedLaw(Prismatic(), library()).cause_parameters
     units = law_units | {parameter.name: parameter.unit for parameter in cause_parameters}
     match = _BOUND_PATTERN.fullmatch(text.strip())
     if match is None or match[1] not in units or not (match[2] or match[3]):

@@ -66,7 +66,7 @@ class EstimatorOptions:
     repeatability : tuple of str
         PERCENT or JOINT±=PERCENT.
     seed : int
-    walks : Path or None
+    chains : Path or None
         Of Bayes.
     causes : tuple of str
         Names of causes to fit with the laws; not by the closed form.
@@ -81,7 +81,7 @@ class EstimatorOptions:
     bounds: tuple[str, ...] = ()
     repeatability: tuple[str, ...] = ()
     seed: int = 0
-    walks: Path | None = None
+    chains: Path | None = None
     causes: tuple[str, ...] = ()
     causes_from: Path | None = None
 
@@ -115,7 +115,7 @@ def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
         ("--campaign-wide", Method.least_squares, options.campaign_wide),
         ("--bound", Method.least_squares, options.bounds),
         ("--repeatability", Method.least_squares, options.repeatability),
-        ("--walks", Method.bayes, options.walks),
+        ("--chains", Method.bayes, options.chains),
         ("--tree", Method.bayes, outputs.tree),
     ):
         if value and options.method is not method:
@@ -176,7 +176,9 @@ def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
 
     rows = log.usable
     known = {cause.name: cause for cause in (*library(), *covariates(rows))}
-    missing = {name: reason for name, cause in known.items() if (reason := cause.missing(rows)) is not None}
+    missing = {
+        name: reason for name, cause in known.items() if (reason := cause.explain_missing(rows)) is not None
+    }
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
     issues = [
@@ -217,7 +219,12 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     watched = sys.stderr.isatty()
     causes = select_named_causes(options.causes, log)
     posterior = fit_bayes(
-        log, causes=causes, seed=options.seed, backend=options.walks, progress=watched, command=command_line()
+        log,
+        causes=causes,
+        seed=options.seed,
+        backend=options.chains,
+        progress=watched,
+        command=command_line(),
     )
     summary = posterior.summary()
     summary = replace(summary, sections=(*summary.sections, checks_section(posterior)))
@@ -338,8 +345,8 @@ def fit(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
-    walks: Annotated[
-        Path | None, typer.Option(help="Bayes: HDF5 file of the walks; the same call continues them.")
+    chains: Annotated[
+        Path | None, typer.Option(help="Bayes: HDF5 file of the MCMC chains; the same call continues them.")
     ] = None,
     tree: Annotated[
         Path | None, typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads.")
@@ -348,7 +355,7 @@ def fit(
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
-    options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, walks, *causes)
+    options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
     _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart, tree))
 
 

@@ -72,7 +72,8 @@ def summarize_plan(matrix: SeparabilityMatrix, plan: str, traverses: int, sessio
     hard = [
         (one, other, needed)
         for one, other, needed in matrix.pairs()
-        if needed > min(matrix.of(one).found, matrix.of(other).found)
+        if needed
+        > min(matrix.detectability(one).detection_strength, matrix.detectability(other).detection_strength)
     ]
     number = len(matrix.detectable) + len(matrix.scatter_only)
     text = (
@@ -96,8 +97,8 @@ def _sizes_table(matrix: SeparabilityMatrix) -> Table:
     rows = tuple(
         (
             one.cause,
-            _format_size(one, one.smallest),
-            _format_size(one, one.largest),
+            _format_size(one, one.smallest_size),
+            _format_size(one, one.largest_size),
             _hardest_rival(matrix, one.cause),
         )
         for one in matrix.detectable
@@ -109,14 +110,14 @@ def _sizes_table(matrix: SeparabilityMatrix) -> Table:
 def _hardest_rival(matrix: SeparabilityMatrix, cause: str) -> str:
     """The rival with the largest rate of confusion, and that rate."""
     others = [other for other in matrix.causes if other != cause]
-    rates = [matrix.rate(cause, other, SHOWN_AT) for other in others]
+    rates = [matrix.pair_confusion(cause, other, SHOWN_AT) for other in others]
     if not rates or max(rates) < MAX_CONFUSION_DESIGN:
         return MISSING
     return f"{others[int(np.argmax(rates))]} {format_percent(max(rates))}"
 
 
 def _explain_sizes(matrix: SeparabilityMatrix) -> str:
-    strengths = [one.found for one in matrix.detectable]
+    strengths = [one.detection_strength for one in matrix.detectable]
     if not strengths:
         return ""
     text = (
@@ -137,10 +138,10 @@ def _pairs_table(matrix: SeparabilityMatrix, hard: Sequence[tuple[str, str, floa
         (
             one,
             other,
-            format_percent(matrix.rate(one, other, SHOWN_AT)),
+            format_percent(matrix.pair_confusion(one, other, SHOWN_AT)),
             f"{needed:.1f}" if np.isfinite(needed) else "never",
-            _size_at(matrix.of(one), needed),
-            _size_at(matrix.of(other), needed),
+            _size_at(matrix.detectability(one), needed),
+            _size_at(matrix.detectability(other), needed),
         )
         for one, other, needed in hard[:MAX_PAIRS]
     )
@@ -156,7 +157,7 @@ def _size_at(cause: Detectability, strength: float) -> str:
     if not np.isfinite(strength):
         return MISSING
     size = cause.size(strength)
-    return _format_size(cause, size) if size <= cause.largest else f"({_format_size(cause, size)})"
+    return _format_size(cause, size) if size <= cause.largest_size else f"({_format_size(cause, size)})"
 
 
 def _format_size(cause: Detectability, value: float) -> str:

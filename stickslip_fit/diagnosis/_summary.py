@@ -86,7 +86,7 @@ def write_headline(diagnosis: Diagnosis) -> list[str]:
 
 def name_cause(cause: str, diagnosis: Diagnosis) -> str:
     """A cause in words, with its name."""
-    phrases = {one.name: getattr(one, "phrase", "") for one in diagnosis.search.problem.causes}
+    phrases = {one.name: getattr(one, "phrase", "") for one in diagnosis.selection.problem.causes}
     return f"{phrases[cause]} ({cause})" if phrases.get(cause) else cause
 
 
@@ -276,7 +276,7 @@ def _scope(parameter: SizedParameter) -> str:
 
 
 def _outliers_table(traverses: pd.DataFrame) -> Table:
-    columns = (*words("session", "time", "joint"), Column("steps"), Column("count less law", "%"))
+    columns = (*words("session", "time", "joint"), Column("steps"), Column("residual", "%"))
     order = traverses["departure"].abs().sort_values(ascending=False).index
     largest = traverses.loc[order].head(MAX_TRAVERSES)
     rows = tuple(
@@ -343,8 +343,8 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
 
     The Bayes factor is that of the test in which the cause was selected, or else of the last one.
     """
-    evidence = dict(diagnosis.search.last.log_evidence_by_cause)
-    for selected in diagnosis.search.found:
+    evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
+    for selected in diagnosis.selection.selected:
         if selected.misfit is not None:
             for cause in (selected.cause, *selected.cause_set.rivals):
                 evidence[cause] = selected.misfit.log_evidence_by_cause[cause]

@@ -132,7 +132,7 @@ def forecast_candidates(problem: DiagnosisProblem, machine: Machine) -> list[For
         conditions = _typical_conditions(problem.rows, part.law.joint)
         for direction in sorted(rows["direction"].astype(str).unique()):
             last = np.flatnonzero((rows["direction"] == direction).to_numpy())[-1]
-            repeatability = float(problem.repeatability[problem.drive[part.rows[last]]])
+            repeatability = float(problem.repeatability[problem.noise_group[part.rows[last]]])
             session = _FutureSession(part.law, part.values[last], conditions, machine)
             forecasts += session.forecasts(direction, problem.rows, repeatability)
     return forecasts

@@ -107,16 +107,16 @@ class _FoldInformation:
         Of the rows' coordinates and the causes' effects.
     effect : array, shape (B, k)
         Squared effects.
-    left : array, shape (k,)
+    remaining_strength : array, shape (k,)
         Squared strength of each cause in the training rows, calibrated by them.
-    least : array, shape (k,)
+    min_strength : array, shape (k,)
     """
 
     own: Array
     cross: Array
     effect: Array
-    left: Array
-    least: Array
+    remaining_strength: Array
+    min_strength: Array
 
     @classmethod
     def empty(cls, blocks: int, width: int, effects: Array) -> _FoldInformation:
@@ -135,11 +135,11 @@ class _FoldInformation:
         np.add.at(squares, at, effect**2)
         if np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
             return False
-        left = self.left + before - _lost_strength(own, cross, squares)
-        if np.any(left < self.least):
+        left = self.remaining_strength + before - _lost_strength(own, cross, squares)
+        if np.any(left < self.min_strength):
             return False
         self.own[blocks], self.cross[blocks], self.effect[blocks] = own, cross, squares
-        self.left[:] = left
+        self.remaining_strength[:] = left
         return True
 
 
@@ -194,7 +194,7 @@ def compute_held_out_errors(
         Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
         for the first two, and so on; at last with all selected causes.
     """
-    training = problem.without(np.setdiff1d(np.arange(len(problem)), split.train))
+    training = problem.without_rows(np.setdiff1d(np.arange(len(problem)), split.train))
     selection = selector(training, np.random.default_rng(seed))
     errors = [_prediction_errors(problem, split, (), np.zeros(0))]
     causes = selection.law_causes

@@ -78,9 +78,9 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
 
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
-    linearized, slices = selection.problem.study(), iter(selection.slices)
+    linearized, slices = selection.problem.linearize(), iter(selection.slices)
     findings = []
-    for selected in selection.found:
+    for selected in selection.selected:
         if selected.cause == MISFIRE:
             findings.append(_size_misfires(selection, problem, selected))
         elif selected.cause == UNKNOWN:
@@ -218,7 +218,7 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
 
 
 def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
-    misfit, linearized = selected.misfit, selection.study
+    misfit, linearized = selected.misfit, selection.linearized
     assert misfit is not None
     best = misfit.best_hypothesis(UNKNOWN)
     shape = _shrink_structure(best, linearized.residual)
@@ -234,7 +234,7 @@ def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -
     if closest:
         near = misfit.best_hypothesis(closest)
         assert isinstance(near, Hypothesis)
-        share = float(np.sum(near.along(shape) ** 2)) / max(squares, MIN_LENGTH)
+        share = float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
     size = np.abs(shape)
     joints = _joints_of_laws(
         part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
@@ -247,9 +247,9 @@ def _shrink_structure(structure: Hypothesis | AR1, residual: Array) -> Array:
     """Posterior mean of a structure given the residuals, shape (n,)."""
     if isinstance(structure, AR1):
         return structure.shape(residual)
-    along = structure.along(residual)
+    along = structure.coefficients(residual)
     strength2 = max(float(along @ along) - len(along), 0.0)
-    kept = structure.share * strength2 / (1.0 + structure.share * strength2)
+    kept = structure.prior_share * strength2 / (1.0 + structure.prior_share * strength2)
     return structure.combine(kept * along)
 
 

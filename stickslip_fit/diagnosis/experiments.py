@@ -47,14 +47,14 @@ def next_experiment(diagnosis: Diagnosis) -> tuple[NextTraverse, ...]:
     InputError
         If causes are left and the data were no log.
     """
-    selection = diagnosis.search
+    selection = diagnosis.selection
     doubtful = [finding for finding in diagnosis.findings if finding.equivalent and finding.cause != UNKNOWN]
     if not doubtful:
         return ()
     forecasts = forecast_candidates(selection.problem, diagnosis.require_log().machine)
     traverses: list[NextTraverse] = []
     for finding in doubtful:
-        (selected,) = (one for one in selection.found if one.cause == finding.cause)
+        (selected,) = (one for one in selection.selected if one.cause == finding.cause)
         fits = {cause: _fit_rival(selection, selected, cause) for cause in finding.cause_set}
         traverses += _choose_traverses(_evaluate_candidates(fits, forecasts), finding.cause_set)
     return tuple(traverses)
@@ -125,7 +125,7 @@ def _fit_rival(selection: Selection, selected: SelectedCause, cause: str) -> Ext
     misfit = selected.misfit
     assert misfit is not None
     shape: Any = misfit.best_hypothesis(cause)
-    start = np.array(shape.version.absent) if shape.values is None else shape.values
+    start = np.array(shape.version.null_values) if shape.values is None else shape.values
     rival = replace(selected, cause=cause, version=shape.version, start=start)
     chosen = selected if cause == selected.cause else rival
     causes = [chosen if one is selected else one for one in selection.law_causes]
@@ -228,7 +228,7 @@ def suggest_traverses(
     InputError
         If the data were no log.
     """
-    problem, machine = diagnosis.search.problem, diagnosis.require_log().machine
+    problem, machine = diagnosis.selection.problem, diagnosis.require_log().machine
     rows, forecasts = problem.rows, forecast_candidates(problem, machine)
     suggestions = []
     for cause in (*library(), *covariates(rows)) if causes is None else causes:
@@ -263,7 +263,9 @@ def _quickest_traverse(
 
 def _min_strength(cause: Cause, forecast: Forecast, rows: pd.DataFrame) -> Array:
     """Of the cause's largest plausible effect in one reading of each traverse, minimum over shapes, (m,)."""
-    shapes = [(cause, np.array(cause.largest()))] if cause.largest() else cause.trials(rows)
+    shapes = (
+        [(cause, np.array(cause.largest_plausible()))] if cause.largest_plausible() else cause.trials(rows)
+    )
     effects = [
         np.abs(forecast.predict_effect(version.extend(forecast.law), sizes))
         for version, values in shapes

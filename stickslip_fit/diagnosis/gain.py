@@ -172,7 +172,7 @@ def _collect_errors(
 
 def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
     """By linear algebra: where nothing extends the law, the selection need not be repeated."""
-    linearized = selection.problem.study()
+    linearized = selection.problem.linearize()
     residual = linearized.residual[:, None]
     errors = [
         subtract_calibration(linearized.basis, split.calibration, split.held_out, residual)[:, 0]
@@ -196,7 +196,7 @@ def _make_gain(selection: Selection, splits: Sequence[Split], errors: Array, lim
 
 def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> list[Split]:
     """Hold out configurations, keeping the selected causes determined."""
-    linearized, values = selection.problem.study(), selection.fit.values
+    linearized, values = selection.problem.linearize(), selection.fit.values
     changes = [
         compute_changes(linearized, selected.version, values[None, place])
         for selected, place in zip(selection.law_causes, selection.slices, strict=True)
@@ -224,7 +224,7 @@ def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: f
 
 def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: float) -> LinearizedCampaign:
     """The fit with its causes, linearized, for simulated replicates; `causes` give the order."""
-    linearized, fit = selection.problem.study(), selection.fit
+    linearized, fit = selection.problem.linearize(), selection.fit
     by_name = {
         selected.cause: (selected, place)
         for selected, place in reversed([*zip(selection.law_causes, selection.slices, strict=True)])
@@ -235,7 +235,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         for one, place in zip(selected, places, strict=True)
     ]
     slopes = _cause_jacobian(selection) / linearized.scale[:, None]
-    critical = selection.first.critical_value(allocate_alpha(alpha))
+    critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
         detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)
         for one in selected
@@ -244,7 +244,8 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
     return LinearizedCampaign(
         linearized.basis,
         linearized.scale,
-        selection.study.residual / np.sqrt(1.0 - np.minimum(selection.study.leverage, MAX_LEVERAGE)),
+        selection.linearized.residual
+        / np.sqrt(1.0 - np.minimum(selection.linearized.leverage, MAX_LEVERAGE)),
         np.concatenate(changes, axis=1) / linearized.scale[:, None],
         tuple(slopes[:, place] for place in places),
         np.array(thresholds),
@@ -283,6 +284,6 @@ def _explained_shape(misfit: Misfit, cause: str, df: int) -> tuple[Array, float]
     """The part of the residuals that a cause explains, (n,), and its log evidence less its log likelihood."""
     best = misfit.best_hypothesis(cause)
     assert isinstance(best, Hypothesis)
-    along = best.along(misfit.residual)
+    along = best.coefficients(misfit.residual)
     share = float(along @ along) / float(misfit.residual @ misfit.residual)
     return best.combine(along), misfit.log_evidence_by_cause[cause] - float(log_likelihood_ratio(share, df))

@@ -73,7 +73,7 @@ class LinearizedCampaign:
     effects: Array
     slopes: tuple[Array, ...]
     thresholds: Array
-    rivals: tuple[CompetingCauses, ...]
+    competing_causes: tuple[CompetingCauses, ...]
 
     def project_along(self, training: IntArray, columns: Array, responses: Array) -> Array:
         """Responses of some rows along columns, calibration projected out; (n, c), (n, m) -> (m, c)."""
@@ -201,7 +201,7 @@ def _simulate_replicates(
     for split in splits:
         spread = [
             RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
-            for one in campaign.rivals
+            for one in campaign.competing_causes
         ]
         results = np.stack(
             [simulate_selection(campaign, j, split.train, responses, spread[j]) for j in range(k)], axis=1
@@ -228,7 +228,7 @@ def simulate_selection(
     `responses` has shape (n, m); `spread`, shape (m, r), is added to the log Bayes factor of each rival. The
     result, shape (m,), is `CAUSE_FOUND`, the number of the rival, counted from 1, or `NONE_FOUND`.
     """
-    rivals = campaign.rivals[cause]
+    rivals = campaign.competing_causes[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
     length = np.abs(campaign.project_along(training, columns, responses))
     left = subtract_calibration(campaign.basis, training, training, responses)
@@ -248,7 +248,9 @@ def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
 def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> list[Array]:
     """Directions of the law's extension by the results for the first causes."""
     return [
-        campaign.slopes[cause] if one == CAUSE_FOUND else campaign.rivals[cause].shapes[:, one - 1 : one]
+        campaign.slopes[cause]
+        if one == CAUSE_FOUND
+        else campaign.competing_causes[cause].shapes[:, one - 1 : one]
         for cause, one in enumerate(result)
         if one != NONE_FOUND
     ]

@@ -50,7 +50,7 @@ class Hypothesis:
         Of the cause's parameters, where it has one direction only.
     columns : array or sparse array, shape (n, m)
         The directions, orthogonal to the calibration; sparse where each session has its own.
-    share : array, shape (m,)
+    prior_share : array, shape (m,)
         Sums to 1.
     length : float
         Norm of the effect at `values`.
@@ -60,7 +60,7 @@ class Hypothesis:
     version: Any
     values: Array | None
     columns: Array | csc_array
-    share: Array
+    prior_share: Array
     length: float
 
     @property
@@ -68,7 +68,7 @@ class Hypothesis:
         """As `columns`, never sparse."""
         return self.columns if isinstance(self.columns, np.ndarray) else self.columns.toarray()
 
-    def along(self, residual: Array) -> Array:
+    def coefficients(self, residual: Array) -> Array:
         """Coefficient of a residual, shape (n,), along each direction; shape (m,)."""
         return np.asarray(self.columns.T @ residual)
 
@@ -237,8 +237,8 @@ def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials
     """
     changes = _compute_changes(linearized, version, trials)
     if (stalled := ~np.isfinite(changes).all(axis=0)).any():
-        smaller, absent = trials[stalled].copy(), np.array(version.absent)
-        sizes = slice(None) if version.joined else slice(0, 1)
+        smaller, absent = trials[stalled].copy(), np.array(version.null_values)
+        sizes = slice(None) if version.combine_trials else slice(0, 1)
         smaller[:, sizes] = absent[sizes] + (smaller[:, sizes] - absent[sizes]) / SHRINK_FACTOR
         scaled = SHRINK_FACTOR * _compute_changes(linearized, version, smaller)
         changes[:, stalled] = np.where(np.isfinite(scaled).all(axis=0), scaled, 0.0)
@@ -270,7 +270,7 @@ def build_candidates(linearized: LinearizedFit, causes: Iterable[Any]) -> list[H
                 candidates += build_session_hypotheses(cause.name, version, trials, n, session, effects)
                 continue
             effects = compute_effects(linearized, version, trials)
-            if version.joined:
+            if version.combine_trials:
                 candidates.append(make_hypothesis(cause.name, version, None, effects))
             else:
                 candidates += [

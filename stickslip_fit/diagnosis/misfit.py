@@ -52,30 +52,30 @@ class HypothesisBatch:
     ----------
     directions : array, shape (n, m)
         Of the hypotheses with dense directions.
-    sparse : sparse array, shape (m', n)
+    sparse_directions : sparse array, shape (m', n)
         Directions of the others, in rows.
-    share : array, shape (m + m',)
-    first : array of int
+    prior_share : array, shape (m + m',)
+    first_direction : array of int
         Where the directions of each hypothesis begin.
     ar1s : tuple of AR1
-    place : array of int, shape (H,)
+    position : array of int, shape (H,)
         Of each hypothesis, in the order given, in (dense, sparse, AR(1)).
     df : int
     """
 
     directions: Array
-    sparse: csr_array
-    share: Array
-    first: npt.NDArray[np.intp]
+    sparse_directions: csr_array
+    prior_share: Array
+    first_direction: npt.NDArray[np.intp]
     ar1s: tuple[AR1, ...]
-    place: npt.NDArray[np.intp]
+    position: npt.NDArray[np.intp]
     df: int
 
     def log_evidence(self, residuals: Array) -> Array:
         """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
         subspaces = logsumexp(np.stack(list(self._at_each_strength(residuals))), axis=0)
         return np.concatenate([subspaces - np.log(len(STRENGTHS)), *self._ar1_log_evidence(residuals)])[
-            self.place
+            self.position
         ]
 
     def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
@@ -86,18 +86,18 @@ class HypothesisBatch:
         ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
         evidence = np.concatenate([subspaces / len(STRENGTHS), *ar1s])
         weight = np.empty(len(log_weight))
-        weight[self.place] = np.exp(log_weight)
+        weight[self.position] = np.exp(log_weight)
         return np.log(weight @ evidence)
 
     def _at_each_strength(self, residuals: Array) -> Iterator[Array]:
-        along = np.concatenate([self.directions.T @ residuals, self.sparse @ residuals]) ** 2
+        along = np.concatenate([self.directions.T @ residuals, self.sparse_directions @ residuals]) ** 2
         along /= np.sum(residuals**2, axis=0)
         for strength in STRENGTHS:
-            signal = strength**2 * self.share
+            signal = strength**2 * self.prior_share
             explained = along * (signal / (1.0 + signal))[:, None]
-            if len(self.first) < len(self.share):
-                explained = np.add.reduceat(explained, self.first, axis=0)
-            spread = np.add.reduceat(np.log1p(signal), self.first)
+            if len(self.first_direction) < len(self.prior_share):
+                explained = np.add.reduceat(explained, self.first_direction, axis=0)
+            spread = np.add.reduceat(np.log1p(signal), self.first_direction)
             log = np.log1p(-np.minimum(explained, MAX_EXPLAINED))
             log *= -0.5 * self.df
             log -= 0.5 * spread[:, None]
@@ -123,8 +123,8 @@ def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> Hypothe
     return HypothesisBatch(
         np.concatenate([np.zeros((n, 0)), *(one.columns for one in dense)], axis=1),
         csr_array(hstack([csc_array((n, 0)), *(one.columns for one in sparse)], format="csc").T),
-        np.concatenate([one.share for one in subspaces]),
-        np.concatenate([[0], np.cumsum([len(one.share) for one in subspaces])[:-1]]).astype(np.intp),
+        np.concatenate([one.prior_share for one in subspaces]),
+        np.concatenate([[0], np.cumsum([len(one.prior_share) for one in subspaces])[:-1]]).astype(np.intp),
         tuple(ar1s),
         place,
         df,
@@ -156,9 +156,9 @@ def remove_structure(
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
         return StructureRemoved(residual - shape.shape(residual), zeros)
-    along = shape.along(residual)
+    along = shape.coefficients(residual)
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
-    kept = strength**2 * shape.share / (1.0 + strength**2 * shape.share)
+    kept = strength**2 * shape.prior_share / (1.0 + strength**2 * shape.prior_share)
     return StructureRemoved(residual - shape.combine(kept * along), shape.leverage(kept))
 
 
@@ -233,7 +233,7 @@ def compute_misfit(
     }
     statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
     draw_noise = _make_null_sampler(linearized, remove_structure(linearized.residual, hypotheses, own), rng)
-    size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), len(batch.share)), 1))
+    size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), len(batch.prior_share)), 1))
     for first in range(0, n_bootstrap, size):
         noise = draw_noise(min(size, n_bootstrap - first))
         null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])

@@ -189,12 +189,12 @@ class _OutlierTest:
     def __init__(self, linearized: LinearizedFit, drive: IntArray) -> None:
         self.linearized = linearized
         self.known = np.flatnonzero(linearized.leverage < MAX_LEVERAGE)
-        self.drive = drive[self.known]
+        self.noise_group = drive[self.known]
 
     def deviations(self, residuals: Array) -> Array:
         """Absolute residuals in units of their drive's median, shape (n, k) -> (k, known)."""
         kept = np.sqrt(1.0 - self.linearized.leverage[self.known])
-        return _scale_by_median(np.abs(residuals[self.known]).T / kept, self.drive)
+        return _scale_by_median(np.abs(residuals[self.known]).T / kept, self.noise_group)
 
     def p_value(self, ratio: float, df: float, n_simulations: int, rng: np.random.Generator) -> float:
         """Share of logs of Student t noise alone with at least this likelihood ratio."""

@@ -104,7 +104,7 @@ def diagnose_problem(
         As of `diagnose`.
     """
     began = time.perf_counter()
-    linearized = problem.study()
+    linearized = problem.linearize()
     too_small = explain_too_small(linearized)
     if too_small:
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
@@ -121,7 +121,7 @@ def diagnose_problem(
     )
     findings = size_findings(selection, testable, alpha) if selection.p_value < alpha else ()
     searched = selection.problem
-    row_sd = searched.repeatability[searched.drive] * searched.noise_ratio
+    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
     return Diagnosis(
         verdict=_choose_verdict(findings),
         findings=findings,
@@ -133,8 +133,8 @@ def diagnose_problem(
         alpha=alpha,
         seed=seed,
         seconds=time.perf_counter() - began,
-        search=selection,
-        aliased_causes=find_aliased_causes(selection.first),
+        selection=selection,
+        aliased_causes=find_aliased_causes(selection.first_misfit),
     )
 
 
@@ -155,8 +155,8 @@ def _inclusion_probabilities(
     selection: Selection, problem: DiagnosisProblem, untestable: Mapping[str, str]
 ) -> dict[str, float | None]:
     """Probability of each cause: of a selected one when it was selected, of all others in the last test."""
-    last = cause_probabilities(selection.last.log_evidence_by_cause)
-    if not selection.found:
+    last = cause_probabilities(selection.last_misfit.log_evidence_by_cause)
+    if not selection.selected:
         # Without an alarm the evidence is within chance, so that all causes share at most one half.
         last = {
             cause: value * min(1.0, MAX_INCLUSION_WITHOUT_ALARM / sum(last.values()))
@@ -164,7 +164,7 @@ def _inclusion_probabilities(
         }
     inclusion: dict[str, float | None] = dict.fromkeys([*(c.name for c in problem.causes), UNKNOWN], 0.0)
     inclusion |= last
-    for selected in selection.found:
+    for selected in selection.selected:
         if selected.misfit is None:
             inclusion[selected.cause] = OUTLIER_INCLUSION
             continue

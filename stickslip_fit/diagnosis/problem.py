@@ -50,30 +50,31 @@ class DiagnosisProblem:
         The baseline laws at their fitted values; between them every row once.
     responses, rounding : array, shape (n,)
         What was measured, and the variance that rounding adds.
-    drive : array of int, shape (n,)
+    noise_group : array of int, shape (n,)
         Index of each row's repeatability.
     repeatability : array
-        Standard deviation of the responses of each drive.
+        Standard deviation of the responses of each group.
     causes : tuple
-        Candidates, bound to the rows. Each has `name`, `phrase`, `joints`, `session`, `parameters`, `absent`,
-        `scale`, `most`, `joined`, `trials`, `largest`, `extend` and `changes` as a `Cause` has them.
+        Candidates, bound to the rows. Each has `name`, `phrase`, `joints`, `session`, `parameters`,
+        `null_values`, `scale`, `max_trial_factor`, `combine_trials`, `trials`, `largest_plausible`,
+        `extend` and `changes` as a `Cause` has them.
     alternatives : callable
         From a LinearizedFit to the unstructured alternatives, which stand for ``unknown``.
-    kind : array of int, shape (n,)
+    configuration : array of int, shape (n,)
         Configuration of each row; the noise may depend on it.
     noise_ratio : array, shape (n,)
-        Standard deviation of each row's configuration over that of its drive.
+        Standard deviation of each row's configuration over that of its group.
     """
 
     rows: pd.DataFrame
     parts: tuple[LawBlock, ...]
     responses: Array
     rounding: Array
-    drive: IntArray
+    noise_group: IntArray
     repeatability: Array
     causes: tuple[Any, ...]
     alternatives: Callable[[LinearizedFit], list[Hypothesis | AR1]]
-    kind: IntArray
+    configuration: IntArray
     noise_ratio: Array
 
     def __len__(self) -> int:
@@ -82,9 +83,9 @@ class DiagnosisProblem:
     @property
     def scale(self) -> Array:
         """Standard deviation of each response, shape (n,)."""
-        return np.sqrt((self.repeatability[self.drive] * self.noise_ratio) ** 2 + self.rounding)
+        return np.sqrt((self.repeatability[self.noise_group] * self.noise_ratio) ** 2 + self.rounding)
 
-    def study(self) -> LinearizedFit:
+    def linearize(self) -> LinearizedFit:
         """The baseline fit, linearized."""
         return linearize_fit(self.rows, self.parts, self.responses, self.scale)
 
@@ -96,7 +97,7 @@ class DiagnosisProblem:
 
     def estimate_noise(self, linearized: LinearizedFit, left: StructureRemoved) -> NoiseEstimate:
         """The noise, from residuals without structure."""
-        return estimate_noise(linearized, left, self.rounding, self.drive, self.kind)
+        return estimate_noise(linearized, left, self.rounding, self.noise_group, self.configuration)
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""
@@ -111,7 +112,7 @@ class DiagnosisProblem:
         best = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, start)
         if best.converged or not len(start):
             return best
-        absent = np.concatenate([np.array(version.absent, dtype=float) for version in versions])
+        absent = np.concatenate([np.array(version.null_values, dtype=float) for version in versions])
         for share in RESTART_SHARES:
             nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
             fit = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, nearer)
@@ -124,7 +125,7 @@ class DiagnosisProblem:
     def _chi_square(self, fit: ExtendedFit) -> float:
         return float(np.sum((fit.residual / self.scale) ** 2))
 
-    def without(self, removed: IntArray) -> DiagnosisProblem:
+    def without_rows(self, removed: IntArray) -> DiagnosisProblem:
         """The problem without some rows, the baseline refitted."""
         kept = np.setdiff1d(np.arange(len(self)), removed)
         place = np.full(len(self), -1)
@@ -140,7 +141,7 @@ class DiagnosisProblem:
             parts=tuple(parts),
             **{
                 name: getattr(self, name)[kept]
-                for name in ("responses", "rounding", "drive", "kind", "noise_ratio")
+                for name in ("responses", "rounding", "noise_group", "configuration", "noise_ratio")
             },
         )
         return replace(smaller, parts=smaller.fit_extended().parts)
@@ -148,7 +149,9 @@ class DiagnosisProblem:
 
 def _are_sizes(versions: Sequence[Any]) -> BoolArray:
     """Which parameters are effect sizes: the first of each cause, or all of one with joint trials."""
-    return np.concatenate([[one.joined or k == 0 for k in range(len(one.absent))] for one in versions])
+    return np.concatenate(
+        [[one.combine_trials or k == 0 for k in range(len(one.null_values))] for one in versions]
+    )
 
 
 def problem_from_log(
@@ -164,7 +167,7 @@ def problem_from_log(
     """
     rows = usable_rows(log)
     candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
-    missing = {cause.name: why for cause in candidates if (why := cause.missing(rows)) is not None}
+    missing = {cause.name: why for cause in candidates if (why := cause.explain_missing(rows)) is not None}
     parts, repeatability = [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)
@@ -183,11 +186,11 @@ def problem_from_log(
         parts=tuple(parts),
         responses=responses,
         rounding=rounding,
-        drive=drive,
+        noise_group=drive,
         repeatability=np.where(known, sd, sd[known].mean() if known.any() else DEFAULT_REPEATABILITY),
         causes=tuple(cause.bind(rows, log.machine) for cause in candidates if cause.name not in missing),
         alternatives=build_unstructured_alternatives,
-        kind=number_configurations(rows),
+        configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
     )
     return problem, missing

@@ -31,7 +31,7 @@ class BinnedResiduals:
 
     Attributes
     ----------
-    place : array, shape (K,)
+    centre : array, shape (K,)
         Mean of the variable in each bin.
     mean, error : array, shape (K,)
         Of the residuals, relative; the bootstrap standard error of the mean.
@@ -39,7 +39,7 @@ class BinnedResiduals:
         Half-width of the simultaneous 95 % band of noise alone.
     """
 
-    place: Array
+    centre: Array
     mean: Array
     error: Array
     envelope: Array
@@ -68,9 +68,9 @@ class ResidualComparison:
 
 def compare_residuals(selection: Selection, seed: int) -> ResidualComparison:
     """The residuals of a selection before and after, and those of noise alone."""
-    first, last = selection.problem.study(), selection.study
+    first, last = selection.problem.linearize(), selection.linearized
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(last), N_BOOTSTRAP))
-    unknown = sum(compute_shape(one, last) for one in selection.found if one.version is None)
+    unknown = sum(compute_shape(one, last) for one in selection.selected if one.version is None)
     raw = ((last.residual - unknown) / np.sqrt(1.0 - np.minimum(last.leverage, MAX_LEVERAGE)))[:, None]
     return ResidualComparison(
         selection.problem.rows,
@@ -88,7 +88,7 @@ def compute_shape(selected: SelectedCause, linearized: LinearizedFit) -> Array:
     best = selected.misfit.best_hypothesis(selected.cause)
     if isinstance(best, AR1):
         return best.shape(linearized.residual)
-    return best.combine(best.along(linearized.residual))
+    return best.combine(best.coefficients(linearized.residual))
 
 
 def bin_values(values: Array) -> IntArray:

@@ -53,7 +53,7 @@ class Diagnosis(Summarized):
     alpha : float
     seed : int
     seconds : float
-    search : Selection
+    selection : Selection
     aliased_causes : tuple of (str, str)
         Pairs of which the second cause can produce in this log every effect of the first.
     gain, gain_new_session : Gain or None
@@ -73,7 +73,7 @@ class Diagnosis(Summarized):
     alpha: float
     seed: int
     seconds: float
-    search: Selection
+    selection: Selection
     aliased_causes: tuple[tuple[str, str], ...] = ()
     gain: Gain | None = None
     gain_new_session: Gain | None = None
@@ -110,7 +110,7 @@ class Diagnosis(Summarized):
         began = time.perf_counter()
         machine = self.log.machine if self.log is not None else None
         options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
-        gain, new_session, findings = measure_gain(self.search, self.findings, machine, **options)
+        gain, new_session, findings = measure_gain(self.selection, self.findings, machine, **options)
         seconds = self.seconds + time.perf_counter() - began
         return replace(self, findings=findings, gain=gain, gain_new_session=new_session, seconds=seconds)
 
@@ -154,8 +154,8 @@ class Diagnosis(Summarized):
 
         The directions of the calibration parameters are projected out; outlying counts are left out.
         """
-        first, last = self.search.problem.study(), self.search.study
-        return self.search.problem.rows.assign(
+        first, last = self.selection.problem.linearize(), self.selection.linearized
+        return self.selection.problem.rows.assign(
             before=first.residual * first.scale, after=last.residual * last.scale
         )
 
@@ -216,14 +216,14 @@ def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
 
 def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """A diagnosis in plain JSON types; an unknown number is None."""
-    rows = diagnosis.search.problem.rows
+    rows = diagnosis.selection.problem.rows
     gain = _gain_to_json(diagnosis.gain)
     return {
         "schema": SCHEMA,
         "log": {
             "file": Path(diagnosis.log_file).name,
             "sha256": diagnosis.log_sha256,
-            "runs": len(rows) + len(diagnosis.search.outliers),
+            "runs": len(rows) + len(diagnosis.selection.outliers),
             "sessions": int(rows["session"].nunique()),
             "joints": sorted(int(joint) for joint in rows["joint"].unique()),
         },

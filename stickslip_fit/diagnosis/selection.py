@@ -135,31 +135,31 @@ class Selection:
         Without outlying counts, the noise estimated under `fit`.
     outliers : array of int
         Outlying rows of the problem that was given.
-    found : tuple of SelectedCause
+    selected : tuple of SelectedCause
         In the order of selection.
-    first, last : Misfit
+    first_misfit, last_misfit : Misfit
         Tests of the baseline, and of the law with all selected causes.
     p_value : float
         Of the whole search.
     fit : ExtendedFit
         The baseline with `law_causes` in it.
-    study : LinearizedFit
+    linearized : LinearizedFit
         The residuals under `fit`.
     """
 
     problem: DiagnosisProblem
     outliers: IntArray
-    found: tuple[SelectedCause, ...]
-    first: Misfit
-    last: Misfit
+    selected: tuple[SelectedCause, ...]
+    first_misfit: Misfit
+    last_misfit: Misfit
     p_value: float
     fit: ExtendedFit
-    study: LinearizedFit
+    linearized: LinearizedFit
 
     @property
     def law_causes(self) -> list[SelectedCause]:
         """The causes in `fit`, in its order."""
-        return _law_causes(self.found)
+        return _law_causes(self.selected)
 
     @property
     def slices(self) -> list[slice]:
@@ -180,13 +180,13 @@ def select_causes(
     `n_bootstrap` is the number of samples of noise alone for each test.
     """
     problem, linearized, residual = _reestimate_noise(problem)
-    test = find_outliers(linearized, residual, problem.drive, n_bootstrap, rng)
+    test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE)
     outliers = np.zeros(0, dtype=np.intp)
     misfires: list[SelectedCause] = []
     if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
         outliers = test.rows
-        problem, linearized, _ = _reestimate_noise(problem.without(outliers))
+        problem, linearized, _ = _reestimate_noise(problem.without_rows(outliers))
         cause_set = CauseSet(MISFIRE, (), {})
         misfires = [SelectedCause(MISFIRE, None, np.zeros(0), cause_set, None, outlier_p_value)]
     first = last = assess_residuals(linearized, problem, n_bootstrap, rng)
@@ -292,13 +292,13 @@ def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, Line
 
     The residuals are in units of the largest noise that their configuration may have.
     """
-    linearized = problem.study()
+    linearized = problem.linearize()
     misfit = _compute_evidence(linearized, problem)
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
     problem = problem.with_noise(noise)
     max_ratio = noise.heteroscedasticity.max_ratio / problem.noise_ratio
-    return problem, problem.study(), left.residual * linearized.scale / problem.scale / max_ratio
+    return problem, problem.linearize(), left.residual * linearized.scale / problem.scale / max_ratio
 
 
 def _compute_evidence(
@@ -313,10 +313,10 @@ def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
     p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     start = np.zeros(0)
     if isinstance(shape, Hypothesis) and shape.version is not None:
-        start = np.array(shape.version.absent)
+        start = np.array(shape.version.null_values)
         if shape.values is not None:
             # Of the estimated size and sign: a fit rarely crosses zero, where it has a local minimum.
-            size = float(shape.along(misfit.residual)[0]) / shape.length
+            size = float(shape.coefficients(misfit.residual)[0]) / shape.length
             first = start[0] + (shape.values[0] - start[0]) * size
             start = np.concatenate([[first], shape.values[1:]])
     return SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, p_value)
@@ -363,10 +363,10 @@ def largest_strength(cause: Any, linearized: LinearizedFit, sessions: Mapping[st
     """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
     if cause.name == MISFIRE:
         return np.inf
-    largest = cause.largest()
+    largest = cause.largest_plausible()
     strengths = [0.0]
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
-        sizes = values if largest else values * np.r_[cause.most, np.ones(values.shape[1] - 1)]
+        sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
         if version.session:
             effects = compute_session_effects(linearized, sessions[version.session], version, sizes)
         else:
@@ -391,5 +391,12 @@ def empty_selection(problem: DiagnosisProblem) -> Selection:
     """The selection of a log that is too small for a test."""
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Selection(
-        problem, np.zeros(0, dtype=np.intp), (), misfit, misfit, 1.0, problem.fit_extended(), problem.study()
+        problem,
+        np.zeros(0, dtype=np.intp),
+        (),
+        misfit,
+        misfit,
+        1.0,
+        problem.fit_extended(),
+        problem.linearize(),
     )

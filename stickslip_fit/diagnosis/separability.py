@@ -80,22 +80,22 @@ class Detectability:
         For display of its size.
     per_size : float
         Strength of an effect of size 1 (SI), the median over its shapes.
-    found : float
+    detection_strength : float
         Strength that is detected with a power of 0.9.
-    largest : float
+    largest_size : float
         Largest plausible size, SI.
     """
 
     cause: str
     unit: str
     per_size: float
-    found: float
-    largest: float
+    detection_strength: float
+    largest_size: float
 
     @property
-    def smallest(self) -> float:
+    def smallest_size(self) -> float:
         """Size that is detected with a power of 0.9, SI."""
-        return self.size(self.found)
+        return self.size(self.detection_strength)
 
     def size(self, strength: float) -> float:
         """Size of an effect of this strength, SI."""
@@ -130,7 +130,7 @@ class SeparabilityMatrix:
         """The detectable causes."""
         return tuple(one.cause for one in self.detectable)
 
-    def of(self, cause: str) -> Detectability:
+    def detectability(self, cause: str) -> Detectability:
         """One of the detectable causes."""
         return next(one for one in self.detectable if one.cause == cause)
 
@@ -138,27 +138,32 @@ class SeparabilityMatrix:
         """Probability that an effect of `truth`, its shapes equally likely, is closer to `rival`."""
         return float(np.mean(ndtr(-strength * np.sqrt((1.0 - self.cosines[truth, rival]) / 2.0))))
 
-    def rate(self, one: str, other: str, strength: float) -> float:
+    def pair_confusion(self, one: str, other: str, strength: float) -> float:
         """Confusion of a pair, the larger of the two."""
         return max(self.confusion(one, other, strength), self.confusion(other, one, strength))
 
-    def needed(self, one: str, other: str) -> float:
+    def strength_needed(self, one: str, other: str) -> float:
         """Strength above which a pair is confused in fewer than one log in twenty; infinite if none is."""
 
         def excess(strength: float) -> float:
-            return self.rate(one, other, strength) - MAX_CONFUSION_DESIGN
+            return self.pair_confusion(one, other, strength) - MAX_CONFUSION_DESIGN
 
         return float(brentq(excess, 0.0, MAX_STRENGTH, xtol=1e-2)) if excess(MAX_STRENGTH) < 0 else np.inf
 
     def pairs(self) -> list[tuple[str, str, float]]:
         """Every pair with the strength it needs, hardest first."""
-        pairs = [(one, other, self.needed(one, other)) for one, other in combinations(self.causes, 2)]
+        pairs = [
+            (one, other, self.strength_needed(one, other)) for one, other in combinations(self.causes, 2)
+        ]
         return sorted(pairs, key=lambda pair: -pair[2])
 
     def are_separable(self, one: str, other: str) -> bool:
         """Whether both causes are separated from each other at a plausible size."""
-        needed = self.needed(one, other)
-        return all(self.of(cause).size(needed) <= self.of(cause).largest for cause in (one, other))
+        needed = self.strength_needed(one, other)
+        return all(
+            self.detectability(cause).size(needed) <= self.detectability(cause).largest_size
+            for cause in (one, other)
+        )
 
 
 def assess_design(
@@ -173,7 +178,7 @@ def assess_design(
     The responses of `problem` only give the point of linearization; its causes are assessed. `alpha` is the
     false-alarm rate of the future diagnosis, `n_bootstrap` the number of samples for the critical value.
     """
-    linearized = problem.study()
+    linearized = problem.linearize()
     critical = assess_residuals(linearized, problem, n_bootstrap, rng).critical_value(allocate_alpha(alpha))
     shapes = {cause: build_candidates(linearized, [cause]) for cause in problem.causes}
     scatter_only = tuple(cause.name for cause, own in shapes.items() if not own)
@@ -192,22 +197,28 @@ def _assess_cause(
     per_size, versions = [], cause.trials(linearized.rows)
     for version, trials in versions:
         lengths = np.linalg.norm(compute_effects(linearized, version, trials), axis=0)
-        sizes = np.abs(trials).max(axis=1) if version.joined else np.abs(trials[:, 0] - version.absent[0])
+        sizes = (
+            np.abs(trials).max(axis=1)
+            if version.combine_trials
+            else np.abs(trials[:, 0] - version.null_values[0])
+        )
         ratios = lengths / sizes
-        per_size += [float(np.linalg.norm(ratios))] if version.joined else list(ratios)
-    largest = [abs(values[0] - cause.absent[0]) for values in cause.largest()]
+        per_size += [float(np.linalg.norm(ratios))] if version.combine_trials else list(ratios)
+    largest = [abs(values[0] - cause.null_values[0]) for values in cause.largest_plausible()]
     return Detectability(
         cause=cause.name,
         unit=versions[0][0].parameters[0].unit,
         per_size=float(np.median(per_size)),
-        found=detection_length(critical, len(shapes), linearized.df) + Z_POWER_90,
-        largest=float(max(largest or [cause.most * np.abs(values[:, 0]).max() for _, values in versions])),
+        detection_strength=detection_length(critical, len(shapes), linearized.df) + Z_POWER_90,
+        largest_size=float(
+            max(largest or [cause.max_trial_factor * np.abs(values[:, 0]).max() for _, values in versions])
+        ),
     )
 
 
 def _largest_cosines(shapes: list[Hypothesis], rivals: list[Hypothesis]) -> Array:
     """For each shape, its largest cosine with one of the rival's."""
-    if all(len(shape.share) == 1 for shape in [*shapes, *rivals]):
+    if all(len(shape.prior_share) == 1 for shape in [*shapes, *rivals]):
         own, other = (
             hstack([csc_array(one.columns) for one in side], format="csc") for side in (shapes, rivals)
         )
@@ -226,16 +237,16 @@ def separability_to_json(matrix: SeparabilityMatrix, strength: float) -> dict[st
                 "cause": one.cause,
                 "unit": one.unit,
                 "strength_of_size_1": 1.0 / float(from_si(1.0 / one.per_size, one.unit)),
-                "strength_found": one.found,
-                "smallest_found": float(from_si(one.smallest, one.unit)),
-                "largest_plausible": float(from_si(one.largest, one.unit)),
+                "strength_found": one.detection_strength,
+                "smallest_found": float(from_si(one.smallest_size, one.unit)),
+                "largest_plausible": float(from_si(one.largest_size, one.unit)),
             }
             for one in matrix.detectable
         ],
         "pairs": [
             {
                 "causes": [one, other],
-                "confusion": matrix.rate(one, other, strength),
+                "confusion": matrix.pair_confusion(one, other, strength),
                 "strength_needed": needed if np.isfinite(needed) else None,
                 "told_apart": matrix.are_separable(one, other),
             }
@@ -269,7 +280,7 @@ def problem_from_plan(
     drives = [(part.law.joint, direction) for part in problem.parts for direction in "+-"]
     repeatability = [plan.noise.repeatability.get(drive, np.nan) for drive in drives]
     problem = replace(problem, repeatability=np.array(repeatability))
-    linearized = problem.study()
+    linearized = problem.linearize()
     if why := explain_too_small(linearized):
         raise InputError(f"the plan has {why}")
     untestable = missing | find_untestable(problem, linearized)

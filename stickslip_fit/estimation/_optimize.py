@@ -168,14 +168,14 @@ class SingularFactors:
         0 for directions that are not identified.
     vectors : array, shape (g, p, p)
         Right singular vectors in columns.
-    along : array, shape (g, p)
+    projections : array, shape (g, p)
         The residual along each left singular vector.
     """
 
     lengths: Array
     singular_values: Array
     vectors: Array
-    along: Array
+    projections: Array
 
     @property
     def rank(self) -> IntArray:
@@ -185,13 +185,14 @@ class SingularFactors:
     @property
     def gain(self) -> Array:
         """By how much an undamped step lowers the quadratic form, shape (g,)."""
-        return np.sum(np.where(self.singular_values > 0, self.along**2, 0.0), axis=1)
+        return np.sum(np.where(self.singular_values > 0, self.projections**2, 0.0), axis=1)
 
     def step(self, damping: Array) -> Array:
         """Step to the minimum of the damped quadratic form, in units of the scales; (g,) -> (g, p)."""
         divisor = np.where(self.singular_values > 0, self.singular_values**2 + damping[:, None], np.inf)
         return (
-            np.einsum("gij,gj->gi", self.vectors, self.singular_values * self.along / divisor) / self.lengths
+            np.einsum("gij,gj->gi", self.vectors, self.singular_values * self.projections / divisor)
+            / self.lengths
         )
 
     def inverse(self) -> Array:
@@ -249,17 +250,17 @@ def factorize(
     eigenvalue, vectors = np.linalg.eigh(products / (lengths[:, :, None] * lengths[:, None, :]))
     singular = np.sqrt(np.maximum(eigenvalue, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.einsum("gji,gj->gi", vectors, gradient / lengths) / singular
-    along = np.where(singular > 0, along, 0.0)
+        projections = np.einsum("gji,gj->gi", vectors, gradient / lengths) / singular
+    projections = np.where(singular > 0, projections, 0.0)
     if whitened is not None and rank_tol**2 < CONDITION_TOL / 10:
         greatest = np.max(eigenvalue, axis=1, initial=np.finfo(float).tiny)
         share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
         for group in np.flatnonzero(share < CONDITION_TOL).tolist():
             jacobian, residual = whitened(group, lengths[group])
             left, singular[group], right = np.linalg.svd(jacobian, full_matrices=False)
-            vectors[group], along[group] = right.T, left.T @ residual
+            vectors[group], projections[group] = right.T, left.T @ residual
     known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
-    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, along)
+    return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, projections)
 
 
 RowSubsetModel = Callable[[IntArray], Model]

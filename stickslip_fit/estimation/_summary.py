@@ -142,7 +142,7 @@ def _source_text(repeatability: NoiseLevel) -> str:
 
 def own_parameters(fit: JointFit) -> list[Parameter]:
     """Parameters of the published law, without those of causes."""
-    return [parameter for parameter in fit.law.parameters if parameter.name not in fit.common]
+    return [parameter for parameter in fit.law.parameters if parameter.name not in fit.cause_parameters]
 
 
 def departures_tables(result: Result) -> list[Table]:

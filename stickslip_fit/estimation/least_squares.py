@@ -271,7 +271,9 @@ def _not_applicable(law: StepLaw) -> npt.NDArray[np.bool_]:
     """Parameters that need no slope in a joint's rows: sudden, or without effect there; shape (p,)."""
     if not isinstance(law, ExtendedLaw):
         return np.zeros(len(law.parameters), dtype=bool)
-    sudden = np.array([False] * len(law.law.parameters) + [parameter.sudden for parameter in law.common])
+    sudden = np.array(
+        [False] * len(law.law.parameters) + [parameter.sudden for parameter in law.cause_parameters]
+    )
     return ~law.affects_joint | sudden
 
 

@@ -120,10 +120,14 @@ class JointFit:
     shared: tuple[str, ...] = ()
 
     @property
-    def common(self) -> tuple[str, ...]:
+    def cause_parameters(self) -> tuple[str, ...]:
         """Parameters of causes, with one value for the whole campaign; it stands in each group."""
         law = self.law
-        return tuple(parameter.name for parameter in law.common) if isinstance(law, ExtendedLaw) else ()
+        return (
+            tuple(parameter.name for parameter in law.cause_parameters)
+            if isinstance(law, ExtendedLaw)
+            else ()
+        )
 
     def group_index(self, rows: pd.DataFrame) -> npt.NDArray[np.intp]:
         """Index of each row's group; -1 where the fit has none for its session and direction."""
@@ -231,7 +235,7 @@ class Result(Summarized):
         table["flags"] = self._flags(fit, names)
         common = table["name"].isin(fit.shared)
         table["session"] = table["session"].astype(object).mask(common, None)
-        everywhere = table["name"].isin(fit.common)
+        everywhere = table["name"].isin(fit.cause_parameters)
         table.loc[everywhere, ["joint", "direction", "session"]] = [ALL_JOINTS, "", None]
         return table[~((common | everywhere) & table.duplicated(["name", "direction"]))]
 

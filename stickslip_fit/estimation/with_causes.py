@@ -92,7 +92,7 @@ def bind_causes(rows: pd.DataFrame, causes: Sequence[Cause], machine: Machine) -
         For one that the log cannot show, and why.
     """
     for cause in causes:
-        if (reason := cause.missing(rows)) is not None:
+        if (reason := cause.explain_missing(rows)) is not None:
             raise InputError(f"{cause.name} cannot be fitted: {reason}")
     return tuple(cause.bind(rows, machine) for cause in causes)
 
@@ -128,11 +128,11 @@ def _candidate_starts(
     """Each version of a cause, its values, and the part of the residuals that these explain, shape (n,)."""
     for version, trials in cause.trials(remainder.rows):
         effects = remainder.effects(laws, start, version, trials)
-        if version.joined:
+        if version.combine_trials:
             share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
             yield version, share @ trials, effects @ share
             continue
-        absent = version.absent[0]
+        absent = version.null_values[0]
         for trial, effect in zip(trials, effects.T, strict=True):
             if effect @ effect > 0:
                 share = np.clip(effect @ remaining / (effect @ effect), -MAX_TRIAL_FACTOR, MAX_TRIAL_FACTOR)
@@ -189,8 +189,11 @@ def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> lis
     assert isinstance(law, ExtendedLaw)
     causes = [cause for cause in law.causes for _ in cause.parameters]
     for k, cause in enumerate(causes, start=-len(causes)):
-        name, value = law.common[k].name, format_value(fits[0].values[0, k], law.common[k].unit, 4)
-        if law.common[k].sudden:
+        name, value = (
+            law.cause_parameters[k].name,
+            format_value(fits[0].values[0, k], law.cause_parameters[k].unit, 4),
+        )
+        if law.cause_parameters[k].sudden:
             flag = "chosen"
             text = f"{name} = {value} was chosen among the gaps between traverses; it has no error bar"
         elif any(joint_at_bound[:, k].any() for joint_at_bound in at_bound):
@@ -236,10 +239,12 @@ def fixed_causes(result: Result) -> FixedCauses:
     law = fits[0].law
     if not isinstance(law, ExtendedLaw):
         raise InputError("the laws of this result have no causes in them; fit a log with --cause, save that")
-    last = slice(-len(law.common), None)
+    last = slice(-len(law.cause_parameters), None)
     known = np.all([fit.known[:, last].all(axis=0) for fit in fits], axis=0)
     if not known.all():
-        unknown = ", ".join(p.name for p, is_known in zip(law.common, known, strict=True) if not is_known)
+        unknown = ", ".join(
+            p.name for p, is_known in zip(law.cause_parameters, known, strict=True) if not is_known
+        )
         raise InputError(f"this result does not know {unknown}; fit its log without that cause")
     # They are the same in all groups but those without error bars.
     covariance = np.concatenate([fit.covariance[:, last, last] for fit in fits])

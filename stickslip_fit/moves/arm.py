@@ -16,7 +16,7 @@ import pandas as pd
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.causes.parameters import FIRST, NEEDED
+from stickslip_fit.causes.parameters import FIRST_TRAVERSE, REQUIRED_HISTORY
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
@@ -188,10 +188,10 @@ CONDITION_KEYS = {
 }
 CONDITION_MEANINGS = {
     "session_seconds": "how long the session has run",
-    "steps_before": NEEDED["steps_before"],
+    "steps_before": REQUIRED_HISTORY["steps_before"],
 }
-OWN_COLUMNS = ("session", *FIRST)  # follow from the drives and the session
-REQUIRED_CONDITIONS = (*NEEDED, "step_period")  # given, or the plan's
+OWN_COLUMNS = ("session", *FIRST_TRAVERSE)  # follow from the drives and the session
+REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's
 
 
 def required_columns(laws: Iterable[StepLaw]) -> tuple[str, ...]:
@@ -244,7 +244,9 @@ def check_conditions(result: Result, conditions: Mapping[str, Any], option: str)
     InputError
         Naming each missing condition as `parse_conditions` reads it.
     """
-    missing = [name for name in _result_columns(result) if name in NEEDED and name not in conditions]
+    missing = [
+        name for name in _result_columns(result) if name in REQUIRED_HISTORY and name not in conditions
+    ]
     if missing:
         message = "the law depends on {}: give {} {}=NUMBER"
         raise InputError(

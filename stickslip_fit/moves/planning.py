@@ -174,7 +174,7 @@ class TrueLaws:
     def added(self, group: Group, rows: Any, values: Array) -> Array | float:
         """Steps that causes add to drives, shape (n,); the session's factor does not apply to them."""
         law = self.laws[group[0]]
-        return law.added(rows, values) if isinstance(law, ExtendedLaw) else 0.0
+        return law.steps_added_by_causes(rows, values) if isinstance(law, ExtendedLaw) else 0.0
 
 
 StepModel = Callable[[pd.DataFrame], Array]

@@ -77,14 +77,16 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
 def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, tuple[str, ...]]]:
     """Each step of the selection: its title, the misfit, the cause named and those aliased with it."""
     equivalent = {finding.cause: finding.equivalent for finding in diagnosis.findings}
-    selected = [cause for cause in diagnosis.search.found if cause.misfit is not None and diagnosis.findings]
+    selected = [
+        cause for cause in diagnosis.selection.selected if cause.misfit is not None and diagnosis.findings
+    ]
     steps, title = [], "the published law"
     for index, cause in enumerate(selected):
         assert cause.misfit is not None
         steps.append((title, cause.misfit, cause.cause, equivalent.get(cause.cause, ())))
         title = f"{title}, {cause.cause}" if index else f"with {cause.cause}"
-    if not selected or diagnosis.search.last is not selected[-1].misfit:
-        steps.append((title, diagnosis.search.last, "", ()))
+    if not selected or diagnosis.selection.last_misfit is not selected[-1].misfit:
+        steps.append((title, diagnosis.selection.last_misfit, "", ()))
     return steps
 
 
@@ -218,11 +220,11 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     if not 0 <= finding < len(diagnosis.findings):
         raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
     chosen = diagnosis.findings[finding]
-    selected = next(cause for cause in diagnosis.search.found if cause.cause == chosen.cause)
+    selected = next(cause for cause in diagnosis.selection.selected if cause.cause == chosen.cause)
     if selected.misfit is None:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
-    shape = compute_shape(selected, diagnosis.search.problem.study())
-    return draw_finding(chosen, selected, shape, compare_residuals(diagnosis.search, diagnosis.seed))[1]
+    shape = compute_shape(selected, diagnosis.selection.problem.linearize())
+    return draw_finding(chosen, selected, shape, compare_residuals(diagnosis.selection, diagnosis.seed))[1]
 
 
 MAX_RATE, DARK_RATE = 0.5, 0.3  # a toss of a coin; white numbers from there on
@@ -255,7 +257,7 @@ def confusion_picture(diagnosis: Diagnosis) -> Picture:
 
 def effect_strength(finding: Finding, diagnosis: Diagnosis) -> float:
     """Effect over noise, all rows together."""
-    n_rows = len(diagnosis.search.problem)
+    n_rows = len(diagnosis.selection.problem)
     return float(np.sqrt(n_rows) * finding.effect.estimate / diagnosis.repeatability)
 
 
@@ -303,7 +305,7 @@ def _draw_rates(axis: Axes, names: Sequence[str], rates: Array, lowest: float = 
 
 def _choose_causes(diagnosis: Diagnosis) -> tuple[Finding, Misfit, list[str]] | None:
     """The first named finding, the misfit that named it, and the causes most similar to it."""
-    selected = {cause.cause: cause for cause in diagnosis.search.found}
+    selected = {cause.cause: cause for cause in diagnosis.selection.selected}
     for finding in diagnosis.findings:
         misfit = selected[finding.cause].misfit
         if misfit is None or finding.cause == UNKNOWN:
@@ -329,7 +331,7 @@ def plot_separability(matrix: SeparabilityMatrix, strength: float) -> Figure:
     rates = np.full((len(causes) - 1, len(causes) - 1), np.nan)
     for row, one in enumerate(causes[1:]):
         for column, other in enumerate(causes[: row + 1]):
-            rates[row, column] = matrix.rate(one, other, strength)
+            rates[row, column] = matrix.pair_confusion(one, other, strength)
     with report_style():
         figure, axes = make_figure(
             [min(cell, 0.3) * len(rates)], 1, left=margin, right=0.1, top=TITLE_HEIGHT, bottom=margin

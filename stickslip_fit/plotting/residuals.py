@@ -59,8 +59,8 @@ def fit_residuals_picture(rows: pd.DataFrame) -> Picture:
     limit = max(robust_limit(sizes.dropna().to_numpy(), LIMIT_QUANTILE, FIT_LIMIT_ZOOM), 1e-4)
     n_beyond = int((sample["departure"].abs() > limit).sum())
     caption = (
-        f"{pluralize(len(sample), 'traverse')}{of_all}, seen less law: a law that lacks nothing leaves "
-        "a level band in every panel. Half of them are within "
+        f"{pluralize(len(sample), 'traverse')}{of_all}, residuals (measured less model): a law that lacks "
+        "nothing leaves a level band in every panel. Half of them are within "
         f"{format_percent(float(sizes.median()))} of the law."
         + (f" {pluralize(n_beyond, 'point')} beyond the scale, drawn at its edge." if n_beyond else "")
     )
@@ -76,7 +76,7 @@ def draw_fit_residuals(rows: pd.DataFrame, limit: float) -> Figure:
         legend = [make_legend_entry(style.label, style.colour, marker="o") for style in styles]
         figure, axes = make_figure([1.55], len(quantities), legend, top=0.12)
         axes[0, 0].set_ylim(-100 * limit, 100 * limit)
-        axes[0, 0].set_ylabel("seen less law (%)")
+        axes[0, 0].set_ylabel("residual (%)")
         for axis, (label, x) in zip(axes[0], quantities.items(), strict=True):
             axis.axhline(0.0, color=INK, lw=0.7)
             for direction, colour in DIRECTION_COLOURS.items():
@@ -338,7 +338,7 @@ def draw_finding(
                 _draw_points(axis, values, residual, subset, limit, rows)
         for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
             axis.set_ylim(-limit, limit)
-            axis.set_ylabel(f"{name + ': ' if len(sides) > 1 else ''}count less law (%)")
+            axis.set_ylabel(f"{name + ': ' if len(sides) > 1 else ''}residual (%)")
     return label, figure
 
 
@@ -371,7 +371,7 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison) -> Pi
     rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
     before = " Dotted: the means under the published law." if extended else ""
     caption = (
-        f"Means of the counts less the law{' with all that was found in it' if extended else ''}, by classes "
+        f"Mean residuals{' with all that was found in it' if extended else ''}, by classes "
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
         f"nothing is wrong.{before}"
     )
@@ -404,7 +404,7 @@ def draw_residuals_overview(joint: int, comparison: ResidualComparison) -> Figur
         limit = 1.1 * max(largest, min(largest_before, MAX_LIMIT_RATIO * largest), MIN_LIMIT)
         axes[0, 0].set_ylim(-limit, limit)
         for axis in axes[:, 0]:
-            axis.set_ylabel("count less law (%)")
+            axis.set_ylabel("residual (%)")
     return figure
 
 
@@ -447,7 +447,7 @@ def _draw_bin_means(
         if not in_direction.any():
             continue
         binned = bin_residuals(residual, null, values, classes, in_direction)
-        x, y, band = binned.place, 100 * binned.mean, 100 * binned.envelope
+        x, y, band = binned.centre, 100 * binned.mean, 100 * binned.envelope
         if dotted:
             axis.plot(x, y, color=colour, ls=":", lw=0.9)
             band = np.zeros(len(band))

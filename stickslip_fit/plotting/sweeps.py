@@ -100,7 +100,7 @@ def draw_panels(
                 x = panel.points["x"]
                 set_angle_ticks(below, x.min(), x.max(), MAX_TICKS.get(len(panels), 3))
         axes[0, 0].set_ylabel(f"mean step size ({unit})")
-        axes[1, 0].set_ylabel("seen less law (%)")
+        axes[1, 0].set_ylabel("residual (%)")
         figure.align_ylabels(axes[:, 0])
         figure.supxlabel(x_label, y=0.02, va="bottom", size=8, color=INK)
     return figure

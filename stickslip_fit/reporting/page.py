@@ -403,8 +403,8 @@ def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
 
 def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     """A diagnosis with its figures."""
-    comparison, linearized = number_residuals(diagnosis), diagnosis.search.problem.study()
-    selected = {cause.cause: cause for cause in diagnosis.search.found}
+    comparison, linearized = number_residuals(diagnosis), diagnosis.selection.problem.linearize()
+    selected = {cause.cause: cause for cause in diagnosis.selection.selected}
     pictures = [
         finding_picture(finding, cause, compute_shape(cause, linearized), comparison)
         for finding in diagnosis.findings
@@ -426,7 +426,7 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
 
 def number_residuals(diagnosis: Diagnosis) -> ResidualComparison:
     """Residuals without outliers, each row by its number among the log's usable traverses."""
-    comparison = compare_residuals(diagnosis.search, diagnosis.seed)
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
     outliers = [
         row
         for finding in diagnosis.findings

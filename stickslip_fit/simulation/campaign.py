@@ -293,7 +293,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
         subset = (rows["joint"] == joint).to_numpy()
         if isinstance(law, ExtendedLaw) and subset.any():
             values, _ = truth.of_rows(rows[subset], joint)
-            misfires[subset] = law.misfires(values, draws.misfire_draws[subset])
+            misfires[subset] = law.misfire_deviations(values, draws.misfire_draws[subset])
     noise = np.exp(repeatability * draws.noise + misfires)
 
     def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
@@ -337,7 +337,7 @@ def _count_steps(rows: pd.DataFrame, truth: LawValues, factor: Array) -> Array:
         values, shared = truth.of_rows(rows[subset], joint)
         law = truth.laws[joint]
         expected = expected_counts(law, rows[subset], values)
-        added = law.added(rows[subset], values) if isinstance(law, ExtendedLaw) else 0.0
+        added = law.steps_added_by_causes(rows[subset], values) if isinstance(law, ExtendedLaw) else 0.0
         counts[subset] = (expected - added) / np.where(shared, factor[subset], 1.0) + added
     return counts
 

@@ -157,7 +157,7 @@ class CampaignTruths:
             expected = np.exp(law.predict(joint_rows, values))
             if not np.all(np.isfinite(expected)):
                 expected_counts(law, joint_rows, values)  # raises, with the place of the stall
-            added = law.added(joint_rows, values) if isinstance(law, ExtendedLaw) else 0.0
+            added = law.steps_added_by_causes(joint_rows, values) if isinstance(law, ExtendedLaw) else 0.0
             factor = self._of_rows(self.factor, joint, group[subset], number[subset])
             steps[subset] = (expected - added) / factor + added
         return steps
@@ -168,7 +168,7 @@ class CampaignTruths:
         for joint, law in self.laws.items():
             subset = np.flatnonzero(rows["joint"].to_numpy() == joint)
             if isinstance(law, ExtendedLaw) and len(subset):
-                deviation[subset] = law.misfires(
+                deviation[subset] = law.misfire_deviations(
                     self._of_rows(self.values, joint, group[subset], number[subset]), misfire_draws[subset]
                 )
         return deviation

@@ -28,7 +28,7 @@
     const size = (value) => `${decimals(value / joint.per, digits)}${SPACE}${joint.unit}`;
     const off = departure(joint, k), note = joint.notes[joint.row[k]];
     const law = off === null ? "the law is not known" : `law ${size(joint.law[k])}`;
-    const less = off === null ? "" : `, seen less law ${off > 0 ? "+" : ""}${decimals(off, 2)}${SPACE}%`;
+    const less = off === null ? "" : `, residual ${off > 0 ? "+" : ""}${decimals(off, 2)}${SPACE}%`;
     return [
       `Session ${data.sessions[joint.session[k]]}, ${moment(joint, k)}`,
       `${joint.name}, direction ${joint.sign[k]}; ${joint.configurations[joint.configuration[k]]}`,
@@ -255,7 +255,7 @@
     const ends = noise === null ? [] : [-100 * SURE * noise, 100 * SURE * noise];
     return [[0, "zero"], ...ends.map((end) => [end, "noise"])];
   };
-  const left = { y: offs, yLabel: () => "seen less law (%)", range: within, lines: levels };
+  const left = { y: offs, yLabel: () => "residual (%)", range: within, lines: levels };
   const whole = (values) => [Math.min(...values), Math.max(...values)];
   const size = { y: sizes, yLabel: (joint) => `step size (${joint.unit})`, range: whole, lines: () => [] };
   const numbers = (joint) => joint.row.map((row) => row + 1);

@@ -27,9 +27,9 @@ class FallCause:
         A size of each that matters.
     tried : tuple of float
         A size to look for.
-    most : float
+    max_trial_factor : float
         How many times that is still plausible.
-    joined : bool
+    combine_trials : bool
         Whether trials act in any combination.
     moves : bool
         Whether it changes how the ball moves.
@@ -42,22 +42,22 @@ class FallCause:
     parameters: ClassVar[tuple[CauseParameter, ...]]
     scale: ClassVar[tuple[float, ...]]
     tried: ClassVar[tuple[float, ...]]
-    most: ClassVar[float] = 10.0
-    joined: ClassVar[bool] = False
+    max_trial_factor: ClassVar[float] = 10.0
+    combine_trials: ClassVar[bool] = False
     moves: ClassVar[bool] = False
     session: ClassVar[str] = ""
 
     @property
-    def absent(self) -> tuple[float, ...]:
+    def null_values(self) -> tuple[float, ...]:
         return (0.0,) * len(self.parameters)
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         return None
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[FallCause, Array]]:
         return [(self, np.array([self.tried]))]
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         return ()
 
     def extend(self, law: Fall) -> Fall:

@@ -26,7 +26,7 @@ class QuadraticDrag(Drag):
     scale = (0.005,)
     tried = (0.0005,)
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         return (np.array([0.1]),)
 
     def acceleration(self, velocity: Array, rows: Rows, sizes: Array) -> Array:
@@ -43,7 +43,7 @@ class LinearDrag(Drag):
     scale = (0.05,)
     tried = (0.005,)
 
-    def largest(self) -> tuple[Array, ...]:
+    def largest_plausible(self) -> tuple[Array, ...]:
         return (np.array([1.0]),)
 
     def acceleration(self, velocity: Array, rows: Rows, sizes: Array) -> Array:
@@ -73,10 +73,10 @@ class Buoyancy(FallCause):
     parameters = (CauseParameter("rho", "kg/m^3", "density of the air"),)
     scale = (0.1,)
     tried = (AIR,)
-    most = 1.1
+    max_trial_factor = 1.1
     moves = True
 
-    def missing(self, rows: pd.DataFrame) -> str | None:
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
         unknown = rows[["weight", "circumference"]].isna().any(axis=None)
         return "the ball's weight and circumference were not written down" if unknown else None
 
@@ -106,7 +106,7 @@ class CameraScale(FallCause):
 
     name = "camera-scale"
     phrase = "the camera's scale is off"
-    joined = True
+    combine_trials = True
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

@@ -25,7 +25,7 @@ def make_problem(
     """Drops under free fall, and the causes that they cannot show for want of a column, and why."""
     rows = rows.reset_index(drop=True)
     known = library() if causes is None else tuple(causes)
-    missing = {cause.name: why for cause in known if (why := cause.missing(rows)) is not None}
+    missing = {cause.name: why for cause in known if (why := cause.explain_missing(rows)) is not None}
     law, drop = Fall(), pd.factorize(rows["session"])[0].astype(np.intp)
     height, rounding = law.response(rows)
     seconds = rows["seconds"].to_numpy(float)
@@ -38,11 +38,11 @@ def make_problem(
         parts=(LawBlock(law, np.arange(len(rows)), drop, values),),
         responses=height,
         rounding=rounding,
-        drive=np.zeros(len(rows), dtype=np.intp),
+        noise_group=np.zeros(len(rows), dtype=np.intp),
         repeatability=np.array([REPEATABILITY]),
         causes=tuple(cause for cause in known if cause.name not in missing),
         alternatives=build_alternatives,
-        kind=drop,
+        configuration=drop,
         noise_ratio=np.ones(len(rows)),
     )
     return problem, missing

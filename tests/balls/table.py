@@ -38,10 +38,10 @@ class Judged:
 def judged(rows: pd.DataFrame) -> Judged:
     """Diagnose the drops of one ball."""
     found = diagnose_problem(*make_problem(rows), alpha=ALPHA)
-    splits = later_half_of_the_last_drop(found.search.problem.rows)
+    splits = later_half_of_the_last_drop(found.selection.problem.rows)
     again = partial(select_in_fold, alpha=ALPHA)
     return Judged(
-        found, estimate_gain(found.search, found.findings, splits, again, alpha=ALPHA, workers=1)[0]
+        found, estimate_gain(found.selection, found.findings, splits, again, alpha=ALPHA, workers=1)[0]
     )
 
 

@@ -108,7 +108,7 @@ def test_what_release_absorbs_and_what_was_not_written_down_is_untestable():
 def test_a_camera_that_sways_is_no_cause_of_the_library():
     rows = filmed(free, 3)
     swaying = 0.15 * np.sin(2 * np.pi * rows["seconds"] / 0.9 + (rows["session"] == "drop 2"))
-    found = selection(rows.assign(height=rows["height"] + swaying)).found
+    found = selection(rows.assign(height=rows["height"] + swaying)).selected
     assert [each.cause for each in found] == ["unknown"]
 
 

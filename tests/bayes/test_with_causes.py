@@ -62,7 +62,7 @@ def ranks(cases, seed, wrong=None):
     sizes = PRIORS.draw(1, rng)[0]
     data_by_group, truths, priors = campaign(cases, sizes, rng)
     # Where least squares would have them: near, but not there.
-    about = PRIORS.values(PRIORS.at(sizes + ERROR * rng.standard_normal(3)))
+    about = PRIORS.unstandardize(PRIORS.standardize(sizes + ERROR * rng.standard_normal(3)))
     held = {
         group: build_group_data(FixedCauseLaw(law, CAUSES, about), rows)
         for group, (rows, law) in data_by_group.items()
@@ -119,7 +119,7 @@ def test_priors_are_standard_normal_where_they_should_be():
     for column, law in zip(values.T, laws, strict=False):
         assert stats.kstest(column, law.cdf).pvalue > 1e-3
     assert np.all(values[:, 4] == 7.0)
-    again = mixed.values(mixed.at(values[:50]))
+    again = mixed.unstandardize(mixed.standardize(values[:50]))
     np.testing.assert_allclose(again, values[:50], rtol=1e-9)
     restored = CausePriors.from_json(json.loads(json.dumps(mixed.to_json())))
     np.testing.assert_array_equal(restored.lower, mixed.lower)

@@ -54,7 +54,7 @@ def test_absent_values_are_the_published_law_exactly(case):
     baseline = np.concatenate(
         [LAWS[j].counts(ROWS[ROWS["joint"] == j], own_values(ROWS[ROWS["joint"] == j]))[0] for j in (3, 2, 1)]
     )
-    np.testing.assert_allclose(counted([case.cause], [case.cause.absent]), baseline, rtol=1e-13)
+    np.testing.assert_allclose(counted([case.cause], [case.cause.null_values]), baseline, rtol=1e-13)
 
 
 @pytest.mark.parametrize(

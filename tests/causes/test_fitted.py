@@ -256,10 +256,10 @@ class Humming(FactorCause):
     shows_best = "two traverses a minute apart"
     columns = ("session_seconds",)
     parameters = (CauseParameter("k", "%", "change of the step size"),)
-    absent = (0.0,)
+    null_values = (0.0,)
     scale = (0.01,)
 
-    def largest(self):
+    def largest_plausible(self):
         return (np.array([0.1]),)
 
     def factor(self, state, values):

@@ -59,13 +59,13 @@ def test_names_are_unique_and_every_cause_explains_itself():
         assert cause.phrase
         assert cause.physics.endswith(".")
         assert cause.shows_best
-        assert len(cause.parameters) == len(cause.absent) == len(cause.scale)
+        assert len(cause.parameters) == len(cause.null_values) == len(cause.scale)
         assert all(parameter.unit in UNITS for parameter in cause.parameters)
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_nothing_is_missing_in_a_log_that_has_everything(name, log):
-    assert named(name, log.rows).missing(log.rows) is None
+    assert named(name, log.rows).explain_missing(log.rows) is None
 
 
 @pytest.mark.parametrize("name", [name for name in ALL if name != "end-stop-misfire"])
@@ -87,12 +87,14 @@ def test_trials_move_some_count_by_an_amount_that_a_lab_may_meet(name, log):
 @pytest.mark.parametrize("name", [name for name in ALL if name != "end-stop-misfire"])
 def test_largest_plausible_sizes_are_no_less_than_a_trial_and_leave_the_joints_running(name, log):
     cause = named(name, log.rows).bind(log.rows, MACHINE)
-    if cause.largest():
-        found = changes(cause, np.array(cause.largest()), log.rows)
+    if cause.largest_plausible():
+        found = changes(cause, np.array(cause.largest_plausible()), log.rows)
         ((version, trials), *_) = cause.trials(log.rows)
     else:
         version, trials = cause.trials(log.rows)[0]
-        found = changes(version, trials * np.r_[cause.most, np.ones(trials.shape[1] - 1)], log.rows)
+        found = changes(
+            version, trials * np.r_[cause.max_trial_factor, np.ones(trials.shape[1] - 1)], log.rows
+        )
     assert np.isfinite(found).all()
     ordinary = np.sqrt((changes(version, trials, log.rows) ** 2).sum(axis=0)).max()
     assert np.sqrt((found**2).sum(axis=0)).max() > 0.999 * ordinary
@@ -128,13 +130,13 @@ def test_all_trials_of_a_log_take_a_fraction_of_a_second(log):
 )
 def test_a_log_that_cannot_show_a_cause_says_why(name, spoil, reason, log):
     rows = log.rows.assign(**spoil)
-    assert reason in named(name, log.rows).missing(rows)
+    assert reason in named(name, log.rows).explain_missing(rows)
 
 
 def test_where_every_traverse_is_a_reversal_nothing_tells_the_loss_from_a_latency(log):
     rows = log.rows[log.rows["before_direction"] != ""]
     turned = np.where(rows["direction"] == "+", "-", "+")
-    assert "every traverse follows" in named("reversal-loss", rows).missing(
+    assert "every traverse follows" in named("reversal-loss", rows).explain_missing(
         rows.assign(before_direction=turned)
     )
 
@@ -142,7 +144,7 @@ def test_where_every_traverse_is_a_reversal_nothing_tells_the_loss_from_a_latenc
 def test_a_column_that_differs_between_sessions_only_is_recalibrated_away(log):
     by_session = log.rows.groupby(log.rows["session"].astype(str))["temperature"].transform("mean")
     rows = log.rows.assign(temperature=by_session)
-    assert "each session is calibrated by itself" in named("temperature", rows).missing(rows)
+    assert "each session is calibrated by itself" in named("temperature", rows).explain_missing(rows)
 
 
 def test_moments_lie_between_the_traverses_of_each_session(log):
@@ -170,7 +172,7 @@ def test_a_version_of_a_session_is_tried_in_that_session_only(log):
 
 def test_misfires_are_as_frequent_and_as_large_as_their_parameters_say():
     cause, n = named("end-stop-misfire", pd.DataFrame()), 200_000
-    found = cause.departures(np.array([[0.02, 0.05]] * n), np.random.default_rng(1).random((n, 3)))
+    found = cause.misfire_deviations(np.array([[0.02, 0.05]] * n), np.random.default_rng(1).random((n, 3)))
     hit = found != 0
     assert hit.mean() == pytest.approx(0.02, rel=0.05)
     assert np.abs(found[hit]).mean() == pytest.approx(0.05, rel=0.01)

@@ -44,7 +44,7 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(rows, linearize):
     log_sigma = np.linspace(-0.5, 0.5, 401)
     each = []
     for strength in (0.0, *STRENGTHS):
-        covariance = np.eye(linearized.df) + strength**2 * (directions * shape.share) @ directions.T
+        covariance = np.eye(linearized.df) + strength**2 * (directions * shape.prior_share) @ directions.T
         log = [multivariate_normal.logpdf(along, None, np.exp(2 * s) * covariance) for s in log_sigma[::40]]
         curve = np.polynomial.Polynomial.fit(log_sigma[::40], log, 6)(log_sigma)
         each.append(np.log(np.trapezoid(np.exp(curve - curve.max()), log_sigma)) + curve.max())
@@ -146,6 +146,6 @@ def test_misfires_are_found_and_heavy_tails_are_none(rows, linearize):
 
 def test_a_fit_begins_at_the_size_and_sign_that_an_effect_seems_to_have(named):
     """A drift of -0.3 % an hour; what is looked for has the other sign."""
-    (found,) = named.search.found
-    assert found.start == pytest.approx(named.search.fit.values, rel=0.1)
+    (found,) = named.selection.selected
+    assert found.start == pytest.approx(named.selection.fit.values, rel=0.1)
     assert found.start[0] < 0

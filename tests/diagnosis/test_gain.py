@@ -92,7 +92,7 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
     own_problem = problem(hide(design, seed=3))
     kinds, splits = (
         number_session_configurations(own_problem.rows),
-        make_folds(own_problem.study(), number_session_configurations(own_problem.rows), _rng()),
+        make_folds(own_problem.linearize(), number_session_configurations(own_problem.rows), _rng()),
     )
     held = np.concatenate([split.held_out for split in splits])
     assert len(np.unique(held)) == len(held) > 0.85 * len(own_problem)
@@ -115,7 +115,7 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
 
 def test_causes_stay_known_in_what_is_left(problem):
     own_problem = problem(hide("session", seed=3))
-    study, rng = own_problem.study(), _rng()
+    study, rng = own_problem.linearize(), _rng()
     effects = study.project(
         rng.standard_normal((len(own_problem), 2)) * (np.arange(len(own_problem)) < 12)[:, None]
     )
@@ -166,7 +166,7 @@ def test_a_new_session_is_predicted_by_its_calibration_and_causes_from_the_other
 def test_a_log_of_two_sessions_has_no_new_one(problem):
     own_problem = problem(hide("thesis", seed=3))
     first = np.flatnonzero(own_problem.rows["session"] == own_problem.rows["session"][0])
-    assert hold_out_sessions(own_problem.without(first), load_machine()) == []
+    assert hold_out_sessions(own_problem.without_rows(first), load_machine()) == []
 
 
 def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
@@ -269,7 +269,7 @@ def covered(problem, seeds, strength):
 
 def forced(own_problem, rng):
     """The best cause in the law, whether or not anything is wrong."""
-    study = own_problem.study()
+    study = own_problem.linearize()
     misfit = assess_residuals(study, own_problem, 100, rng)
     cause_set = form_cause_set(misfit)
     if cause_set.cause == UNKNOWN:
@@ -279,7 +279,7 @@ def forced(own_problem, rng):
         )
         cause_set = replace(cause_set, cause=best)
     shape = misfit.best_hypothesis(cause_set.cause)
-    start = np.array(shape.version.absent) if shape.values is None else shape.values
+    start = np.array(shape.version.null_values) if shape.values is None else shape.values
     found = SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, 1.0)
     problem, fit, left = extend_problem(own_problem, [found])
     return Selection(problem, np.zeros(0, np.intp), (found,), misfit, misfit, 1.0, fit, left)

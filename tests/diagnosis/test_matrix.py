@@ -104,24 +104,24 @@ def of_plan(sweeps: str, sessions: str = ONE, replicates: int = 2, order: str = 
 def test_a_single_short_session_confuses_drift_warm_up_and_wear_and_several_long_ones_do_not(one, other):
     short, _ = of_plan(GUIDE_CALIBRATION, ONE, 3)
     long, _ = of_plan(GUIDE_CALIBRATION + ARM, FIVE, 3)
-    assert short.needed(one, other) > 15
-    assert short.rate(one, other, 8.0) > 0.15
-    assert long.needed(one, other) < 8
+    assert short.strength_needed(one, other) > 15
+    assert short.pair_confusion(one, other, 8.0) > 0.15
+    assert long.strength_needed(one, other) < 8
 
 
 def test_side_load_and_a_bent_response_need_many_loads():
     few, _ = of_plan(GUIDE_CALIBRATION + HALF_LOADS)
     many, _ = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
-    assert few.needed("side-load", "load-nonlinearity") > 20
-    assert few.rate("side-load", "load-nonlinearity", 8.0) > 0.25
-    assert many.needed("side-load", "load-nonlinearity") < 12
+    assert few.strength_needed("side-load", "load-nonlinearity") > 20
+    assert few.pair_confusion("side-load", "load-nonlinearity", 8.0) > 0.25
+    assert many.strength_needed("side-load", "load-nonlinearity") < 12
 
 
 def test_only_recoil_tells_an_offset_of_psi_from_one_of_q2():
     arm, _ = of_plan(ARM)
     both, _ = of_plan(ARM + GUIDE_CALIBRATION + BETWEEN)
-    assert arm.needed("psi-offset", "q2-offset") == np.inf
-    assert arm.rate("psi-offset", "q2-offset", 8.0) == pytest.approx(0.5, abs=0.01)
+    assert arm.strength_needed("psi-offset", "q2-offset") == np.inf
+    assert arm.pair_confusion("psi-offset", "q2-offset", 8.0) == pytest.approx(0.5, abs=0.01)
     assert not arm.are_separable("psi-offset", "q2-offset")
     assert both.are_separable("psi-offset", "q2-offset")
 
@@ -139,7 +139,7 @@ def test_a_plan_says_what_it_cannot_see():
 
 def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
     found, problem = of_plan(GUIDE_CALIBRATION, ONE, 6)
-    study = problem.study()
+    study = problem.linearize()
     by_name = {cause.name: cause for cause in problem.causes}
     (one,) = build_candidates(study, [by_name["drift"]])
     others = build_candidates(study, [by_name["wear"]])
@@ -162,15 +162,15 @@ def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect, tmp_
     found = assess_design(problem, missing, 0.05, N_BOOTSTRAP, np.random.default_rng(1))
     (parameter,) = hidden.truth["effects"][0]["parameters"]
     size = abs(parameter["value"]) * {"%/h": 1 / 360_000, "deg": np.pi / 180, "%": 0.01}[parameter["unit"]]
-    assert size * found.of(effect).per_size == pytest.approx(8.0, rel=0.15)
+    assert size * found.detectability(effect).per_size == pytest.approx(8.0, rel=0.15)
 
 
 def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     found, problem = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
-    study = problem.study()
+    study = problem.linearize()
     shape = build_candidates(study, [cause for cause in problem.causes if cause.name == "side-load"])[0]
     rng = np.random.default_rng(5)
-    seen = shape.directions[:, 0] * found.of("side-load").found
+    seen = shape.directions[:, 0] * found.detectability("side-load").detection_strength
     first = assess_residuals(study, problem, N_BOOTSTRAP, rng)
     alarms = 0
     for _ in range(100):

@@ -67,10 +67,10 @@ def left_with(diagnosis, cause, rivals):
 
 def fit_with(diagnosis, cause, rival):
     """The law with a rival in place of the selected cause, by the problem's own refit."""
-    (found,) = (each for each in diagnosis.search.found if each.cause == cause)
+    (found,) = (each for each in diagnosis.selection.selected if each.cause == cause)
     shape = found.misfit.best_hypothesis(rival)
-    start = np.array(shape.version.absent) if shape.values is None else shape.values
-    return diagnosis.search.problem.fit_extended([shape.version], start)
+    start = np.array(shape.version.null_values) if shape.values is None else shape.values
+    return diagnosis.selection.problem.fit_extended([shape.version], start)
 
 
 def rows_of(choices, traverse):
@@ -150,13 +150,13 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
     design, effect, strength, rival
 ):
     diagnosis = diagnosis_of(design, effect, strength)
-    problem = diagnosis.search.problem
+    problem = diagnosis.selection.problem
     choices = forecast_candidates(problem, log_of(design, effect, strength).machine)
     (traverse,) = next_experiment(left_with(diagnosis, effect, [rival]))
     assert set(traverse.tells_apart) == {effect, rival}
     forecast, row = rows_of(choices, traverse)
     rivals = [Rival(fit_with(diagnosis, effect, each), forecast, row) for each in (effect, rival)]
-    drive = problem.drive[
+    drive = problem.noise_group[
         (problem.rows["joint"] == traverse.joint) & (problem.rows["direction"] == traverse.direction)
     ]
     repeatability = problem.repeatability[drive[0]]
@@ -172,7 +172,7 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
 
 def test_no_more_readings_are_asked_for_than_it_takes():
     diagnosis = diagnosis_of("session", "side-load", 10.0)
-    choices = forecast_candidates(diagnosis.search.problem, log_of("session", "side-load", 10.0).machine)
+    choices = forecast_candidates(diagnosis.selection.problem, log_of("session", "side-load", 10.0).machine)
     (traverse,) = next_experiment(left_with(diagnosis, "side-load", ["load-nonlinearity"]))
     forecast, row = rows_of(choices, traverse)
     one, other = (
@@ -181,8 +181,8 @@ def test_no_more_readings_are_asked_for_than_it_takes():
     )
     # The distance of the two, along all that the session's own parameters leave, in standard deviations.
     apart = one.free.T @ (one.middle - other.middle)
-    problem = diagnosis.search.problem
-    drive = problem.drive[
+    problem = diagnosis.selection.problem
+    drive = problem.noise_group[
         (problem.rows["joint"] == traverse.joint) & (problem.rows["direction"] == traverse.direction)
     ]
     noise = problem.repeatability[drive[0]] ** 2
@@ -222,7 +222,7 @@ def test_two_names_for_one_thing_are_out_of_reach_of_every_traverse():
 
 def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibration():
     log = log_of("session", "drift", 12.0)
-    for each in forecast_candidates(diagnosis_of("session", "drift", 12.0).search.problem, log.machine):
+    for each in forecast_candidates(diagnosis_of("session", "drift", 12.0).selection.problem, log.machine):
         begun, rows = each.calibration, each.traverses
         driven = log.rows.loc[log.rows["joint"] == each.law.joint, "steps"].sum()
         assert (begun["steps_before"] >= driven - 1).all()

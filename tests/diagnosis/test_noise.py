@@ -140,7 +140,7 @@ def test_memory_is_as_large_as_before_recalibration(rows, parts):
 class Stalling:
     """A cause in proportion to its size, but beyond a limit the law has no answer."""
 
-    name, joints, session, joined, absent = "stalling", (3,), "", False, (0.0,)
+    name, joints, session, combine_trials, null_values = "stalling", (3,), "", False, (0.0,)
 
     def changes(self, law, table, values, trials):
         sizes = np.where(np.abs(trials[:, 0]) > 0.1, np.nan, trials[:, 0])

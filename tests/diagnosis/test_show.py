@@ -19,7 +19,7 @@ from tests.diagnosis.conftest import hours_in
 
 @pytest.fixture(scope="module")
 def left(named):
-    return compare_residuals(named.search, named.seed)
+    return compare_residuals(named.selection, named.seed)
 
 
 def test_values_that_come_again_are_classes_of_their_own():
@@ -39,7 +39,7 @@ def test_means_are_those_of_pandas(left):
     subset = (left.rows["joint"] == 3).to_numpy()
     found = bin_residuals(left.before, left.null_before, values, bin_values(values), subset)
     by_hand = left.rows.assign(residual=left.before)[subset].groupby("q2")["residual"].mean()
-    assert found.place == pytest.approx(by_hand.index.to_numpy())
+    assert found.centre == pytest.approx(by_hand.index.to_numpy())
     assert found.mean == pytest.approx(by_hand.to_numpy())
 
 
@@ -48,7 +48,7 @@ def test_before_shows_the_drift_and_after_does_not(left, drifting):
     subset = (left.rows["joint"] == 3).to_numpy()
     before = bin_residuals(left.before, left.null_before, hours, bin_values(hours), subset)
     after = bin_residuals(left.after, left.null_after, hours, bin_values(hours), subset)
-    assert np.polyfit(before.place, before.mean, 1)[0] == pytest.approx(0.003, rel=0.2)
+    assert np.polyfit(before.centre, before.mean, 1)[0] == pytest.approx(0.003, rel=0.2)
     assert np.any(np.abs(before.mean) > before.envelope)
     assert np.all(np.abs(after.mean) < after.envelope)
 
@@ -67,7 +67,7 @@ def test_the_envelope_holds_all_means_of_95_logs_in_100(left):
 
 def test_the_error_is_that_of_a_mean_of_noise(nothing):
     """The variance of a sum of independent signs, recalibrated, in closed form."""
-    linearized, quiet = nothing.search.study, compare_residuals(nothing.search, 0)
+    linearized, quiet = nothing.selection.linearized, compare_residuals(nothing.selection, 0)
     values = np.random.default_rng(6).integers(0, 4, len(linearized)).astype(float)
     found = bin_residuals(
         quiet.after, quiet.null_after, values, bin_values(values), np.ones(len(values), dtype=bool)
@@ -81,7 +81,7 @@ def test_the_error_is_that_of_a_mean_of_noise(nothing):
 
 
 def test_a_drift_is_carried_by_the_hours_in_the_session(named, left):
-    shape = compute_shape(named.search.found[0], named.search.problem.study())
+    shape = compute_shape(named.selection.selected[0], named.selection.problem.linearize())
     columns = collect_covariates(left.rows)
     groups = left.rows["joint"].to_numpy()
     assert find_carrier(shape, columns, groups) == SESSION_HOURS

@@ -104,7 +104,7 @@ def test_the_result_is_one_of_the_extended_law(campaign, tmp_path, fitted):
 
 
 def fit_names(result):
-    return result.joints[3].common
+    return result.joints[3].cause_parameters
 
 
 def test_error_bars_hold_what_is_not_sure_of_the_causes(campaign, tmp_path, fitted):

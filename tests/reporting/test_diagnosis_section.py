@@ -168,9 +168,9 @@ def test_a_notebook_shows_the_answer_and_the_tables(found, read_page):
 
 
 def test_before_shows_the_drift_and_after_shows_none(found):
-    left = compare_residuals(found.search, found.seed)
-    look = found.search.found[0]
-    shape = compute_shape(look, found.search.problem.study())
+    left = compare_residuals(found.selection, found.seed)
+    look = found.selection.selected[0]
+    shape = compute_shape(look, found.selection.problem.linearize())
     label, figure = draw_finding(found.findings[0], look, shape, left)
     assert label == "hours in session"
     slopes = []
@@ -183,7 +183,7 @@ def test_before_shows_the_drift_and_after_shows_none(found):
 
 
 def test_a_panel_for_everything_that_varied(found):
-    left = compare_residuals(found.search, found.seed)
+    left = compare_residuals(found.selection, found.seed)
     labels = {axis.get_xlabel() for axis in draw_residuals_overview(3, left).axes} - {""}
     assert {"hours in session", "load along the axis", "q2 (°)", "theta (°)"} <= labels
     assert "psi (°)" not in labels
@@ -199,7 +199,7 @@ def test_the_ranking_has_a_look_for_each_cause_and_one_for_what_is_left(found):
     assert last[0] == "chance alone"
     ends = [10 ** float(line.get_xdata()[-1]) for line in figure.axes[1].lines[::2]]
     assert ends[0] == pytest.approx(
-        1.0 - sum(cause_probabilities(found.search.last.log_evidence_by_cause).values())
+        1.0 - sum(cause_probabilities(found.selection.last_misfit.log_evidence_by_cause).values())
     )
     assert sum(ends) <= 1.0 + 1e-9
 
@@ -214,7 +214,9 @@ def test_the_gain_of_each_session_is_drawn(found):
 
 def test_confusion_falls_with_strength_and_hard_pairs_stay_hard(found):
     causes = ["drift", "thermal-warm-up", "theta-offset"]
-    weak, strong = (compute_confusion_rates(causes, found.search.first, strength) for strength in (4.0, 40.0))
+    weak, strong = (
+        compute_confusion_rates(causes, found.selection.first_misfit, strength) for strength in (4.0, 40.0)
+    )
     assert np.all(strong[np.isfinite(strong)] <= weak[np.isfinite(weak)])
     assert weak[1, 0] > 0.2 > weak[2, 0]
 
@@ -304,7 +306,7 @@ def test_points_of_the_evidence_are_numbered_as_in_the_log(found, made, monkeypa
     assert list(number_residuals(found).rows.index) == list(usable.index)
     wild = pd.DataFrame(index=[0, 5])
     left = replace(
-        compare_residuals(found.search, 0), rows=usable.drop(index=wild.index).reset_index(drop=True)
+        compare_residuals(found.selection, 0), rows=usable.drop(index=wild.index).reset_index(drop=True)
     )
     monkeypatch.setattr("stickslip_fit.reporting.page.compare_residuals", lambda *_: left)
     rows = number_residuals(replace(found, findings=(replace(found.findings[0], traverses=wild),))).rows

@@ -64,7 +64,7 @@ class HiddenLaws:
 
 def count_steps(law: StepLaw, row: pd.DataFrame, values: Array, factor: float) -> float:
     """Steps from a row's start to its stop without noise, as `simulate` computes them."""
-    added = float(law.added(row, values)[0]) if isinstance(law, ExtendedLaw) else 0.0
+    added = float(law.steps_added_by_causes(row, values)[0]) if isinstance(law, ExtendedLaw) else 0.0
     return (float(expected_counts(law, row, values)[0]) - added) / factor + added
 
 
@@ -100,7 +100,7 @@ class JointMotion:
         added = 0.0
         if isinstance(law, ExtendedLaw):
             values = law.without_stop_effects(values)
-            added = float(law.added(self.row, values)[0])
+            added = float(law.steps_added_by_causes(self.row, values)[0])
         effective = max(added + (steps * np.exp(-self.deviation) - added) * factor, 0.0)
         return float(position_after(law, self.row, values, effective)[0])
 
@@ -131,7 +131,7 @@ def begin_motion(truth: HiddenLaws, row: pd.DataFrame, deviation: float, misfire
     if isinstance(law, ExtendedLaw):
         moving, misfire = (
             law.without_stop_effects(values),
-            float(law.misfires(values, misfire_draws[None])[0]),
+            float(law.misfire_deviations(values, misfire_draws[None])[0]),
         )
     to_stop = float(count_steps(law, row, moving, factor) * np.exp(deviation))
     to_sound = float(count_steps(law, row, values, factor) * np.exp(deviation + misfire))

@@ -1,4 +1,4 @@
-"""Interrupted walks lose nothing, agreement is between ensembles, and weights say what they should."""
+"""Interrupted chains lose nothing, agreement is between ensembles, and weights say what they should."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def traverses(traverses_of):
 
 
 def test_an_interrupted_walk_ends_as_if_nothing_had_happened(traverses, tight_prior, tmp_path):
-    path, made = tmp_path / "walks.h5", 0
+    path, made = tmp_path / "chains.h5", 0
 
     def interrupt(steps):
         nonlocal made
@@ -45,8 +45,8 @@ def test_an_interrupted_walk_ends_as_if_nothing_had_happened(traverses, tight_pr
             raise KeyboardInterrupt
 
     def walk_on():
-        walks = file_backends(path, "x", traverses, tight_prior, 3)
-        return sample_posterior(traverses, tight_prior, walks, on_step=interrupt, **QUICK)
+        chains = file_backends(path, "x", traverses, tight_prior, 3)
+        return sample_posterior(traverses, tight_prior, chains, on_step=interrupt, **QUICK)
 
     kept = []
     for _ in range(3):
@@ -61,8 +61,8 @@ def test_an_interrupted_walk_ends_as_if_nothing_had_happened(traverses, tight_pr
     assert resumed.quality.equals(whole.quality)
 
 
-def test_walks_of_something_else_are_not_taken_up(traverses, tight_prior, tmp_path):
-    path = tmp_path / "walks.h5"
+def test_chains_of_something_else_are_not_taken_up(traverses, tight_prior, tmp_path):
+    path = tmp_path / "chains.h5"
     file_backends(path, "x", traverses, tight_prior, 3)
     file_backends(path, "x", traverses, tight_prior, 3)
     others = (
