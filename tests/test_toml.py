@@ -75,12 +75,12 @@ def test_five_faults_are_told_at_once_with_line_key_value_and_what_to_do():
 
 
 def test_a_missing_key_is_told_at_the_line_of_its_table():
-    text = LAW.replace("a_nm = 903\n", "").replace("c_nm = 438", "c_nm = 438\nc_um = 0.438")
+    text = LAW.replace("a_nm = 899\n", "").replace("c_nm = 375.55", "c_nm = 375.55\nc_um = 0.376")
     with pytest.raises(InputError) as caught:
         parse_toml(text.encode(), "law.toml", LawFile)
     lines = text.splitlines()
     places = [(problem.column, lines[problem.line - 1]) for problem in caught.value.problems]
-    assert places == [("law 1 c_um", "c_um = 0.438"), ("law 2 a_nm", "[[law]]")]
+    assert places == [("law 1 c_um", "c_um = 0.376"), ("law 2 a_nm", "[[law]]")]
 
 
 @pytest.mark.parametrize("name", FILES)

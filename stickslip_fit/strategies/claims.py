@@ -80,7 +80,7 @@ NOTE = (
     "put the constant step's error at up to 159 % (prismatic) and 25.7 % (rotary)."
 )
 # Printed in the thesis or computed from what it prints; data/published gives the source of each.
-STEP = {"nm": 12e6 / 12300, "µrad": 95.0}
+STEP = {"nm": 972.0, "µrad": 95.0}
 CONSTANT_STEP_ERROR = {"nm": 159.0, "µrad": 25.7}  # %
 QUADRATIC_ERROR = 1.6  # µrad
 REPEATABILITY, DAY_TO_DAY = 0.27, (2.6, 1.9)  # %
@@ -88,8 +88,8 @@ NOTES = {
     "nm": (
         f"Its p-values imply that a traverse repeats to {REPEATABILITY} % and that days differ by "
         f"{DAY_TO_DAY[0]} % (+) and {DAY_TO_DAY[1]} % (−): a law kept from another day is off by that much. "
-        f"The {CONSTANT_STEP_ERROR['nm']:.0f} % was worked out from its a, b and c; its b and c are not "
-        "among the numbers at hand here, so that it cannot be worked out again."
+        f"The {CONSTANT_STEP_ERROR['nm']:.0f} % is that of its a, b and c (Fig. 4.13) in −, at q2 = −180 deg, "
+        "theta = psi = 0."
     ),
     "µrad": (
         "Its quadratic for d (Eq. 6.6), used for every gamma0 from 75 to 115 µrad, is by itself off by up "
@@ -142,7 +142,7 @@ def implied(claim: Claim, unit: str) -> str:
     Examples
     --------
     >>> implied(Claim("law", 20.0, "%"), "nm")
-    '195 nm of its 976 nm step'
+    '194 nm of its 972 nm step'
     >>> implied(Claim("constant step", 1.3, "%"), "µrad")
     'off by up to 25.7 % (joint 2)'
     """
