@@ -67,12 +67,13 @@ class Plan:
         In order of time.
     traverses : DataFrame
         One pass through the list, in order: visit (int; equal for consecutive traverses of one
-        configuration), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI; the moving
-        joint's own position is NaN.
+        configuration), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI, status (``ok``
+        or ``excluded``); the moving joint's own position is NaN.
     replicates : int
         Passes through the list in a session.
     order : {'as-written', 'random'}
-        ``random`` shuffles the visits within each session; a visit's traverses stay together.
+        ``random`` shuffles the visits within each session; a visit's traverses stay together, and excluded
+        ones, such as a warm-up drive, come first.
     check_every : int
         Steps between two checks for the end stop.
     timing : Timing
@@ -95,8 +96,8 @@ class Plan:
     def rows(self) -> pd.DataFrame:
         """Every traverse of every session, in order of time.
 
-        The log's columns session (categorical), joint, direction, q1 to psi, start, stop, check_every and
-        step_period, SI, with sweep, and visit counted through all sessions. A further session does not
+        The log's columns session (categorical), joint, direction, q1 to psi, start, stop, status, check_every
+        and step_period, SI, with sweep, and visit counted through all sessions. A further session does not
         change the order in the others.
         """
         count = self.traverses_per_session
@@ -129,7 +130,8 @@ class Plan:
             return np.arange(self.traverses_per_session)
         visits = self._visits()
         shuffled = np.random.default_rng([self.seed, number]).permutation(visits.max() + 1)
-        return np.argsort(shuffled[visits], kind="stable")
+        fitted = np.tile(self.traverses["status"] == "ok", self.replicates)
+        return np.lexsort((shuffled[visits], fitted))
 
 
 RANGE_TOL = 1e-9  # of a joint's range, for rounding in unit conversion
@@ -248,7 +250,7 @@ def build_sheet(plan: Plan) -> pd.DataFrame:
             **{f"{name}_mm": _format_cells(end.where(~rotary), "mm") for name, end in ends.items()},
             "check_every": rows["check_every"],
             "step_period_ms": _format_cells(rows["step_period"], "ms"),
-            "status": blank,
+            "status": rows["status"].replace("ok", ""),
             "note": blank,
         }
     )

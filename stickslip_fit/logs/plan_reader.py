@@ -25,7 +25,7 @@ from stickslip_fit.units import JOINTS, to_si
 ANGLE_UNITS = ("deg", "rad")
 UNITS_OF = {1: ANGLE_UNITS, 2: ANGLE_UNITS, 3: ("mm", "m", "µm", "nm")}
 SWEEP_AXES = ("q1", "q2", "q3", "theta", "psi")
-SWEEP_COLUMNS = ("sweep", "joint", "direction", *SWEEP_AXES, "start", "stop")
+SWEEP_COLUMNS = ("sweep", "joint", "direction", *SWEEP_AXES, "start", "stop", "status")
 MAX_CONFIGURATIONS = 100_000
 
 
@@ -69,6 +69,8 @@ class SweepTable(TomlTable, extra="ignore"):
     """Orientation of the base, within one turn."""
     replicates: Annotated[int, Interval(ge=1, le=1_000)] = 1
     """How often in a row each configuration's directions are traversed."""
+    status: Literal["ok", "excluded"] = "ok"
+    """`"excluded"`: traverses that count as history but are not fitted, such as a warm-up drive."""
 
     @model_validator(mode="after")
     def _check_size(self) -> Self:
@@ -101,7 +103,8 @@ class SweepTable(TomlTable, extra="ignore"):
             for direction in self.directions * self.replicates:
                 start, stop = (low, high) if direction == "+" else (high, low)
                 name = self.name or f"joint {self.joint}"
-                yield (name, self.joint, direction, *(position[axis] for axis in SWEEP_AXES), start, stop)
+                place = (position[axis] for axis in SWEEP_AXES)
+                yield (name, self.joint, direction, *place, start, stop, self.status)
 
 
 def _sweep_model(joint: int) -> type[SweepTable]:

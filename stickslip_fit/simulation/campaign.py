@@ -301,7 +301,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
 
     driven = drive_through(plan, rows, draws.wait, count_steps, truth.laws.values())
     missing = {name: np.nan for name in CONDITIONS if name not in driven}
-    driven = driven.assign(session=driven["session"].astype("str"), status="ok", note="", **missing)
+    driven = driven.assign(session=driven["session"].astype("str"), note="", **missing)
     counts = hashlib.sha256(driven["steps"].to_numpy().tobytes())
     return Log(add_history(driven[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
 

@@ -146,7 +146,7 @@ def make_task(study: StudyPlan, cell: DesignCell, rows: pd.DataFrame) -> Calibra
 
 
 def _make_cells(study: StudyPlan, nominal: SimulatedCampaigns) -> Iterator[DesignCell]:
-    rows = nominal.rows
+    rows = nominal.rows[nominal.rows["status"] == "ok"]
     labels = [session.label for session in study.plan.sessions]
     for joint in sorted(rows["joint"].unique()):
         law = published_law(joint, rows[rows["joint"] == joint], study.machine)

@@ -296,7 +296,7 @@ def simulate_campaigns(study: StudyPlan, scenario: Scenario, draws: CampaignDraw
         return observed_count(steps * np.exp(deviation), rows_with_history["check_every"])
 
     traverses = drive_through(side_by_side, rows, draws.wait.ravel(), count_steps, truths.laws.values())
-    log = _separate_histories(traverses, labels, count).assign(status="ok", note="")
+    log = _separate_histories(traverses, labels, count).assign(note="")
     log = log.assign(**{name: np.nan for name in CONDITIONS if name not in log})
     steps = truths.without_stop_effects().steps(log, number)
     return SimulatedCampaigns(count, len(study.plan.sessions), log, truths, steps)
