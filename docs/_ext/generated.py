@@ -15,6 +15,7 @@ import causes_page
 import columns_page
 import command_line
 import laws_page
+import thesis_figures
 import toml_page
 
 HERE = Path(__file__).parents[1]
@@ -24,6 +25,7 @@ NOTEBOOKS = HERE.parent / "notebooks"
 
 def pages() -> dict[str, str]:
     """Every generated page by its path below ``docs/generated/``."""
+    claims = list(thesis_figures.claims())
     return {
         "command-line.md": command_line.page(),
         "causes.md": causes_page.page(),
@@ -31,6 +33,8 @@ def pages() -> dict[str, str]:
         "columns.md": columns_page.page(),
         "keys.md": toml_page.page(),
         **{f"schemas/{name}.json": text for name, text in toml_page.schemas().items()},
+        "thesis-figures.md": thesis_figures.page(claims),
+        **thesis_figures.pictures(claims),
         "notebooks.md": _list_of_notebooks(),
         **{f"api/{name}.md": text for name, text in api.pages().items()},
     }
