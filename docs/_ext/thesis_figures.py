@@ -238,8 +238,8 @@ def rotary_claims() -> Iterator[Claim]:
     yield Claim(
         "5.6",
         "With gravity the step in + is the inverted image of that in -, and more so with the arm out.",
-        f"steps downwards are longer, upwards shorter; in {SIGN['-']} they differ by {span[0]:.0f} µrad over zeta "
-        f"at q3 = 0 mm, by {span[12]:.0f} µrad at 12 mm",
+        f"downward steps are longer, upward ones shorter; in {SIGN['-']} they differ by {span[0]:.0f} µrad "
+        f"over zeta at q3 = 0 mm, by {span[12]:.0f} µrad at 12 mm",
         opposite,
         drawn,
     )
