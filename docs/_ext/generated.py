@@ -25,7 +25,7 @@ NOTEBOOKS = HERE.parent / "notebooks"
 
 def pages() -> dict[str, str]:
     """Every generated page by its path below ``docs/generated/``."""
-    claims = list(thesis_figures.claims())
+    claims = thesis_figures.claims()
     return {
         "command-line.md": command_line.page(),
         "causes.md": causes_page.page(),

@@ -145,23 +145,16 @@ def share_significant(spread: float, repeatability: float = 0.27, pairs: int = 2
     return float(np.mean(stats.ttest_ind(days[:, 0], days[:, 1], axis=1).pvalue < 0.05))
 
 
-def claims() -> Iterator[Claim]:
+def claims() -> list[Claim]:
     """The figures in the order of the thesis."""
-    yield day_to_day(
-        "4.4",
-        select(joint=3, q2_deg=-90, theta_deg=0, psi_deg=0),
-        "nm",
-        "0.0003, 0.001, 0.000004",
-        (1.838, 1.344),
-    )
-    yield from prismatic_claims()
-    yield from rotary_claims()
-    yield from accuracy_claims()
+    found = [*prismatic_claims(), *rotary_claims(), *load_coefficient_claims(), *accuracy_claims()]
+    return sorted(found, key=lambda claim: tuple(map(int, claim.figure.split("."))))
 
 
 def prismatic_claims() -> Iterator[Claim]:
-    """Figures 4.6 to 4.13 and 6.2."""
+    """Figures of chapter 4, and 6.2."""
     level = select(joint=3, q2_deg=-90, psi_deg=0)
+    yield day_to_day("4.4", level[level["theta_deg"] == 0], "nm", "0.0003, 0.001, 0.000004", (1.838, 1.344))
     p_values = [
         stats.f_oneway(
             *(group["step"] / day_means(group, level) for _, group in subset.groupby("theta_deg"))
@@ -214,7 +207,7 @@ def prismatic_claims() -> Iterator[Claim]:
 
 
 def rotary_claims() -> Iterator[Claim]:
-    """Figures of chapter 5, and 6.4 to 6.7."""
+    """Figures of chapter 5, 6.6 and 6.7."""
     day = select(joint=2, q3_mm=0, theta_deg=-90, full=True)
     yield day_to_day("5.1", day, "µrad", "0.033, 0.016, 0.0000004", (0.498, 0.625))
     free = select(joint=2, q3_mm=0, theta_deg=-90, full=False)
@@ -253,7 +246,6 @@ def rotary_claims() -> Iterator[Claim]:
         all(line.slope < 0 for line in lines),
         sweep(over_q3, "q3_mm", "q3 (mm)", "µrad"),
     )
-    yield from load_coefficient_claims()
     error = worst_error(loaded, "predicted")
     yield Claim(
         "6.6",

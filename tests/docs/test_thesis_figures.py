@@ -29,26 +29,7 @@ def claims(page):
 
 
 def test_every_figure_with_results_is_there(claims):
-    assert list(claims) == (
-        [
-            "4.4",
-            "4.6",
-            "4.8",
-            "4.10",
-            "4.13",
-            "6.2",
-            "5.1",
-            "5.5",
-            "5.6",
-            "5.7",
-            "6.4",
-            "6.5",
-            "6.6",
-            "6.7",
-            "7.1",
-            "7.2",
-        ]
-    )
+    assert " ".join(claims) == "4.4 4.6 4.8 4.10 4.13 5.1 5.5 5.6 5.7 6.2 6.4 6.5 6.6 6.7 7.1 7.2"
 
 
 def test_what_the_printed_parameters_contradict_does_not_hold(claims):
