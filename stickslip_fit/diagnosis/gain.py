@@ -28,8 +28,8 @@ from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
     log_likelihood_ratio,
+    prepare_calibration,
     simulate_gain_interval,
-    subtract_calibration,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, number_configurations
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
@@ -175,7 +175,7 @@ def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
     linearized = selection.problem.linearize()
     residual = linearized.residual[:, None]
     errors = [
-        subtract_calibration(linearized.basis, split.calibration, split.held_out, residual)[:, 0]
+        prepare_calibration(linearized.basis, split.calibration, split.held_out).subtract(residual)[:, 0]
         for split in splits
     ]
     return np.concatenate(errors) * linearized.scale[np.concatenate([split.held_out for split in splits])]

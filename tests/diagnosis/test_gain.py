@@ -30,7 +30,9 @@ from stickslip_fit.diagnosis.gain_interval import (
     NONE_FOUND,
     CompetingCauses,
     LinearizedCampaign,
-    predict_held_out_errors,
+    predict_extension,
+    prepare_calibration,
+    prepare_split,
     simulate_selection,
 )
 from stickslip_fit.diagnosis.hypotheses import build_unstructured_alternatives, make_hypothesis
@@ -179,7 +181,8 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     rest = np.setdiff1d(np.arange(60), held)
     for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
         fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
-        found = predict_held_out_errors(basis, Split(rest, rest, held), chosen, responses)
+        operators = prepare_split(basis, Split(rest, rest, held))
+        found = operators.prediction.subtract(responses) - predict_extension(operators, chosen, responses)
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
 
@@ -363,7 +366,8 @@ def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
     logs, strength = 20_000, 8.0
     campaign = a_campaign(cosine, strength=strength)
     responses = campaign.effects + _rng().standard_normal((40, logs))
-    wrong = np.mean(simulate_selection(campaign, 0, np.arange(40), responses) == 1)
+    training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
+    wrong = np.mean(simulate_selection(campaign, 0, training, responses) == 1)
     expected = norm.sf(strength * np.sqrt((1 - cosine) / 2))
     assert wrong == pytest.approx(expected, abs=4 * np.sqrt(expected / logs) + 1e-4)
 
@@ -377,4 +381,6 @@ def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
         ({"ahead": -90.0}, CAUSE_FOUND),
     ]
     for change, made in cases:
-        assert set(simulate_selection(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}
+        campaign = a_campaign(0.97, **change)
+        training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
+        assert set(simulate_selection(campaign, 0, training, responses)) == {made}
