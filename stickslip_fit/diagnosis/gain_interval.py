@@ -116,9 +116,10 @@ class CalibrationOperator:
 
 
 def prepare_calibration(basis: csr_array, calibration: IntArray, predicted: IntArray) -> CalibrationOperator:
-    """The calibration by some rows and the prediction of others; `basis`, shape (n, p'), spans the calibration.
+    """The calibration by some rows and the prediction of others.
 
-    The calibration rows must determine every parameter that acts on the predicted rows.
+    `basis`, shape (n, number of all parameters), spans the calibration. The calibration rows must determine
+    every parameter that acts on the predicted rows.
     """
     wanted = basis[predicted]
     acting = np.unique(wanted.indices)
@@ -285,8 +286,8 @@ def simulate_selection(
     """The cause that a selection from the training rows takes in the place of a true one, in each of m logs.
 
     `training` predicts the training rows by themselves; `responses` has shape (n, m); `spread`, shape (m, r),
-    is added to the log Bayes factor of each rival. The result, shape (m,), is `CAUSE_FOUND`, the number of the
-    rival, counted from 1, or `NONE_FOUND`.
+    is added to the log Bayes factor of each rival. The result, shape (m,), is `CAUSE_FOUND`, the number of
+    the rival, counted from 1, or `NONE_FOUND`.
     """
     rivals = campaign.competing_causes[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])

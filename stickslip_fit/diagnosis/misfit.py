@@ -49,19 +49,18 @@ MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the b
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
 MIN_TAIL_DF = 5.0  # of the Student t noise that is simulated instead
 BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and residuals in them
-CHUNK_SIZE = 50  # samples whose evidence is computed at a time, so that it stays in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
 class HypothesisBatch:
-    """Hypotheses side by side, so that all are evaluated in one matrix product for each session; m directions.
+    """Hypotheses side by side, with m directions in all; one matrix product for each session evaluates them.
 
     Attributes
     ----------
     groups : tuple of DirectionGroup
     explained_share : sparse array, shape (S len(STRENGTHS), m)
-        For each subspace hypothesis, of S, at each strength: the share of the square along each direction that
-        its prior explains; directions in the order of `groups`.
+        Of the square along each direction, in the order of `groups`: what each of S subspace hypotheses
+        explains of it at each strength.
     log_spread : array, shape (S len(STRENGTHS),)
         Log of the prior variance of the residuals over that of the noise.
     ar1s : tuple of AR1
@@ -91,17 +90,10 @@ class HypothesisBatch:
         """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,)."""
         weight = np.empty(len(log_weight))
         weight[self.position] = np.exp(log_weight)
-        parts = [
-            self._weighted_sum(residuals[:, first : first + CHUNK_SIZE], weight)
-            for first in range(0, residuals.shape[1], CHUNK_SIZE)
-        ]
-        return np.log(np.concatenate(parts))
-
-    def _weighted_sum(self, residuals: Array, weight: Array) -> Array:
         subspaces = self._at_each_strength(residuals)
-        subspaces = np.exp(np.minimum(subspaces, MAX_LOG_EVIDENCE, out=subspaces), out=subspaces)
+        np.exp(np.minimum(subspaces, MAX_LOG_EVIDENCE, out=subspaces), out=subspaces)
         ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
-        return weight @ np.concatenate([subspaces.mean(axis=1), *ar1s])
+        return np.log(weight @ np.concatenate([subspaces.mean(axis=1), *ar1s]))
 
     def _at_each_strength(self, residuals: Array) -> Array:
         """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k)."""

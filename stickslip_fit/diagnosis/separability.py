@@ -51,7 +51,10 @@ MAX_ALIAS_SHAPES = 4  # causes with more shapes resemble others by chance
 
 
 def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesis | AR1]) -> Array:
-    """Cosine of the smallest angle between the spans of each two hypotheses, shape (ones, others); 0 for AR(1)."""
+    """Cosine of the smallest angle between the spans of each two hypotheses, 0 for AR(1).
+
+    The result has shape (number of ones, number of others).
+    """
     sizes = [
         np.array([len(one.prior_share) if isinstance(one, Hypothesis) else 0 for one in side])
         for side in (ones, others)
