@@ -122,7 +122,7 @@ def estimate_gain(
     alpha, seed : float, int
         Of the diagnosis.
     workers : int, optional
-        Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. The numbers do not depend on it.
+        Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. No number depends on it.
     progress : callable, optional
         Called with the number of splits that are done, and of all.
 

@@ -296,25 +296,56 @@ def acts_on(version: Any, law: Any) -> bool:
     return not hasattr(law, "joint") or law.joint in version.joints
 
 
-def build_candidates(linearized: LinearizedFit, causes: Iterable[Any]) -> list[Hypothesis]:
-    """Every shape of every cause."""
-    candidates: list[Hypothesis | None] = []
-    n, sessions = len(linearized), split_sessions(linearized)
+@dataclass(frozen=True, eq=False)
+class FiniteEffects:
+    """What one version of a cause changes at each trial of its parameters, whatever the noise.
+
+    Attributes
+    ----------
+    cause : str
+    version : object
+        The bound cause.
+    trials : array, shape (m, q)
+    changes : array, shape (n, m)
+        Of every response; of a version that acts in one session only, of that session's rows.
+    """
+
+    cause: str
+    version: Any
+    trials: Array
+    changes: Array
+
+
+def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> list[FiniteEffects]:
+    """Every shape of every cause; the same for all fits with these laws and rows."""
+    sessions, effects = split_sessions(linearized), []
     for cause in causes:
         for version, trials in cause.trials(linearized.rows):
-            if version.session:
-                session = sessions[version.session]
-                effects = compute_session_effects(linearized, session, version, trials)
-                candidates += build_session_hypotheses(cause.name, version, trials, n, session, effects)
-                continue
-            effects = compute_effects(linearized, version, trials)
-            if version.combine_trials:
-                candidates.append(make_hypothesis(cause.name, version, None, effects))
-            else:
-                candidates += [
-                    make_hypothesis(cause.name, version, trial, effect[:, None])
-                    for trial, effect in zip(trials, effects.T, strict=True)
-                ]
+            where = sessions[version.session] if version.session else linearized
+            changes = compute_changes(where, version, trials)
+            effects.append(FiniteEffects(cause.name, version, trials, changes))
+    return effects
+
+
+def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]) -> list[Hypothesis]:
+    """A hypothesis of every shape of every cause."""
+    candidates: list[Hypothesis | None] = []
+    n, sessions = len(linearized), split_sessions(linearized)
+    for one in effects:
+        cause, version, trials = one.cause, one.version, one.trials
+        if version.session:
+            session = sessions[version.session]
+            whitened = session.project(one.changes / linearized.scale[session.rows, None])
+            candidates += build_session_hypotheses(cause, version, trials, n, session, whitened)
+            continue
+        whitened = linearized.project(one.changes / linearized.scale[:, None])
+        if version.combine_trials:
+            candidates.append(make_hypothesis(cause, version, None, whitened))
+        else:
+            candidates += [
+                make_hypothesis(cause, version, trial, effect[:, None])
+                for trial, effect in zip(trials, whitened.T, strict=True)
+            ]
     return [hypothesis for hypothesis in candidates if hypothesis is not None]
 
 

@@ -24,6 +24,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     build_candidates,
     compute_effects,
+    compute_finite_effects,
     group_directions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -217,7 +218,10 @@ def assess_design(
     """
     linearized = problem.linearize()
     critical = assess_residuals(linearized, problem, n_bootstrap, rng).critical_value(allocate_alpha(alpha))
-    shapes = {cause: build_candidates(linearized, [cause]) for cause in problem.causes}
+    shapes = {
+        cause: build_candidates(linearized, compute_finite_effects(linearized, [cause]))
+        for cause in problem.causes
+    }
     scatter_only = tuple(cause.name for cause, own in shapes.items() if not own)
     shapes = {cause: own for cause, own in shapes.items() if own}
     detectable = tuple(_assess_cause(cause, own, linearized, critical) for cause, own in shapes.items())
