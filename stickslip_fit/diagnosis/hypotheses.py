@@ -210,7 +210,7 @@ def build_session_hypotheses(
     """A hypothesis of each column, shape (s, m): whitened effects, orthogonal to the calibration."""
     squares = np.sum(effects**2, axis=0) - np.sum((session.shared_basis.T @ effects) ** 2, axis=0)
     lengths = np.sqrt(np.maximum(squares, EFFECT_TOL**2))
-    directions = effects / lengths
+    directions = np.asfortranarray(effects / lengths)  # `group_directions` copies it column by column
     return [
         Hypothesis(
             cause,
@@ -235,11 +235,15 @@ def build_per_session_hypotheses(
     directions, variances = [], []
     for session in sessions:
         flat = session.project(effects[session.rows].reshape(len(session), -1))
-        shared = (session.shared_basis.T @ flat).reshape(-1, *effects.shape[1:]).transpose(1, 0, 2)
-        own = flat.reshape(len(session), *effects.shape[1:]).transpose(1, 0, 2)
+        own, shared = (
+            columns.reshape(len(columns), *effects.shape[1:]).transpose(1, 0, 2)
+            for columns in (flat, session.shared_basis.T @ flat)
+        )
         products = own.transpose(0, 2, 1) @ own - shared.transpose(0, 2, 1) @ shared
         variance, right = np.linalg.eigh(products)
-        directions.append(own @ (right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]))
+        scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
+        # Column by column in memory, as `group_directions` copies it.
+        directions.append((scaled.transpose(0, 2, 1) @ own.transpose(0, 2, 1)).transpose(0, 2, 1))
         variances.append(np.maximum(variance, 0.0))
     variance = np.stack(variances, axis=1)
     total = variance.sum(axis=(1, 2))
@@ -432,7 +436,8 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         hypotheses += build_per_session_hypotheses(
             [f"unknown:time, joint {joint}"], n, sessions, own[:, None]
         )
-    order = rows.groupby(session).cumcount().to_numpy(float)
+    # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
+    order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
     for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
         periods = _choose_periods(clock, session)
         angles = 2 * np.pi * clock[:, None] / periods
