@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import beta, ncx2
+from scipy.special import betaincinv, chdtrc, gammaln
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
@@ -45,6 +45,7 @@ DIFFERENCE_STEP = 1e-3  # of a parameter's scale
 MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
 FORM_RANK_TOL = 0.05
 MIN_LENGTH = 1e-12
+N_MIXTURE_TERMS = 100  # of a noncentral chi-square, beyond twice the largest one
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +206,8 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     def cdf(strength: float) -> float:
         """Probability of less than `z`, given detection."""
         # By survival functions: far below the threshold, 1 - cdf would round to 0.
-        detection = max(float(ncx2.sf(threshold**2, dimensions, strength**2)), 1e-300)
-        return 1.0 - float(ncx2.sf(z**2, dimensions, strength**2)) / detection
+        detection = max(_noncentral_tail(threshold**2, dimensions, strength**2), 1e-300)
+        return 1.0 - _noncentral_tail(z**2, dimensions, strength**2) / detection
 
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
@@ -215,6 +216,17 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
 
     high, middle, low = map(solve, QUANTILES_95)
     return Interval(middle, low, high)
+
+
+def _noncentral_tail(x: float, df: int, noncentrality: float) -> float:
+    """Probability that a noncentral chi-square exceeds `x`: the Poisson mixture of central ones.
+
+    All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only.
+    """
+    half = noncentrality / 2.0
+    extra = np.arange(2 * int(max(x, half)) + N_MIXTURE_TERMS)
+    weight = np.exp(extra * np.log(half) - half - gammaln(extra + 1.0))
+    return float(weight @ chdtrc(df + 2.0 * extra, x))
 
 
 def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
@@ -296,8 +308,8 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
     error = Z_95 * rms * float(np.sqrt(np.mean(problem.scale[rows] ** 2) / np.mean(sizes**2) / len(rows)))
     share = Interval(
         len(rows) / n,
-        float(beta.ppf(0.025, len(rows), n - len(rows) + 1)),
-        float(beta.ppf(0.975, len(rows) + 1, n - len(rows))),
+        float(betaincinv(len(rows), n - len(rows) + 1, 0.025)),
+        float(betaincinv(len(rows) + 1, n - len(rows), 0.975)),
     )
     low, middle, high = np.quantile(sizes, QUANTILES_95)
     return Finding(

@@ -28,8 +28,8 @@ from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
     log_likelihood_ratio,
+    prepare_calibration,
     simulate_gain_interval,
-    subtract_calibration,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, number_configurations
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
@@ -39,6 +39,7 @@ from stickslip_fit.diagnosis.selection import SelectedCause, Selection, allocate
 from stickslip_fit.machine import Machine
 
 N_REPLICATE_SPLITS = 4  # random splits into folds of a simulated replicate
+MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
 
 SplitProgress = Callable[[int, int], None]
@@ -57,7 +58,7 @@ def measure_gain(
     """Measure what each finding, and all of them together, gain on held-out traverses.
 
     Without a machine, whose calibration traverses a new session has, no gain there is measured. `workers` are
-    processes; -1 is all cores.
+    processes, -1 for all cores; logs of up to `MAX_SERIAL_ROWS` traverses need one.
 
     Returns
     -------
@@ -76,9 +77,10 @@ def measure_gain(
     def report(step: str, first: float, last: float) -> SplitProgress:
         return lambda done, number: progress(step, first + (last - first) * done / number)
 
+    # Only the interval of a law extended by causes needs splits of replicates.
+    n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
     folds, *others = (
-        hold_out_configurations(selection, np.random.default_rng([seed, k]))
-        for k in range(1 + N_REPLICATE_SPLITS)
+        hold_out_configurations(selection, np.random.default_rng([seed, k])) for k in range(1 + n_others)
     )
     sessions = hold_out_sessions(problem, machine) if machine is not None else []
     gain = new_session = None
@@ -120,7 +122,7 @@ def estimate_gain(
     alpha, seed : float, int
         Of the diagnosis.
     workers : int, optional
-        Processes; all cores without it. The numbers do not depend on it.
+        Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. No number depends on it.
     progress : callable, optional
         Called with the number of splits that are done, and of all.
 
@@ -162,8 +164,10 @@ def _collect_errors(
         delayed(compute_held_out_errors)(selection.problem, split, findings, selector, (seed, number))
         for number, split in enumerate(splits)
     )
+    # Starting a process takes as long as the selection in several folds of a small log.
+    n_jobs = workers if len(selection.problem) > MAX_SERIAL_ROWS else 1
     errors = []
-    for split_errors in Parallel(n_jobs=workers, return_as="generator")(tasks):
+    for split_errors in Parallel(n_jobs=n_jobs, return_as="generator")(tasks):
         errors.append(split_errors)
         if progress is not None:
             progress(len(errors), len(splits))
@@ -175,7 +179,7 @@ def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
     linearized = selection.problem.linearize()
     residual = linearized.residual[:, None]
     errors = [
-        subtract_calibration(linearized.basis, split.calibration, split.held_out, residual)[:, 0]
+        prepare_calibration(linearized.basis, split.calibration, split.held_out).subtract(residual)[:, 0]
         for split in splits
     ]
     return np.concatenate(errors) * linearized.scale[np.concatenate([split.held_out for split in splits])]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
@@ -75,14 +75,70 @@ class LinearizedCampaign:
     thresholds: Array
     competing_causes: tuple[CompetingCauses, ...]
 
-    def project_along(self, training: IntArray, columns: Array, responses: Array) -> Array:
-        """Responses of some rows along columns, calibration projected out; (n, c), (n, m) -> (m, c)."""
-        direction = subtract_calibration(self.basis, training, training, columns)
-        return responses[training].T @ (direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12))
-
     def effect_lengths(self, responses: Array) -> Array:
         """Estimated length of each cause's effect in each log, (n, m) -> (m, k)."""
-        return self.project_along(np.arange(len(self.scale)), self.effects, responses)
+        every = np.arange(len(self.scale))
+        return project_along(prepare_calibration(self.basis, every, every), self.effects, responses)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationOperator:
+    """Calibration with c of n rows, and the prediction of h rows by it; p parameters act on these.
+
+    It depends on the design only, so that one serves all simulated logs.
+
+    Attributes
+    ----------
+    predicted : array of int, shape (h,)
+    basis : sparse array, shape (h, p)
+        Directions of the parameters in the predicted rows.
+    inverse : sparse array, shape (p, p)
+        Of the normal matrix of the calibration rows.
+    known : sparse array, shape (p, n)
+        Directions in the calibration rows; zero in the others.
+    """
+
+    predicted: IntArray
+    basis: csr_array
+    inverse: csr_array
+    known: csr_array
+
+    def subtract(self, columns: Array) -> Array:
+        """The predicted rows less their prediction, (n, m) -> (h, m)."""
+        return columns[self.predicted] - self.basis @ (self.inverse @ (self.known @ columns))
+
+    def residual_squares(self, columns: Array) -> Array:
+        """Sum of squares of `subtract`, (n, m) -> (m,), where the predicted rows are those of calibration."""
+        sums = self.known @ columns
+        inside = np.zeros(len(columns))
+        inside[self.predicted] = 1.0
+        return inside @ columns**2 - np.einsum("ij,ij->j", sums, self.inverse @ sums)
+
+
+def prepare_calibration(basis: csr_array, calibration: IntArray, predicted: IntArray) -> CalibrationOperator:
+    """The calibration by some rows and the prediction of others.
+
+    `basis`, shape (n, number of all parameters), spans the calibration. The calibration rows must determine
+    every parameter that acts on the predicted rows.
+    """
+    wanted = basis[predicted]
+    acting = np.unique(wanted.indices)
+    own = csc_array(basis[calibration][:, acting])
+    normal = splu(csc_array(own.T @ own))
+    place = csr_array(
+        (np.ones(len(calibration)), (np.arange(len(calibration)), calibration)),
+        shape=(len(calibration), basis.shape[0]),
+    )
+    inverse = csr_array(normal.solve(np.eye(len(acting))))
+    return CalibrationOperator(predicted, csr_array(wanted[:, acting]), inverse, csr_array(own.T @ place))
+
+
+def project_along(training: CalibrationOperator, columns: Array, responses: Array) -> Array:
+    """Responses of the training rows along columns, calibration projected out; (n, c), (n, m) -> (m, c)."""
+    direction = training.subtract(columns)
+    whole = np.zeros_like(columns)
+    whole[training.predicted] = direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12)
+    return responses.T @ whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,15 +259,19 @@ def _simulate_replicates(
             RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
             for one in campaign.competing_causes
         ]
+        operators = prepare_split(campaign.basis, split)
         results = np.stack(
-            [simulate_selection(campaign, j, split.train, responses, spread[j]) for j in range(k)], axis=1
+            [simulate_selection(campaign, j, operators.training, responses, spread[j]) for j in range(k)],
+            axis=1,
         )
+        scale, plain = campaign.scale[split.held_out, None], operators.prediction.subtract(responses)
+        squares[:, 0] += np.sum((plain * scale) ** 2, axis=0)
         for result in np.unique(results, axis=0):
             logs = np.flatnonzero(np.all(results == result, axis=1))
-            for step in range(k + 1):
+            for step in range(1, k + 1):
                 columns = _extension_columns(campaign, result[:step])
-                errors = predict_held_out_errors(campaign.basis, split, columns, responses[:, logs])
-                squares[logs, step] += np.sum((errors * campaign.scale[split.held_out, None]) ** 2, axis=0)
+                errors = plain[:, logs] - predict_extension(operators, columns, responses[:, logs])
+                squares[logs, step] += np.sum((errors * scale) ** 2, axis=0)
         count += len(split.held_out)
     return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
 
@@ -219,21 +279,21 @@ def _simulate_replicates(
 def simulate_selection(
     campaign: LinearizedCampaign,
     cause: int,
-    training: IntArray,
+    training: CalibrationOperator,
     responses: Array,
     spread: Array | float = 0.0,
 ) -> IntArray:
     """The cause that a selection from the training rows takes in the place of a true one, in each of m logs.
 
-    `responses` has shape (n, m); `spread`, shape (m, r), is added to the log Bayes factor of each rival. The
-    result, shape (m,), is `CAUSE_FOUND`, the number of the rival, counted from 1, or `NONE_FOUND`.
+    `training` predicts the training rows by themselves; `responses` has shape (n, m); `spread`, shape (m, r),
+    is added to the log Bayes factor of each rival. The result, shape (m,), is `CAUSE_FOUND`, the number of
+    the rival, counted from 1, or `NONE_FOUND`.
     """
     rivals = campaign.competing_causes[cause]
     columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
-    length = np.abs(campaign.project_along(training, columns, responses))
-    left = subtract_calibration(campaign.basis, training, training, responses)
-    df = len(training) - len(np.unique(campaign.basis[training].indices))
-    evidence = log_likelihood_ratio(length**2 / np.sum(left**2, axis=0)[:, None], df)
+    length = np.abs(project_along(training, columns, responses))
+    df = len(training.predicted) - training.known.shape[0]
+    evidence = log_likelihood_ratio(length**2 / training.residual_squares(responses)[:, None], df)
     evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
@@ -256,29 +316,31 @@ def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> list[A
     ]
 
 
-def predict_held_out_errors(
-    basis: csr_array, split: Split, slopes: Sequence[Array], responses: Array
-) -> Array:
-    """Errors on the held-out rows, whitened, with causes in the laws, shape (number held out, m).
+@dataclass(frozen=True, eq=False)
+class SplitOperators:
+    """The calibrations of a split: of the training rows by themselves, and of the held-out rows."""
 
-    `basis`, shape (n, p), spans the calibration; `slopes`, each (n, q), are the directions of each cause;
-    `responses` has shape (n, m).
+    training: CalibrationOperator
+    prediction: CalibrationOperator
+
+
+def prepare_split(basis: csr_array, split: Split) -> SplitOperators:
+    """The calibrations of a split; `basis`, shape (n, p), spans the calibration."""
+    return SplitOperators(
+        prepare_calibration(basis, split.train, split.train),
+        prepare_calibration(basis, split.calibration, split.held_out),
+    )
+
+
+def predict_extension(operators: SplitOperators, slopes: Sequence[Array], responses: Array) -> Array:
+    """What causes sized by the training rows add to the held-out rows' prediction, whitened.
+
+    `slopes`, each (n, q), are the directions of each cause; `responses` has shape (n, m); the result, shape
+    (number held out, m) or one that broadcasts to it, is subtracted from the errors without the causes.
     """
-    plain = subtract_calibration(basis, split.calibration, split.held_out, responses)
     if not slopes:
-        return plain
-    columns = np.concatenate(slopes, axis=1)
-    trained = subtract_calibration(basis, split.train, split.train, columns)
-    sizes = np.linalg.lstsq(trained, responses[split.train], rcond=1e-6)[0]
-    return plain - subtract_calibration(basis, split.calibration, split.held_out, columns) @ sizes
-
-
-def subtract_calibration(basis: csr_array, calibration: IntArray, held: IntArray, columns: Array) -> Array:
-    """Held-out rows less their prediction by a calibration with other rows, (n, m) -> (number held, m).
-
-    The calibration rows must determine every parameter that acts on the held-out rows.
-    """
-    acting = np.unique(basis[held].indices)
-    known, wanted = basis[calibration][:, acting], basis[held][:, acting]
-    normal = splu((known.T @ known).tocsc())
-    return columns[held] - wanted @ normal.solve(known.T @ columns[calibration])
+        return np.zeros((1, 1))
+    columns, train = np.concatenate(slopes, axis=1), operators.training.predicted
+    estimator = np.zeros(columns.shape[::-1])
+    estimator[:, train] = np.linalg.pinv(operators.training.subtract(columns), rcond=1e-6)
+    return operators.prediction.subtract(columns) @ (estimator @ responses)

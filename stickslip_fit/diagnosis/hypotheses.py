@@ -3,7 +3,7 @@
 The effect of a hypothesis is a sum of orthonormal directions with independent normal coefficients (a
 low-rank prior covariance). Known causes give one hypothesis for each of their shapes. The alternatives
 without a cause stand for "unknown": smooth or periodic in time, by configuration, harmonics of q2, and
-AR(1) noise. Effects confined to one session are stored sparse.
+AR(1) noise. Directions confined to a session are stored for its rows only.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.sparse import csc_array
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, split_positions
@@ -24,7 +23,6 @@ from stickslip_fit.units import PRISMATIC
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
-MAX_SPARSE_DENSITY = 0.1  # share of nonzero entries; above, dense arithmetic is faster
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 N_WAVES = 6
 MAX_PERIODS = 250
@@ -48,10 +46,13 @@ class Hypothesis:
         The bound cause, or None.
     values : array, shape (q,) or None
         Of the cause's parameters, where it has one direction only.
-    columns : array or sparse array, shape (n, m)
-        The directions, orthogonal to the calibration; sparse where each session has its own.
+    n : int
+        Number of rows.
+    blocks : tuple of (array of int, shape (s,), or slice; array, shape (s, m'))
+        Directions, orthogonal to the calibration, and the rows outside of which they are zero: one block of
+        all rows (a slice), or one for each session.
     prior_share : array, shape (m,)
-        Sums to 1.
+        Of the directions, block by block; sums to 1.
     length : float
         Norm of the effect at `values`.
     """
@@ -59,26 +60,67 @@ class Hypothesis:
     cause: str
     version: Any
     values: Array | None
-    columns: Array | csc_array
+    n: int
+    blocks: tuple[tuple[IntArray | slice, Array], ...]
     prior_share: Array
     length: float
 
     @property
     def directions(self) -> Array:
-        """As `columns`, never sparse."""
-        return self.columns if isinstance(self.columns, np.ndarray) else self.columns.toarray()
+        """The directions in all rows, shape (n, m)."""
+        directions, first = np.zeros((self.n, len(self.prior_share))), 0
+        for rows, block in self.blocks:
+            directions[rows, first : first + block.shape[1]] = block
+            first += block.shape[1]
+        return directions
 
     def coefficients(self, residual: Array) -> Array:
         """Coefficient of a residual, shape (n,), along each direction; shape (m,)."""
-        return np.asarray(self.columns.T @ residual)
+        return np.concatenate([block.T @ residual[rows] for rows, block in self.blocks])
 
     def combine(self, coefficients: Array) -> Array:
         """Linear combination of the directions; (m,) -> (n,)."""
-        return np.asarray(self.columns @ coefficients)
+        return self.directions @ coefficients
 
     def leverage(self, kept: Array) -> Array:
         """Leverage of each row if these shares of the directions are subtracted; (m,) -> (n,)."""
-        return np.asarray(self.columns**2 @ kept)
+        return np.asarray(self.directions**2 @ kept)
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionGroup:
+    """All directions of some hypotheses that are zero outside of the same rows.
+
+    Attributes
+    ----------
+    rows : array of int, shape (s,), or slice
+    directions : array, shape (m, s)
+        In rows of the array.
+    place : array of int, shape (m,)
+        Of each among the directions of the hypotheses one after the other.
+    """
+
+    rows: IntArray | slice
+    directions: Array
+    place: IntArray
+
+
+def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
+    """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
+    rows_of: dict[bytes, IntArray | slice] = {}
+    directions: dict[bytes, list[Array]] = {}
+    places: dict[bytes, list[int]] = {}
+    first = 0
+    for hypothesis in hypotheses:
+        for rows, block in hypothesis.blocks:
+            key = b"" if isinstance(rows, slice) else rows.tobytes()
+            rows_of.setdefault(key, rows)
+            directions.setdefault(key, []).append(block.T)
+            places.setdefault(key, []).extend(range(first, first := first + block.shape[1]))
+    return tuple(
+        DirectionGroup(rows, np.concatenate(directions[key]), np.array(places[key], dtype=np.intp))
+        for key, rows in rows_of.items()
+    )
 
 
 def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
@@ -90,14 +132,17 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
         length = float(np.linalg.norm(effects))
         if length < EFFECT_TOL:
             return None
-        return Hypothesis(cause, version, values, effects / length, np.ones(1), length)
+        return Hypothesis(
+            cause, version, values, len(effects), ((slice(None), effects / length),), np.ones(1), length
+        )
     variance, right = np.linalg.eigh(effects.T @ effects)
     total = float(variance.sum())
     if total < EFFECT_TOL**2:
         return None
     kept = variance > VARIANCE_TOL * total
     directions = effects @ right[:, kept] / np.sqrt(variance[kept])
-    return Hypothesis(cause, version, values, directions, variance[kept] / total, float(np.sqrt(total)))
+    share, length = variance[kept] / total, float(np.sqrt(total))
+    return Hypothesis(cause, version, values, len(effects), ((slice(None), directions),), share, length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,18 +210,17 @@ def build_session_hypotheses(
     """A hypothesis of each column, shape (s, m): whitened effects, orthogonal to the calibration."""
     squares = np.sum(effects**2, axis=0) - np.sum((session.shared_basis.T @ effects) ** 2, axis=0)
     lengths = np.sqrt(np.maximum(squares, EFFECT_TOL**2))
-    directions = effects / lengths
-    if dense := len(session) > MAX_SPARSE_DENSITY * n:
-        full = np.zeros((n, effects.shape[1]))
-        full[session.rows] = directions
-
-    def column(k: int) -> Array | csc_array:
-        if dense:
-            return full[:, k : k + 1]
-        return csc_array((directions[:, k], session.rows, [0, len(session)]), shape=(n, 1))
-
+    directions = np.asfortranarray(effects / lengths)  # `group_directions` copies it column by column
     return [
-        Hypothesis(cause, version, values[k], column(int(k)), np.ones(1), float(lengths[k]))
+        Hypothesis(
+            cause,
+            version,
+            values[k],
+            n,
+            ((session.rows, directions[:, k : k + 1]),),
+            np.ones(1),
+            float(lengths[k]),
+        )
         for k in np.flatnonzero(lengths > EFFECT_TOL)
     ]
 
@@ -188,32 +232,30 @@ def build_per_session_hypotheses(
 
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
-    width = effects.shape[2]
-    directions, variances = np.zeros_like(effects), []
+    directions, variances = [], []
     for session in sessions:
-        flat = effects[session.rows].reshape(len(session.rows), -1)
-        own = session.project(flat).reshape(len(session.rows), len(names), width).transpose(1, 0, 2)
-        shared = np.einsum("sk,psw->pkw", session.shared_basis, own)
+        flat = session.project(effects[session.rows].reshape(len(session), -1))
+        own, shared = (
+            columns.reshape(len(columns), *effects.shape[1:]).transpose(1, 0, 2)
+            for columns in (flat, session.shared_basis.T @ flat)
+        )
         products = own.transpose(0, 2, 1) @ own - shared.transpose(0, 2, 1) @ shared
         variance, right = np.linalg.eigh(products)
-        length = np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
-        directions[session.rows] = (own @ (right / length)).transpose(1, 0, 2)
+        scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
+        # Column by column in memory, as `group_directions` copies it.
+        directions.append((scaled.transpose(0, 2, 1) @ own.transpose(0, 2, 1)).transpose(0, 2, 1))
         variances.append(np.maximum(variance, 0.0))
-    order = np.concatenate([session.rows for session in sessions])
-    ends = np.cumsum([0, *(len(session.rows) for session in sessions)])
-    starts = (n * np.arange(width)[:, None] + ends[:-1]).ravel()
-    hypotheses = []
-    for k, name in enumerate(names):
-        variance = np.stack([one[k] for one in variances], axis=1).ravel()
-        if (total := float(variance.sum())) < EFFECT_TOL**2:
-            continue
-        filled = directions[order, k].T.ravel()
-        columns = csc_array((filled, np.tile(order, width), [*starts, n * width]), shape=(n, len(starts)))
-        kept = variance > VARIANCE_TOL * total
-        columns = columns if kept.all() else csc_array(columns[:, np.flatnonzero(kept)])
-        dense = columns.nnz > MAX_SPARSE_DENSITY * n * columns.shape[1]
-        stored = columns.toarray() if dense else columns
-        hypotheses.append(Hypothesis(name, None, None, stored, variance[kept] / total, total**0.5))
+    variance = np.stack(variances, axis=1)
+    total = variance.sum(axis=(1, 2))
+    kept = variance > VARIANCE_TOL * total[:, None, None]
+    whole, hypotheses = kept.all(axis=(1, 2)), []
+    for k in np.flatnonzero(total >= EFFECT_TOL**2):
+        blocks = tuple(
+            (session.rows, own[k] if whole[k] else own[k][:, inside])
+            for session, own, inside in zip(sessions, directions, kept[k], strict=True)
+        )
+        share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
+        hypotheses.append(Hypothesis(names[k], None, None, n, blocks, share, length))
     return hypotheses
 
 
@@ -258,26 +300,91 @@ def acts_on(version: Any, law: Any) -> bool:
     return not hasattr(law, "joint") or law.joint in version.joints
 
 
-def build_candidates(linearized: LinearizedFit, causes: Iterable[Any]) -> list[Hypothesis]:
-    """Every shape of every cause."""
-    candidates: list[Hypothesis | None] = []
-    n, sessions = len(linearized), split_sessions(linearized)
+@dataclass(frozen=True, eq=False)
+class FiniteEffects:
+    """What one version of a cause changes at each trial of its parameters, whatever the noise.
+
+    Attributes
+    ----------
+    cause : str
+    version : object
+        The bound cause.
+    trials : array, shape (m, q)
+    changes : array, shape (n, m)
+        Of every response; of a version that acts in one session only, of that session's rows.
+    """
+
+    cause: str
+    version: Any
+    trials: Array
+    changes: Array
+
+
+def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> list[FiniteEffects]:
+    """Every shape of every cause; the same for all fits with these laws and rows."""
+    sessions, effects = split_sessions(linearized), []
     for cause in causes:
         for version, trials in cause.trials(linearized.rows):
-            if version.session:
-                session = sessions[version.session]
-                effects = compute_session_effects(linearized, session, version, trials)
-                candidates += build_session_hypotheses(cause.name, version, trials, n, session, effects)
-                continue
-            effects = compute_effects(linearized, version, trials)
-            if version.combine_trials:
-                candidates.append(make_hypothesis(cause.name, version, None, effects))
-            else:
-                candidates += [
-                    make_hypothesis(cause.name, version, trial, effect[:, None])
-                    for trial, effect in zip(trials, effects.T, strict=True)
-                ]
+            where = sessions[version.session] if version.session else linearized
+            changes = compute_changes(where, version, trials)
+            effects.append(FiniteEffects(cause.name, version, trials, changes))
+    return effects
+
+
+def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]) -> list[Hypothesis]:
+    """A hypothesis of every shape of every cause."""
+    candidates: list[Hypothesis | None] = []
+    n, sessions = len(linearized), split_sessions(linearized)
+    for one in effects:
+        cause, version, trials = one.cause, one.version, one.trials
+        if version.session:
+            session = sessions[version.session]
+            whitened = session.project(one.changes / linearized.scale[session.rows, None])
+            candidates += build_session_hypotheses(cause, version, trials, n, session, whitened)
+            continue
+        whitened = linearized.project(one.changes / linearized.scale[:, None])
+        if version.combine_trials:
+            candidates.append(make_hypothesis(cause, version, None, whitened))
+        else:
+            candidates += [
+                make_hypothesis(cause, version, trial, effect[:, None])
+                for trial, effect in zip(trials, whitened.T, strict=True)
+            ]
     return [hypothesis for hypothesis in candidates if hypothesis is not None]
+
+
+@dataclass(frozen=True, eq=False)
+class LagSums:
+    """Sums over the rows of k logs, from which the likelihood of an AR(1) follows at any coefficient.
+
+    Attributes
+    ----------
+    squares, earlier, first : array, shape (k,)
+        Squares of all residuals, of those that have a successor, and of the first ones of the sequences.
+    products : array, shape (k,)
+        Each residual times the one before.
+    n_sequences : int
+    """
+
+    squares: Array
+    earlier: Array
+    first: Array
+    products: Array
+    n_sequences: int
+
+
+def sum_lags(before: npt.NDArray[np.intp], residuals: Array) -> LagSums:
+    """Sums for `before` as of an `AR1`; residuals (n, k)."""
+    follows = np.flatnonzero(before >= 0)
+    successors = np.bincount(before[follows], minlength=len(before))
+    squares = residuals**2
+    return LagSums(
+        squares.sum(axis=0),
+        successors @ squares,
+        (before < 0) @ squares,
+        np.einsum("ij,ij->j", residuals[follows], residuals[before[follows]]),
+        len(before) - len(follows),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,15 +406,11 @@ class AR1:
     version: None = None
     values: None = None
 
-    def log_evidence(self, residuals: Array, df: int) -> Array:
-        """Log likelihood ratio to white noise, the size of the noise unknown; (n, k) -> (k,)."""
-        follows = self.before >= 0
-        earlier = np.where(follows[:, None], residuals[self.before], 0.0)
-        innovation = residuals - self.coefficient * earlier
-        innovation[~follows] *= np.sqrt(1.0 - self.coefficient**2)
-        ratio = np.sum(innovation**2, axis=0) / np.sum(residuals**2, axis=0)
-        sequences = int(np.sum(~follows))
-        return -0.5 * df * np.log(ratio) + 0.5 * sequences * np.log1p(-(self.coefficient**2))
+    def log_evidence(self, sums: LagSums, df: int) -> Array:
+        """Log likelihood ratio to white noise, the size of the noise unknown; shape (k,)."""
+        phi = self.coefficient
+        innovations = sums.squares - 2 * phi * sums.products + phi**2 * (sums.earlier - sums.first)
+        return -0.5 * df * np.log(innovations / sums.squares) + 0.5 * sums.n_sequences * np.log1p(-(phi**2))
 
     def shape(self, residual: Array) -> Array:
         """Prediction of each residual from the one before, shape (n,)."""
@@ -333,7 +436,8 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         hypotheses += build_per_session_hypotheses(
             [f"unknown:time, joint {joint}"], n, sessions, own[:, None]
         )
-    order = rows.groupby(session).cumcount().to_numpy(float)
+    # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
+    order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
     for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
         periods = _choose_periods(clock, session)
         angles = 2 * np.pi * clock[:, None] / periods

@@ -20,18 +20,25 @@ tests in this order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.sparse import csc_array, csr_array, hstack
+from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    DirectionGroup,
+    Hypothesis,
+    LagSums,
+    group_directions,
+    sum_lags,
+)
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 
 UNKNOWN = "unknown"
@@ -46,87 +53,88 @@ BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and r
 
 @dataclass(frozen=True, eq=False)
 class HypothesisBatch:
-    """Hypotheses side by side, so that all are evaluated in one matrix product.
+    """Hypotheses side by side, with m directions in all; one matrix product for each session evaluates them.
 
     Attributes
     ----------
-    directions : array, shape (n, m)
-        Of the hypotheses with dense directions.
-    sparse_directions : sparse array, shape (m', n)
-        Directions of the others, in rows.
-    prior_share : array, shape (m + m',)
-    first_direction : array of int
-        Where the directions of each hypothesis begin.
+    groups : tuple of DirectionGroup
+    explained_share : sparse array, shape (S len(STRENGTHS), m)
+        Of the square along each direction, in the order of `groups`: what each of S subspace hypotheses
+        explains of it at each strength.
+    log_spread : array, shape (S len(STRENGTHS),)
+        Log of the prior variance of the residuals over that of the noise.
     ar1s : tuple of AR1
     position : array of int, shape (H,)
-        Of each hypothesis, in the order given, in (dense, sparse, AR(1)).
+        Of each hypothesis, in the order given, in (subspaces, AR(1)).
     df : int
     """
 
-    directions: Array
-    sparse_directions: csr_array
-    prior_share: Array
-    first_direction: npt.NDArray[np.intp]
+    groups: tuple[DirectionGroup, ...]
+    explained_share: csr_array
+    log_spread: Array
     ar1s: tuple[AR1, ...]
     position: npt.NDArray[np.intp]
     df: int
 
+    @property
+    def n_directions(self) -> int:
+        """Number of directions of all hypotheses."""
+        return int(self.explained_share.shape[1])
+
     def log_evidence(self, residuals: Array) -> Array:
         """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
-        subspaces = logsumexp(np.stack(list(self._at_each_strength(residuals))), axis=0)
-        return np.concatenate([subspaces - np.log(len(STRENGTHS)), *self._ar1_log_evidence(residuals)])[
-            self.position
-        ]
+        subspaces = logsumexp(self._at_each_strength(residuals), axis=1) - np.log(len(STRENGTHS))
+        return np.concatenate([subspaces, *self._ar1_log_evidence(residuals)])[self.position]
 
     def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
         """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,)."""
-        subspaces = sum(
-            np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._at_each_strength(residuals)
-        )
-        ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
-        evidence = np.concatenate([subspaces / len(STRENGTHS), *ar1s])
         weight = np.empty(len(log_weight))
         weight[self.position] = np.exp(log_weight)
-        return np.log(weight @ evidence)
+        subspaces = self._at_each_strength(residuals)
+        np.exp(np.minimum(subspaces, MAX_LOG_EVIDENCE, out=subspaces), out=subspaces)
+        ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
+        return np.log(weight @ np.concatenate([subspaces.mean(axis=1), *ar1s]))
 
-    def _at_each_strength(self, residuals: Array) -> Iterator[Array]:
-        along = np.concatenate([self.directions.T @ residuals, self.sparse_directions @ residuals]) ** 2
-        along /= np.sum(residuals**2, axis=0)
-        for strength in STRENGTHS:
-            signal = strength**2 * self.prior_share
-            explained = along * (signal / (1.0 + signal))[:, None]
-            if len(self.first_direction) < len(self.prior_share):
-                explained = np.add.reduceat(explained, self.first_direction, axis=0)
-            spread = np.add.reduceat(np.log1p(signal), self.first_direction)
-            log = np.log1p(-np.minimum(explained, MAX_EXPLAINED))
-            log *= -0.5 * self.df
-            log -= 0.5 * spread[:, None]
-            yield log
+    def _at_each_strength(self, residuals: Array) -> Array:
+        """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k)."""
+        along = np.concatenate([group.directions @ residuals[group.rows] for group in self.groups])
+        log = self.explained_share @ np.square(along, out=along)
+        log /= -np.sum(residuals**2, axis=0)
+        np.log1p(np.maximum(log, -MAX_EXPLAINED, out=log), out=log)
+        log *= -0.5 * self.df
+        log -= 0.5 * self.log_spread[:, None]
+        return log.reshape(-1, len(STRENGTHS), residuals.shape[1])
 
     def _ar1_log_evidence(self, residuals: Array) -> list[Array]:
-        return [ar1.log_evidence(residuals, self.df)[None] for ar1 in self.ar1s]
+        sums: dict[int, LagSums] = {}  # the AR(1) of several coefficients have the same array `before`
+        for ar1 in self.ar1s:
+            if id(ar1.before) not in sums:
+                sums[id(ar1.before)] = sum_lags(ar1.before, residuals)
+        return [ar1.log_evidence(sums[id(ar1.before)], self.df)[None] for ar1 in self.ar1s]
 
 
 def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:
-    """Put hypotheses side by side: dense directions, sparse ones, then AR(1)."""
-    storage = np.array(
-        [2 if isinstance(one, AR1) else int(not isinstance(one.columns, np.ndarray)) for one in hypotheses]
-    )
-    groups: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
-    for hypothesis, number in zip(hypotheses, storage, strict=True):
-        groups[number].append(hypothesis)
-    dense, sparse, ar1s = groups
-    place = np.empty(len(storage), dtype=np.intp)
-    place[np.argsort(storage, kind="stable")] = np.arange(len(storage))
-    subspaces = (*dense, *sparse)
-    n = subspaces[0].columns.shape[0]
+    """Put hypotheses side by side: subspaces, their directions grouped by rows, then AR(1)."""
+    subspaces = [one for one in hypotheses if isinstance(one, Hypothesis)]
+    is_ar1 = np.array([isinstance(one, AR1) for one in hypotheses])
+    position = np.empty(len(hypotheses), dtype=np.intp)
+    position[np.argsort(is_ar1, kind="stable")] = np.arange(len(hypotheses))
+    groups = group_directions(subspaces)
+    order = np.concatenate([np.zeros(0, dtype=np.intp), *(group.place for group in groups)])
+    sizes = [len(one.prior_share) for one in subspaces]
+    owner = np.repeat(np.arange(len(subspaces)), sizes)[order]
+    share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
+    signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
+    row = owner[:, None] * n_strengths + np.arange(n_strengths)
+    column = np.broadcast_to(np.arange(len(share))[:, None], row.shape)
+    size = len(subspaces) * n_strengths
+    entries = (signal / (1.0 + signal)).ravel(), (row.ravel(), column.ravel())
     return HypothesisBatch(
-        np.concatenate([np.zeros((n, 0)), *(one.columns for one in dense)], axis=1),
-        csr_array(hstack([csc_array((n, 0)), *(one.columns for one in sparse)], format="csc").T),
-        np.concatenate([one.prior_share for one in subspaces]),
-        np.concatenate([[0], np.cumsum([len(one.prior_share) for one in subspaces])[:-1]]).astype(np.intp),
-        tuple(ar1s),
-        place,
+        groups,
+        csr_array(entries, shape=(size, len(share))),
+        np.bincount(row.ravel(), np.log1p(signal).ravel(), size),
+        tuple(one for one in hypotheses if isinstance(one, AR1)),
+        position,
         df,
     )
 
@@ -233,7 +241,7 @@ def compute_misfit(
     }
     statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
     draw_noise = _make_null_sampler(linearized, remove_structure(linearized.residual, hypotheses, own), rng)
-    size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), len(batch.prior_share)), 1))
+    size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_directions), 1))
     for first in range(0, n_bootstrap, size):
         noise = draw_noise(min(size, n_bootstrap - first))
         null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
@@ -263,7 +271,7 @@ def _log_weights(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) 
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause
         for hypothesis, cause in zip(hypotheses, causes, strict=True)
     ]
-    sizes = {family: families.count(family) for family in families}
+    sizes = Counter(families)
     n_kinds = len({family for family in families if family.startswith(f"{UNKNOWN}:")})
     return -np.array(
         [

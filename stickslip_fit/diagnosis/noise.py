@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student_t
+from scipy.special import chdtrc, poch, stdtrit
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
@@ -36,7 +35,7 @@ MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of re
 # Outliers
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
 MAX_TAIL_LOG_RATIO = 6.0  # nats below the best, for a df to be allowed
-TAIL_ERROR_RATE = float(chi2.sf(2 * MAX_TAIL_LOG_RATIO, 1))  # probability that the true df is not
+TAIL_ERROR_RATE = float(chdtrc(1, 2 * MAX_TAIL_LOG_RATIO))  # probability that the true df is not
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
 MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = 5.5, 120.0  # range of outliers, medians of the absolute residuals
@@ -99,8 +98,8 @@ def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heterosceda
 def _log_likelihood(deviation: Array, sd: float, df: float, kind: IntArray) -> Array:
     """Log likelihood of each configuration's residuals under Student t noise, with a Cauchy component."""
     scale = sd * np.sqrt((df - 2.0) / df)
-    noise = student_t.logpdf(deviation / scale, df) - np.log(scale)
-    cauchy = student_t.logpdf(deviation / OUTLIER_SCALE, 1.0) - np.log(OUTLIER_SCALE)
+    noise = _log_student_t(deviation / scale, df) - np.log(scale)
+    cauchy = _log_student_t(deviation / OUTLIER_SCALE, 1.0) - np.log(OUTLIER_SCALE)
     return np.bincount(kind, np.logaddexp(np.log1p(-OUTLIER_SHARE) + noise, np.log(OUTLIER_SHARE) + cauchy))
 
 
@@ -201,7 +200,7 @@ class _OutlierTest:
         higher = done = 0
         while done < n_simulations and higher < MAX_EXCEEDANCES:
             size = min(BATCH_SIZE, n_simulations - done)
-            noise = student_t.rvs(df, size=(len(self.linearized), size), random_state=rng)
+            noise = rng.standard_t(df, (len(self.linearized), size))
             ratios = _log_likelihood_ratio(self.deviations(self.linearized.project(noise)))[0]
             higher, done = higher + int(np.sum(ratios >= ratio)), done + size
         return (1 + higher) / (1 + done)
@@ -219,8 +218,12 @@ def _scale_by_median(deviation: Array, drive: IntArray) -> Array:
 
 def _log_density(deviation: Array, unit: float, df: float) -> Array:
     """Of the absolute value of Student's t over `unit`."""
-    constant = float(student_t.logpdf(0.0, df)) + np.log(2.0 * unit)
-    return constant - (df + 1.0) / 2.0 * np.log1p((deviation * (unit / np.sqrt(df))) ** 2)
+    return np.log(2.0 * unit) + _log_student_t(deviation * unit, df)
+
+
+def _log_student_t(x: Array, df: float) -> Array:
+    constant = float(np.log(poch(0.5 * df, 0.5)) - 0.5 * np.log(np.pi * df))
+    return constant - (df + 1.0) / 2.0 * np.log1p((x / np.sqrt(df)) ** 2)
 
 
 def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, Array]]:
@@ -246,7 +249,7 @@ def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, A
     alone, both = np.full(len(deviation), -np.inf), np.full(len(deviation), -np.inf)
     odds, by_tail = np.zeros_like(top), dict.fromkeys(TAIL_DF, both)
     for df in TAIL_DF:
-        middle = float(student_t.ppf(0.75, df))
+        middle = float(stdtrit(df, 0.75))
         for scale in SCALE_GRID:
             log_noise = _log_density(deviation, middle / scale, df)
             total = log_noise.sum(axis=1)

@@ -20,11 +20,13 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
+    FiniteEffects,
     Hypothesis,
     SessionFit,
     build_candidates,
     compute_changes,
     compute_effects,
+    compute_finite_effects,
     compute_session_effects,
     split_sessions,
 )
@@ -179,17 +181,21 @@ def select_causes(
 
     `n_bootstrap` is the number of samples of noise alone for each test.
     """
-    problem, linearized, residual = _reestimate_noise(problem)
+    effects = compute_finite_effects(problem.linearize(), problem.causes)
+    problem, linearized, residual = _reestimate_noise(problem, effects)
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE)
     outliers = np.zeros(0, dtype=np.intp)
     misfires: list[SelectedCause] = []
     if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
         outliers = test.rows
-        problem, linearized, _ = _reestimate_noise(problem.without_rows(outliers))
+        problem = problem.without_rows(outliers)
+        effects = compute_finite_effects(problem.linearize(), problem.causes)
+        problem, linearized, _ = _reestimate_noise(problem, effects)
         cause_set = CauseSet(MISFIRE, (), {})
         misfires = [SelectedCause(MISFIRE, None, np.zeros(0), cause_set, None, outlier_p_value)]
-    first = last = assess_residuals(linearized, problem, n_bootstrap, rng)
+    first = last = assess_residuals(linearized, problem, n_bootstrap, rng, effects=effects)
+    del effects  # of the baseline's laws; as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
@@ -225,11 +231,17 @@ def assess_residuals(
     rng: np.random.Generator,
     without: Sequence[str] = (),
     max_exceedances: int | None = None,
+    effects: Sequence[FiniteEffects] | None = None,
 ) -> Misfit:
-    """The misfit test over every cause except some, and over the unstructured alternatives."""
-    causes = [cause for cause in problem.causes if cause.name not in without]
+    """The misfit test over every cause except some, and over the unstructured alternatives.
+
+    `effects` are those of the causes, if they are known already from another fit with the same laws and rows.
+    """
+    if effects is None:
+        causes = [cause for cause in problem.causes if cause.name not in without]
+        effects = compute_finite_effects(linearized, causes)
     factor = SELECTION_FACTOR if np.any(problem.noise_ratio != 1) else 1
-    hypotheses = [*build_candidates(linearized, causes), *problem.alternatives(linearized)]
+    hypotheses = [*build_candidates(linearized, effects), *problem.alternatives(linearized)]
     return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
 
 
@@ -287,13 +299,16 @@ def _revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -
     return revised
 
 
-def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
+def _reestimate_noise(
+    problem: DiagnosisProblem, effects: Sequence[FiniteEffects] | None = None
+) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
     """The problem with re-estimated noise, its fit, and its residuals without structure.
 
-    The residuals are in units of the largest noise that their configuration may have.
+    The residuals are in units of the largest noise that their configuration may have. `effects` are as of
+    `assess_residuals`.
     """
     linearized = problem.linearize()
-    misfit = _compute_evidence(linearized, problem)
+    misfit = _compute_evidence(linearized, problem, effects=effects)
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
     problem = problem.with_noise(noise)
@@ -302,10 +317,13 @@ def _reestimate_noise(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, Line
 
 
 def _compute_evidence(
-    linearized: LinearizedFit, problem: DiagnosisProblem, without: Sequence[str] = ()
+    linearized: LinearizedFit,
+    problem: DiagnosisProblem,
+    without: Sequence[str] = (),
+    effects: Sequence[FiniteEffects] | None = None,
 ) -> Misfit:
     """As `assess_residuals`, without a p-value."""
-    return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without)
+    return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
 
 
 def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:

@@ -8,19 +8,25 @@ the other's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.sparse import csc_array, hstack
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, build_candidates, compute_effects
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    Hypothesis,
+    build_candidates,
+    compute_effects,
+    compute_finite_effects,
+    group_directions,
+)
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
@@ -45,11 +51,43 @@ ALIAS_TOL = 1e-3  # share of a shape's square outside a span; no log has the str
 MAX_ALIAS_SHAPES = 4  # causes with more shapes resemble others by chance
 
 
-def largest_cosine(one: Hypothesis | AR1, other: Hypothesis | AR1) -> float:
-    """Cosine of the smallest angle between the spans of two hypotheses; between 0 and 1."""
-    if isinstance(one, AR1) or isinstance(other, AR1):
-        return 0.0
-    return float(np.linalg.svd(one.directions.T @ other.directions, compute_uv=False).max(initial=0.0))
+def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesis | AR1]) -> Array:
+    """Cosine of the smallest angle between the spans of each two hypotheses, 0 for AR(1).
+
+    The result has shape (number of ones, number of others).
+    """
+    sizes = [
+        np.array([len(one.prior_share) if isinstance(one, Hypothesis) else 0 for one in side])
+        for side in (ones, others)
+    ]
+    products = _multiply_directions(
+        *([one for one in side if isinstance(one, Hypothesis)] for side in (ones, others))
+    )
+    rows, columns = (np.cumsum(size) - size for size in sizes)
+    cosines = np.zeros((len(ones), len(others)))
+    # The norm of a number needs no singular value decomposition.
+    single = np.ix_(*(np.flatnonzero(size == 1) for size in sizes))
+    cosines[single] = np.abs(products[np.ix_(rows[sizes[0] == 1], columns[sizes[1] == 1])])
+    wide = (sizes[0][:, None] > 0) & (sizes[1] > 0) & (np.maximum.outer(*sizes) > 1)
+    for row, column in np.argwhere(wide):
+        block = products[rows[row] :, columns[column] :][: sizes[0][row], : sizes[1][column]]
+        cosines[row, column] = np.linalg.norm(block, 2)
+    return np.minimum(cosines, 1.0)
+
+
+def _multiply_directions(ones: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> Array:
+    """Inner products of all directions, shape (directions of ones, of others)."""
+    products = np.zeros([sum(len(one.prior_share) for one in side) for side in (ones, others)])
+    for own in group_directions(ones):
+        for other in group_directions(others):
+            place = np.ix_(own.place, other.place)
+            if isinstance(own.rows, slice):
+                products[place] = own.directions[:, other.rows] @ other.directions.T
+            elif isinstance(other.rows, slice):
+                products[place] = own.directions @ other.directions[:, own.rows].T
+            elif np.array_equal(own.rows, other.rows):
+                products[place] = own.directions @ other.directions.T
+    return products
 
 
 def confusion_rate(strength: float, cosine: float) -> float:
@@ -66,7 +104,7 @@ def confusion_rate(strength: float, cosine: float) -> float:
 def is_distinguishable(named: Hypothesis | AR1, misfit: Misfit, rival: str, strength: float) -> bool:
     """Whether the data separate a named shape from every shape of a rival, at this strength."""
     shapes = [shape for shape in misfit.hypotheses if classify_cause(shape) == rival]
-    return confusion_rate(strength, max(largest_cosine(named, shape) for shape in shapes)) < MAX_CONFUSION
+    return confusion_rate(strength, float(compute_cosines([named], shapes).max())) < MAX_CONFUSION
 
 
 @dataclass(frozen=True)
@@ -180,12 +218,15 @@ def assess_design(
     """
     linearized = problem.linearize()
     critical = assess_residuals(linearized, problem, n_bootstrap, rng).critical_value(allocate_alpha(alpha))
-    shapes = {cause: build_candidates(linearized, [cause]) for cause in problem.causes}
+    shapes = {
+        cause: build_candidates(linearized, compute_finite_effects(linearized, [cause]))
+        for cause in problem.causes
+    }
     scatter_only = tuple(cause.name for cause, own in shapes.items() if not own)
     shapes = {cause: own for cause, own in shapes.items() if own}
     detectable = tuple(_assess_cause(cause, own, linearized, critical) for cause, own in shapes.items())
     cosines = {
-        (one.name, other.name): _largest_cosines(shapes[one], shapes[other])
+        (one.name, other.name): compute_cosines(shapes[one], shapes[other]).max(axis=1)
         for one, other in permutations(shapes, 2)
     }
     return SeparabilityMatrix(detectable, scatter_only, untestable, cosines, alpha)
@@ -214,16 +255,6 @@ def _assess_cause(
             max(largest or [cause.max_trial_factor * np.abs(values[:, 0]).max() for _, values in versions])
         ),
     )
-
-
-def _largest_cosines(shapes: list[Hypothesis], rivals: list[Hypothesis]) -> Array:
-    """For each shape, its largest cosine with one of the rival's."""
-    if all(len(shape.prior_share) == 1 for shape in [*shapes, *rivals]):
-        own, other = (
-            hstack([csc_array(one.columns) for one in side], format="csc") for side in (shapes, rivals)
-        )
-        return np.minimum(np.asarray(abs(own.T @ other).max(axis=1).todense()).ravel(), 1.0)
-    return np.array([min(max(largest_cosine(one, other) for other in rivals), 1.0) for one in shapes])
 
 
 def separability_to_json(matrix: SeparabilityMatrix, strength: float) -> dict[str, Any]:

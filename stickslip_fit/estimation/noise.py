@@ -12,8 +12,7 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
-from scipy.stats import t as student_t
+from scipy.special import chdtr, chdtrc, stdtrit
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array, BoolArray
@@ -229,7 +228,7 @@ def flag_doubtful_repeatability(
     for direction, known in given.items():
         estimate = estimated[direction]
         squares = estimate.df * (estimate.value / known.value) ** 2 if estimate.df else np.nan
-        if min(chi2.sf(squares, estimate.df), chi2.cdf(squares, estimate.df)) < DOUBT_LEVEL / 2:
+        if min(chdtrc(estimate.df, squares), chdtr(estimate.df, squares)) < DOUBT_LEVEL / 2:
             text = (
                 f"residuals scatter by {format_value(estimate.value, '%', 2)}, the repeatability was given "
                 f"as {format_value(known.value, '%', 2)}; the error bars take it for true"
@@ -267,7 +266,7 @@ def t_quantile(df: int) -> float:
     >>> round(t_quantile(4), 3)
     2.776
     """
-    return float(student_t.ppf(0.5 + COVERAGE / 2, df)) if df > 0 else np.nan
+    return float(stdtrit(df, 0.5 + COVERAGE / 2)) if df > 0 else np.nan
 
 
 def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:

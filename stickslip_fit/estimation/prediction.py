@@ -11,9 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
-from scipy.stats import t as student_t
+from scipy.special import fdtrc, gammaincinv, stdtrit
 
 from stickslip_fit._format import format_direction
 from stickslip_fit.estimation.closed_form import solve_calibration
@@ -81,7 +79,7 @@ def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
                 squares, number = squares + value, number + len(session)
         if (residual_df := number - known.df) > 0:
             excess = (squares - known.df) / residual_df
-            p_value = float(f_distribution.sf(excess, residual_df, known.df))
+            p_value = float(fdtrc(residual_df, known.df, max(excess, 0.0)))
             records.append((int(joint), str(direction), number, excess, p_value))
     return pd.DataFrame(records, columns=["joint", "direction", "traverses", "excess", "p_value"])
 
@@ -197,7 +195,8 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
             summary[f"{model}_rms{suffix}"] = np.hypot(bias, error.std(ddof=0))
             summary[f"{model}_worst{suffix}"] = high.where(high >= -low, low)
         for end, q in (("low", 0.975), ("high", 0.025)):
-            ratio = summary["traverses"] / chi2.ppf(q, summary["traverses"])
+            half_df = summary["traverses"] / 2.0
+            ratio = half_df / gammaincinv(half_df, q)  # df over the quantile of the chi-square
             summary[f"{model}_rms_{end}"] = summary[f"{model}_rms"] * np.sqrt(ratio)
     return summary.reset_index()
 
@@ -234,7 +233,7 @@ def control_chart(result: Result) -> pd.DataFrame:
     has_limits = earlier >= MIN_EARLIER_SESSIONS
     n_compared = np.maximum(pd.Series(has_limits).groupby(chart["session"]).transform("sum").to_numpy(), 1)
     df = np.where(has_limits, earlier - 1, 1)
-    reach = spread * student_t.ppf(1 - OUT_OF_CONTROL_LEVEL / 2 / n_compared, df)
+    reach = spread * stdtrit(df, 1 - OUT_OF_CONTROL_LEVEL / 2 / n_compared)
     chart["expected_low"], chart["expected_high"] = middle - reach, middle + reach
     chart["surprising"] = np.abs(chart["estimate"] - middle) > reach
     return chart

@@ -18,8 +18,8 @@ from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
 from stickslip_fit.diagnosis.separability import (
     MAX_CONFUSION_DESIGN,
     SeparabilityMatrix,
+    compute_cosines,
     confusion_rate,
-    largest_cosine,
 )
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.plotting._style import (
@@ -270,7 +270,7 @@ def compute_confusion_rates(causes: list[str], misfit: Misfit, strength: float) 
     rates = np.full((len(causes), len(causes)), np.nan)
     for row, one in enumerate(causes):
         for column, other in enumerate(causes[:row]):
-            cosine = max(largest_cosine(a, b) for a in hypotheses[one] for b in hypotheses[other])
+            cosine = float(compute_cosines(hypotheses[one], hypotheses[other]).max())
             rates[row, column] = confusion_rate(strength, cosine)
     return rates
 
@@ -311,11 +311,10 @@ def _choose_causes(diagnosis: Diagnosis) -> tuple[Finding, Misfit, list[str]] | 
         if misfit is None or finding.cause == UNKNOWN:
             continue
         best = misfit.best_hypothesis(finding.cause)
+        rivals = [one for one in misfit.hypotheses if one.version is not None and one.cause != finding.cause]
         cosines: dict[str, float] = {}
-        for hypothesis in misfit.hypotheses:
-            if hypothesis.version is not None and hypothesis.cause != finding.cause:
-                cosine = largest_cosine(best, hypothesis)
-                cosines[hypothesis.cause] = max(cosine, cosines.get(hypothesis.cause, 0.0))
+        for rival, cosine in zip(rivals, compute_cosines([best], rivals)[0], strict=True):
+            cosines[rival.cause] = max(float(cosine), cosines.get(rival.cause, 0.0))
         similar = sorted(cosines, key=lambda cause: -cosines[cause])
         others = [*finding.equivalent, *(cause for cause in similar if cause not in finding.equivalent)]
         if others:

@@ -13,9 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from scipy.ndimage import gaussian_filter
-from scipy.stats import f as fisher
-from scipy.stats import gaussian_kde
-from scipy.stats import t as student_t
+from scipy.special import fdtri
 
 from stickslip_fit._format import format_direction, join_words, joint_name, pluralize
 from stickslip_fit._typing import Array
@@ -316,6 +314,8 @@ class CornerData:
 
 def plot_covariance_corner(result: Result, joint: int, direction: str, session: str | None = None) -> Figure:
     """Regions and curves that a result's covariance gives; see `Result.plot_corner`."""
+    from scipy.stats import t as student_t
+
     fit, index, which = _find_group(result, joint, direction, session)
     data = _make_corner_data(fit, index, which, "from the covariance (Student's t, ellipses)")
     factor = data.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
@@ -337,6 +337,8 @@ def plot_covariance_corner(result: Result, joint: int, direction: str, session: 
 
 def plot_draws_corner(posterior: Posterior, joint: int, direction: str, session: str | None = None) -> Figure:
     """Histograms of a posterior's draws over the prior's; see `Posterior.plot_corner`."""
+    from scipy.stats import gaussian_kde
+
     fit, index, which = _find_group(posterior.result, joint, direction, session)
     name = str(fit.groups["session"].iloc[index])
     data = _make_corner_data(fit, index, which, "draws of the posterior")
@@ -463,7 +465,7 @@ def _compute_ellipse(
     centre: Array, covariance: Array, pair: list[int], level: float, df: int
 ) -> tuple[Array, Array]:
     """The edge of the region that holds both parameters of a pair with the given probability."""
-    size = np.sqrt(2.0 * fisher.ppf(level, 2, df))
+    size = np.sqrt(2.0 * fdtri(2, df, level))
     values, vectors = np.linalg.eigh(covariance[np.ix_(pair, pair)])
     turn = np.linspace(0.0, 2 * np.pi, 181)
     circle = np.sqrt(np.maximum(values, 0.0))[:, None] * np.stack([np.cos(turn), np.sin(turn)])

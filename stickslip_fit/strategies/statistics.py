@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from scipy.optimize import brentq
-from scipy.special import digamma, polygamma
-from scipy.stats import t as student_t
+from scipy.special import digamma, polygamma, stdtr, stdtrit
 
 from stickslip_fit._typing import Array
 from stickslip_fit.anova.contrasts import adjust_holm
@@ -93,7 +92,7 @@ def summarize_errors(errors: pd.DataFrame, by: Sequence[str], unit: Sequence[str
 def t_half_width(units: npt.ArrayLike) -> Array:
     """Half-width of a 95 % interval of a mean over so many units, in standard errors; NaN for one."""
     df = np.asarray(units, float) - 1.0
-    return np.asarray(student_t.ppf(0.5 + COVERAGE / 2, np.where(df > 0, df, np.nan)))
+    return np.asarray(stdtrit(np.where(df > 0, df, np.nan), 0.5 + COVERAGE / 2))
 
 
 def _log_interval(by_unit: pd.DataFrame, name: str, by: Sequence[str]) -> tuple[pd.Series, pd.Series]:
@@ -241,7 +240,7 @@ def paired_t_p_values(log_ratios: Array, max_df: int) -> Array:
     if units > 1 and len(differ):
         mean, variance = log_ratios[:, differ].mean(axis=0), log_ratios[:, differ].var(axis=0, ddof=1)
         shrunk, df = shrink_variances(variance, units - 1, max_df)
-        p_values[differ] = 2 * student_t.sf(np.abs(mean) / np.sqrt(shrunk / units), df)
+        p_values[differ] = 2 * stdtr(df, -np.abs(mean) / np.sqrt(shrunk / units))
     return p_values
 
 

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
@@ -268,7 +268,7 @@ def calibrate_by_task(
     return PredictorCalibrations(predictors)
 
 
-Z_95 = float(norm.ppf(0.5 + COVERAGE / 2))  # standard deviations; strategies know the repeatability
+Z_95 = float(ndtri(0.5 + COVERAGE / 2))  # standard deviations; strategies know the repeatability
 
 
 def compute_step_size_errors(

@@ -9,7 +9,7 @@ from scipy.stats import kstest, multivariate_normal, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnosis.effect_size import strength_interval
-from stickslip_fit.diagnosis.hypotheses import AR1, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import AR1, make_hypothesis, sum_lags
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.noise import find_outliers
@@ -63,7 +63,7 @@ def test_memory_is_judged_by_its_likelihood():
         return multivariate_normal.logpdf(residual, None, scale2 * correlation)
 
     memory = AR1("unknown:memory", np.arange(n) - 1, carried)
-    found = float(memory.log_evidence(residual[:, None], n)[0])
+    found = float(memory.log_evidence(sum_lags(memory.before, residual[:, None]), n)[0])
     assert found == pytest.approx(best(carried**lag) - best(np.eye(n)), rel=1e-6)
 
 

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 from scipy.stats import norm
 
 from stickslip_fit.causes import Wear, library
+from stickslip_fit.diagnosis import gain
 from stickslip_fit.diagnosis.cross_validation import (
     Split,
     compute_held_out_errors,
@@ -30,7 +31,9 @@ from stickslip_fit.diagnosis.gain_interval import (
     NONE_FOUND,
     CompetingCauses,
     LinearizedCampaign,
-    predict_held_out_errors,
+    predict_extension,
+    prepare_calibration,
+    prepare_split,
     simulate_selection,
 )
 from stickslip_fit.diagnosis.hypotheses import build_unstructured_alternatives, make_hypothesis
@@ -179,7 +182,8 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     rest = np.setdiff1d(np.arange(60), held)
     for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
         fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
-        found = predict_held_out_errors(basis, Split(rest, rest, held), chosen, responses)
+        operators = prepare_split(basis, Split(rest, rest, held))
+        found = operators.prediction.subtract(responses) - predict_extension(operators, chosen, responses)
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
 
@@ -194,7 +198,8 @@ def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(proble
     assert whole.noise_floor < whole.baseline < 2 * whole.noise_floor
 
 
-def test_the_number_of_processes_makes_no_difference(problem):
+def test_the_number_of_processes_makes_no_difference(problem, monkeypatch):
+    monkeypatch.setattr(gain, "MAX_SERIAL_ROWS", 0)  # or this small log would never have two
     own_problem = replace(
         problem(hide("session", ("drift",), 12, seed=3)), alternatives=build_unstructured_alternatives
     )
@@ -363,7 +368,8 @@ def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
     logs, strength = 20_000, 8.0
     campaign = a_campaign(cosine, strength=strength)
     responses = campaign.effects + _rng().standard_normal((40, logs))
-    wrong = np.mean(simulate_selection(campaign, 0, np.arange(40), responses) == 1)
+    training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
+    wrong = np.mean(simulate_selection(campaign, 0, training, responses) == 1)
     expected = norm.sf(strength * np.sqrt((1 - cosine) / 2))
     assert wrong == pytest.approx(expected, abs=4 * np.sqrt(expected / logs) + 1e-4)
 
@@ -377,4 +383,6 @@ def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
         ({"ahead": -90.0}, CAUSE_FOUND),
     ]
     for change, made in cases:
-        assert set(simulate_selection(a_campaign(0.97, **change), 0, np.arange(40), responses)) == {made}
+        campaign = a_campaign(0.97, **change)
+        training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
+        assert set(simulate_selection(campaign, 0, training, responses)) == {made}

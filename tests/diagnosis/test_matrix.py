@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import library
-from stickslip_fit.diagnosis.hypotheses import build_candidates
+from stickslip_fit.diagnosis.hypotheses import build_candidates, compute_finite_effects
 from stickslip_fit.diagnosis.misfit import compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import assess_residuals
@@ -141,8 +141,8 @@ def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
     found, problem = of_plan(GUIDE_CALIBRATION, ONE, 6)
     study = problem.linearize()
     by_name = {cause.name: cause for cause in problem.causes}
-    (one,) = build_candidates(study, [by_name["drift"]])
-    others = build_candidates(study, [by_name["wear"]])
+    (one,) = build_candidates(study, compute_finite_effects(study, [by_name["drift"]]))
+    others = build_candidates(study, compute_finite_effects(study, [by_name["wear"]]))
     rivals = np.concatenate([each.directions for each in others], axis=1)
     nearest = rivals[:, [np.argmax(np.abs(one.directions[:, 0] @ rivals))]]
     nearest *= np.sign(nearest.T @ one.directions)
@@ -168,7 +168,9 @@ def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect, tmp_
 def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     found, problem = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
     study = problem.linearize()
-    shape = build_candidates(study, [cause for cause in problem.causes if cause.name == "side-load"])[0]
+    shape = build_candidates(
+        study, compute_finite_effects(study, [cause for cause in problem.causes if cause.name == "side-load"])
+    )[0]
     rng = np.random.default_rng(5)
     seen = shape.directions[:, 0] * found.detectability("side-load").detection_strength
     first = assess_residuals(study, problem, N_BOOTSTRAP, rng)

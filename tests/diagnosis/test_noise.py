@@ -152,3 +152,10 @@ def test_a_trial_that_stalls_a_joint_stands_for_a_smaller_one(rows, linearize):
     found = compute_changes(linearized, Stalling(), np.array([[0.5], [0.05], [90.0]]))
     assert found[:, 0] == pytest.approx(10 * found[:, 1])
     assert np.all(found[:, 2] == 0.0)
+
+
+def test_a_log_too_short_for_periods_has_no_hypothesis_of_one(rows, linearize):
+    linearized = linearize(NOISE * np.random.default_rng(4).standard_normal(len(rows)))
+    none = np.zeros((len(rows), 0, 2))
+    sessions = list(split_sessions(linearized).values())
+    assert build_per_session_hypotheses([], len(rows), sessions, none) == []
