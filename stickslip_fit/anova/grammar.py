@@ -172,13 +172,8 @@ class _Parser:
         while self.token == "**":
             self.take()
             exponent = self.tokens[self.index]
-            # Short first, since Python refuses to read a number of thousands of digits.
-            if (
-                exponent.kind != "number"
-                or len(exponent.text) > 1
-                or not 1 <= int(exponent.text) <= MAX_POWER
-            ):
-                self.refuse(f"** takes a whole number from 1 to {MAX_POWER}")
+            if exponent.text not in POWERS:
+                self.refuse(f"** takes a whole number from 1 to {POWERS[-1]}")
             self.take()
             for _ in range(1, min(int(exponent.text), len(base))):
                 result = self._unite(result, self._cross(result, base))
