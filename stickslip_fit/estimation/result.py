@@ -28,6 +28,7 @@ from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
 from stickslip_fit.laws import StepLaw, traverse_length
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.log import CHANGED
 from stickslip_fit.machine import Link, Machine
 from stickslip_fit.units import from_si
 
@@ -72,8 +73,9 @@ def library_versions() -> dict[str, str]:
 
 def build_provenance(log: Log, command: str) -> Provenance:
     """Where a fit of `log` comes from."""
+    changed = f" ({CHANGED})" if log.is_changed else ""
     return Provenance(
-        log_files=tuple(name for name, _ in log.sources),
+        log_files=tuple(name + changed for name, _ in log.sources),
         log_sha256=log.sha256,
         machine_name=log.machine.name,
         machine_sha256=log.machine.sha256,
