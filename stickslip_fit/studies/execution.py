@@ -48,6 +48,11 @@ class Chunk:
     def __len__(self) -> int:
         return self.last - self.first
 
+    @property
+    def campaigns(self) -> range:
+        """Their numbers."""
+        return range(self.first, self.last)
+
     def __str__(self) -> str:
         return f"campaigns {self.first} to {self.last - 1} of {self.scenario.name!r}"
 
@@ -65,7 +70,7 @@ class Chunk:
         InputError
             If a joint stalls, or a session is not over when the next one begins.
         """
-        numbers = range(self.first, self.last)
+        numbers = self.campaigns
         campaigns = simulate_campaigns(
             self.study, self.scenario, draw_campaigns(self.study, self.scenario, numbers)
         )
@@ -207,7 +212,7 @@ class ResultStore:
         except OSError as error:
             message = f"cannot be made ({error.strerror}); name another folder"
             raise InputError(InputIssue(message, str(path.parent))) from None
-        table.to_parquet(stream, index=False)
+        table.to_parquet(stream, index=False, engine="pyarrow", write_page_checksum=True)
         write_atomically(path, stream.getvalue())
 
     def read(self, chunk: Chunk) -> pd.DataFrame:
@@ -220,10 +225,13 @@ class ResultStore:
         """
         path = self.path_of(chunk)
         try:
-            return pd.read_parquet(path)
-        except (OSError, ValueError) as error:
+            table = pd.read_parquet(path, engine="pyarrow", page_checksum_verification=True)
+            if {*table["scenario"]} != {chunk.scenario.name} or {*table["campaign"]} != {*chunk.campaigns}:
+                raise ValueError("it is of other campaigns")
+        except Exception as error:  # readers of Parquet fail in any way on what is none
             message = f"cannot be read ({error}); delete it, and run the study again"
             raise InputError(InputIssue(message, str(path))) from None
+        return table
 
 
 TIMEOUT = 30  # s, for the scheduler to answer and for a first worker
