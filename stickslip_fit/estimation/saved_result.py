@@ -34,7 +34,7 @@ from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
 
-STEP_SIZES = 1e-12, 1e-1  # rad or m; beyond, the numbers are in other units
+STEP_SIZES = 1e-12, 1e-2  # rad or m; beyond, the numbers are in other units
 MAX_LENGTH = 10.0  # m, of a manipulator
 MAX_REPEATABILITY = 10.0
 NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its size
