@@ -97,7 +97,9 @@ def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence
         If the content is damaged, naming `path`.
     """
     try:
-        return _build_result(content, causes)
+        # Impossible numbers are found by what comes out.
+        with np.errstate(all="ignore"):
+            return _build_result(content, causes)
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, InputError) as error:
         what = error.args[0] if error.args else type(error).__name__
         message = f"is a damaged result: {shorten(str(what), 200)}; {ADVICE}"
@@ -260,9 +262,7 @@ def _has_plausible_steps(fit: JointFit, machine: Machine) -> bool:
     """Whether every group with values has a step size in the law's first calibration configuration."""
     fitted = ~np.isnan(fit.values).any(axis=1)
     rows = _calibration_rows(fit.law, fit.groups[fitted], machine)
-    with np.errstate(all="ignore"):
-        steps = np.exp(fit.law.predict(rows, fit.values[fitted]))
-        sizes = machine.span(fit.law.joint) / steps
+    sizes = machine.span(fit.law.joint) / np.exp(fit.law.predict(rows, fit.values[fitted]))
     return bool(np.all((sizes > STEP_SIZES[0]) & (sizes < STEP_SIZES[1])))
 
 

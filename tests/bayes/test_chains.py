@@ -106,7 +106,7 @@ def test_damaged_chains_are_not_continued(traverses, tight_prior, tmp_path, dama
             ensemble["chain"][3, 1, 1] = np.nan
         else:
             del ensemble.attrs["iteration"]
-    with pytest.raises(InputError, match="damaged chains|no HDF5 file that can be read") as caught:
+    with pytest.raises(InputError, match=r"damaged chains|no HDF5 file that can be read") as caught:
         file_backends(path, "x", traverses, tight_prior, 3)
     assert len(caught.value.problems) == 1
 

@@ -1,4 +1,4 @@
-"""Files of results that are corrupt, foreign or newer end with one message; those of released versions load."""
+"""Results that are corrupt, foreign or newer end with one message; those of every released version load."""
 
 from __future__ import annotations
 
@@ -81,13 +81,14 @@ def use(path, plan):
 
 def refused(path, plan):
     """Whether using a file ends with one InputError of one problem that names the file or what to do."""
+    messages = []
     try:
         use(path, plan)
     except InputError as error:
-        assert len(error.problems) == 1
-        assert len(str(error)) < 600
-        return True
-    return False
+        messages = [str(problem) for problem in error.problems]
+    assert len(messages) <= 1
+    assert len("".join(messages)) < 600
+    return bool(messages)
 
 
 def places(value, at=()):
