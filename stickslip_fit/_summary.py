@@ -275,9 +275,9 @@ class PageAssets:
     policy: str
 
 
-def load_page_assets(*, script: bool) -> PageAssets:
-    """The report's style, and its script where the page has one."""
-    style, code = _read_asset("report.css"), _read_asset("report.js" if script else "")
+def load_page_assets(style_sheet: str = "report.css", *, script: bool) -> PageAssets:
+    """A style sheet, and the report's script where the page has one."""
+    style, code = _read_asset(style_sheet), _read_asset("report.js" if script else "")
     scripts = _csp_hash(code) if script else "'none'"
     policy = (
         f"default-src 'none'; style-src {_csp_hash(style)}; script-src {scripts}; img-src data:; "

@@ -1,15 +1,16 @@
 """Analysis of variance by formula, as in ``step_size ~ C(session) * direction``: types I, II and III.
 
-patsy reads the formula. A term's sum of squares is the difference between two nested least-squares
-models: type I after the terms before it, type II after all terms that do not contain it, type III after
-all others with sum-to-zero coding. Degrees of freedom are ranks.
+`grammar` has what a formula may say. A term's sum of squares is the difference between two nested
+least-squares models: type I after the terms before it, type II after all terms that do not contain it,
+type III after all others with sum-to-zero coding. Degrees of freedom are ranks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import reduce
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.anova.analysis import RECORD_COLUMNS
 from stickslip_fit.anova.contrasts import adjust_holm, indicator_columns, orthonormal_basis, subtract_median
 from stickslip_fit.anova.designs import select_observations, step_size_observations
+from stickslip_fit.anova.grammar import Factor, Term, parse_formula
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -28,6 +30,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 RESIDUAL_NAME = "residual"
 TYPES = (1, 2, 3)
 EXACT_FIT_TOL = 1e-12  # relative scatter that is the rounding of doubles
+MAX_COLUMNS, MAX_CELLS = 2_000, 50_000_000  # of a design matrix
 LAB_COLUMN_PREFIXES = (COVARIATE_PREFIX, "text:")
 
 
@@ -106,15 +109,15 @@ def analyze_formula(
     """Analyse any columns of a log, each joint by itself.
 
     Factors are columns of `step_size_observations`, which has the log's own (``covariate:pressure`` may be
-    called ``pressure``) and step_size, configuration and orientation; numpy is ``np``. Text is a factor, and
-    ``C(...)`` makes one of numbers. ``a / b`` nests b in a, whether or not b's labels start anew in each a:
-    degrees of freedom are ranks.
+    called ``pressure``) and step_size, configuration and orientation. Text is a factor, and ``C(name)`` makes
+    one of numbers; ``log(name)`` is the logarithm, and ``Q("name")`` a name with spaces or signs. ``a / b``
+    nests b in a, whether or not b's labels start anew in each a: degrees of freedom are ranks.
 
     Parameters
     ----------
     log : Log
     text : str
-        In the language of patsy and statsmodels.
+        See `stickslip_fit.anova.grammar`; it is never evaluated as code.
     joint : {1, 2, 3}, optional
         Of this joint only.
     session : str, optional
@@ -232,84 +235,77 @@ def model_terms(rows: pd.DataFrame, text: str, *, sums_to_zero: bool) -> tuple[A
     InputError
         If the formula cannot be read or evaluated.
     """
-    import patsy
-
-    environment = patsy.EvalEnvironment([{"np": np}])
-    data = {name: _plain_column(rows[name]) for name in rows.columns}
-    try:
-        wanted = patsy.ModelDesc.from_formula(text)
-        response, design = patsy.dmatrices(wanted, data, environment, NA_action="raise")
-        known = {
-            factor.name(): _factor_values(info, data)
-            for factor, info in design.design_info.factor_infos.items()
-        }
-    except Exception as error:  # a formula is code, and may fail in any way
-        raise InputError(f"the formula {text!r} cannot be used: {_error_reason(error)}") from None
-    products = [tuple(factor.name() for factor in term.factors) for term in wanted.rhs_termlist]
-    products.sort(key=len)
-    _check_formula(text, response.shape[1], products)
-    asked = {frozenset(product) for product in products}
-    return np.asarray(response)[:, 0], [
-        ModelTerm(
-            ":".join(product), frozenset(product), _product_columns(product, known, asked, sums_to_zero)
-        )
-        for product in products
-        if product
-    ]
-
-
-def _check_formula(text: str, responses: int, products: list[tuple[str, ...]]) -> None:
-    if responses != 1:
+    formula = parse_formula(text, rows.columns)
+    response = _factor_values(formula.response, rows)
+    if response.labels:
         raise InputError(f"the formula {text!r} must have one numeric response before its ~, e.g. step_size")
-    if () not in products:
-        raise InputError(f"the formula {text!r} leaves out the general mean; drop the 0 or -1")
-    if len(products) == 1:
-        raise InputError(f"the formula {text!r} has nothing after its ~ to look at, e.g. C(session)")
+    factors = dict.fromkeys(factor for term in formula.terms for factor in term)
+    known = {factor: _factor_values(factor, rows) for factor in factors}
+    asked = {frozenset(), *map(frozenset, formula.terms)}
+    terms = []
+    for term in formula.terms:
+        names = [factor.name for factor in term]
+        columns = _product_columns(term, known, asked, sums_to_zero)
+        terms.append(ModelTerm(":".join(names), frozenset(names), columns))
+    _check_size(factors, sum(term.columns.shape[1] for term in terms), len(rows))
+    return response.values, terms
 
 
-def _plain_column(column: pd.Series) -> Any:
-    """Numbers as they are and everything else as text: what patsy takes for covariates and for factors."""
-    if pd.api.types.is_numeric_dtype(column):
-        return column.to_numpy()
-    return column.astype(str).to_numpy(object)
+@dataclass(frozen=True)
+class FactorValues:
+    """Numbers of a factor, shape (n,); or codes from 0 of `labels` labels, which is 0 for numbers."""
+
+    values: npt.NDArray[Any]
+    labels: int = 0
 
 
-def _factor_values(info: Any, data: dict[str, Any]) -> tuple[bool, npt.NDArray[Any]]:
-    """Whether a factor is categorical, and its codes or its numbers, shape (n,) or (n, p)."""
-    from patsy import NAAction
-    from patsy.categorical import categorical_to_int
-
-    found = info.factor.eval(info.state, data)
-    if info.type == "categorical":
-        return True, np.asarray(categorical_to_int(found, info.categories, NAAction()), dtype=np.intp)
-    return False, np.asarray(found, float).reshape(len(found), -1)
+def _factor_values(factor: Factor, rows: pd.DataFrame) -> FactorValues:
+    """Numbers as they are; everything else, and what is in ``C``, as labels."""
+    column = rows[factor.column]
+    numeric = pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
+    if numeric:
+        values = column.to_numpy(float)
+        if not np.isfinite(values).all():
+            raise InputError(f"{factor.name} has empty cells or no numbers for this joint; leave it out")
+        if factor.function == "log" and not (values > 0).all():
+            raise InputError(f"{factor.name} is of numbers that are not above 0; leave log out")
+        if factor.function != "C":
+            return FactorValues(np.log(values) if factor.function == "log" else values)
+    elif factor.function == "log":
+        raise InputError(f"{factor.name} is of text; log takes numbers")
+    codes, labels = pd.factorize(column if numeric else column.astype(str), sort=True)
+    return FactorValues(codes, len(labels))
 
 
 def _product_columns(
-    product: tuple[str, ...],
-    known: dict[str, tuple[bool, npt.NDArray[Any]]],
-    asked: set[frozenset[str]],
-    sums_to_zero: bool,
+    product: Term, known: Mapping[Factor, FactorValues], asked: Set[frozenset[Factor]], sums_to_zero: bool
 ) -> Array:
     """Products of the factors' columns, shape (n, p).
 
     A factor is coded by contrasts where the term without it is in the model too; where it is not, the factor
-    is nested, and has a column for each level.
+    is nested, and has a column for each level. Without contrasts, a column is of a combination that occurs.
     """
-    parts = []
-    for name in product:
-        categorical, values = known[name]
-        if categorical:
-            nested = frozenset(product) - {name} not in asked
-            values = indicator_columns(values)
-            values = values if nested or not sums_to_zero else values[:, :-1] - values[:, -1:]
-        parts.append(values)
-    return reduce(lambda one, other: (one[:, :, None] * other[:, None, :]).reshape(len(one), -1), parts)
+    numbers = [known[factor].values for factor in product if not known[factor].labels]
+    labelled = [factor for factor in product if known[factor].labels]
+    n = len(next(iter(known.values())).values)
+    columns = reduce(np.multiply, numbers, np.ones(n))[:, None]
+    if not sums_to_zero:
+        cells = np.zeros(n, dtype=np.intp)
+        for factor in labelled:
+            cells = pd.factorize(cells * known[factor].labels + known[factor].values)[0]
+        _check_size(product, int(cells.max()) + 1, n)
+        return columns * indicator_columns(cells)
+    nested = {factor: frozenset(product) - {factor} not in asked for factor in labelled}
+    _check_size(product, prod(known[factor].labels - (not nested[factor]) for factor in labelled), n)
+    for factor in labelled:
+        values = indicator_columns(known[factor].values)
+        values = values if nested[factor] else values[:, :-1] - values[:, -1:]
+        columns = (columns[:, :, None] * values[:, None, :]).reshape(n, -1)
+    return columns
 
 
-def _error_reason(error: Exception) -> str:
-    """The first line of what went wrong, without patsy's drawing of where."""
-    line = str(error).splitlines()[0] if str(error) else type(error).__name__
-    if "NaN" in line or "missing values" in line:
-        return f"a column has empty cells or no numbers for this joint ({line}); leave it out"
-    return line
+def _check_size(terms: Iterable[Factor], columns: int, rows: int) -> None:
+    """Refuse what would take minutes and gigabytes."""
+    if columns > min(MAX_COLUMNS, MAX_CELLS // rows):
+        names = ", ".join(factor.name for factor in terms)
+        raise InputError(f"{names} would take {columns:,} parameters, too many to compute; leave some out")

@@ -6,6 +6,7 @@ identified. Files: netCDF for the draws, JSON for the Result.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,8 +22,15 @@ from stickslip_fit._typing import Array
 from stickslip_fit.bayes.priors import Priors, predict_log_steps
 from stickslip_fit.bayes.result import INTERVAL_QUANTILES, group_name
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.estimation import Flag, JointFit, Result, load_result
-from stickslip_fit.estimation.result import PREDICTION_COLUMNS, AxesArray, Provenance
+from stickslip_fit.estimation import Flag, JointFit, Result
+from stickslip_fit.estimation.result import (
+    PREDICTION_COLUMNS,
+    AxesArray,
+    Provenance,
+    result_to_json,
+    write_result_json,
+)
+from stickslip_fit.estimation.saved_result import read_result_json, result_from_json
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.machine import Machine
 
@@ -103,11 +111,14 @@ class Posterior(Summarized):
         tree = self.tree.copy()
         diagnostics = self.diagnostics.astype({"session": str})
         tree.attrs = {
+            "schema": SCHEMA,
             "priors": json.dumps(self.priors.to_json()),
             "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
         }
-        write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
-        self.result.save(Path(path).with_suffix(".json"))
+        draws = bytes(tree.to_netcdf(engine="h5netcdf"))
+        write_atomically(path, draws)
+        content = result_to_json(self.result) | {DRAWS_KEY: hashlib.sha256(draws).hexdigest()}
+        write_result_json(content, Path(path).with_suffix(".json"))
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Draws of a session's parameters, by default the latest session's, in pairs; the prior behind.
@@ -222,26 +233,70 @@ class Posterior(Summarized):
         return [str(each) for each in self.group_tree(joint, direction)["posterior"]["session"].to_numpy()]
 
 
+FORMAT, VERSION = "stickslip-fit/posterior", 1
+SCHEMA = f"{FORMAT}/{VERSION}"
+DRAWN = ("mean", "spread", "repeatability", "parameters")
+DRAWS_KEY = "draws_sha256"  # of the result beside the draws: HDF5 itself would not notice a flipped bit
+
+
 def load_posterior(path: str | Path) -> Posterior:
     """Read what `Posterior.save` wrote.
 
     Raises
     ------
     InputError
-        If one of the two files cannot be read, or is something else.
+        If one of the two files cannot be read, is damaged or something else, or was made by a newer version;
+        or if the two do not belong together.
     """
-    from xarray import open_datatree
-
     path = Path(path)
+    beside = path.with_suffix(".json")
     try:
-        with open_datatree(path, engine="h5netcdf") as stored:
-            tree = stored.load()
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+    content = read_result_json(beside)
+    if content.get(DRAWS_KEY) != hashlib.sha256(raw).hexdigest():
+        message = f"is no saved posterior, or damaged, or not the one saved with {beside}; fit the log again"
+        raise InputError(InputIssue(message, str(path)))
+    result = result_from_json(content, beside)
+    tree = _read_tree(path)
+    version = str(tree.attrs.pop("schema", "")).removeprefix(f"{FORMAT}/")
+    if version.isdecimal() and int(version) > VERSION:
+        raise InputError(
+            InputIssue("was made by a newer version of stickslip-fit; update stickslip-fit", str(path))
+        )
+    try:
         priors = Priors.from_json(json.loads(tree.attrs.pop("priors")))
         diagnostics = pd.DataFrame(json.loads(tree.attrs.pop("diagnostics")))
-    except (OSError, KeyError, ValueError) as error:
+        posterior = Posterior(result, tree, priors, diagnostics)
+        _check_draws(posterior)
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         message = f"is no saved posterior that can be read ({error!r}); fit the log again"
         raise InputError(InputIssue(message, str(path))) from None
-    return Posterior(load_result(path.with_suffix(".json")), tree, priors, diagnostics)
+    return posterior
+
+
+def _read_tree(path: Path) -> DataTree:
+    from xarray import open_datatree
+
+    try:
+        with open_datatree(path, engine="h5netcdf") as stored:
+            return stored.load()
+    except Exception as error:  # readers of HDF5 fail in any way on what is none
+        message = f"is no netCDF file that can be read ({type(error).__name__}); fit the log again"
+        raise InputError(InputIssue(message, str(path))) from None
+
+
+def _check_draws(posterior: Posterior) -> None:
+    """Raise ValueError unless there are finite draws of every parameter of every joint and direction."""
+    for joint, direction in posterior.groups:
+        fit = posterior.joints[joint]
+        p, sessions = len(fit.law.parameters), len(posterior.sessions(joint, direction))
+        arrays = [posterior.draws(joint, direction, name) for name in DRAWN]
+        count = len(arrays[0])
+        shapes = [(count, p), (count, p), (count,), (count, sessions, p)]
+        if [array.shape for array in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):
+            raise ValueError(f"the draws of joint {joint}, direction {direction}")
 
 
 def _predict_group(

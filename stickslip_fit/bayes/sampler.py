@@ -38,6 +38,7 @@ from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import StepLaw
 
 if TYPE_CHECKING:
+    import h5py
     from emcee import EnsembleSampler
     from emcee.backends import Backend, HDFBackend
 
@@ -67,17 +68,36 @@ def file_backends(
     wanted = _hash_inputs(traverses, prior, seed)
     try:
         with h5py.File(path, "a") as file:
-            fingerprint = file.require_group(name).attrs.setdefault("fingerprint", wanted)
-    except OSError as error:
-        raise InputError(
-            InputIssue(f"is no HDF5 file that can be written to ({error}); give another path", str(path))
-        ) from None
-    if fingerprint != wanted:
-        message = (
-            f"holds the chains of another log, law, prior or seed for {name}; give another path, or delete it"
-        )
-        raise InputError(InputIssue(message, str(path)))
+            reason = _refuse_chains(file, name, wanted)
+    except Exception as error:  # HDF5 fails in any way on a damaged file
+        message = f"is no HDF5 file that can be read and written to ({error}); give another path"
+        raise InputError(InputIssue(message, str(path))) from None
+    if reason:
+        raise InputError(InputIssue(f"{reason}; give another path, or delete it", str(path)))
     return [HDFBackend(str(path), name=f"{name}/ensemble_{number}") for number in range(ENSEMBLE_COUNT)]
+
+
+FORMAT, VERSION = "stickslip-fit/chains", 1
+
+
+def _refuse_chains(file: h5py.File, name: str, wanted: str) -> str:
+    """Why chains cannot be continued; else empty, and the file, which may be new, is marked as theirs."""
+    schema = file.attrs.get("schema", "" if len(file) else f"{FORMAT}/{VERSION}")
+    version = str(schema).removeprefix(f"{FORMAT}/")
+    if version.isdecimal() and int(version) > VERSION:
+        return "was made by a newer version of stickslip-fit"
+    if schema != f"{FORMAT}/{VERSION}":
+        return "holds something other than chains"
+    file.attrs["schema"] = schema
+    group = file.require_group(name)
+    if group.attrs.setdefault("fingerprint", wanted) != wanted:
+        return f"holds the chains of another log, law, prior or seed for {name}"
+    for ensemble in group.values():
+        steps = int(ensemble.attrs["iteration"])
+        chain, density = ensemble["chain"][:steps], ensemble["log_prob"][:steps]
+        if density.shape != (steps, *chain.shape[1:2]) or not np.isfinite(chain).all():
+            return f"holds damaged chains for {name}"
+    return ""
 
 
 def _hash_inputs(traverses: GroupData, prior: Prior, seed: int) -> str:

@@ -126,12 +126,12 @@ class Diagnosis(Summarized):
             If the data were no log.
         """
         log = self.require_log()
-        rows, usable = log.rows.copy(), log.rows.index[log.rows["status"] == "ok"]
+        usable = log.rows.index[log.rows["status"] == "ok"]
         for finding in self.findings:
             if finding.traverses is not None:
-                rows.loc[usable[finding.traverses.index], "status"] = "excluded"
+                log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
-        return fit_least_squares(replace(log, rows=rows), causes=causes, command=command)
+        return fit_least_squares(log, causes=causes, command=command)
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -10,7 +10,8 @@ from stickslip_fit.estimation.load_coefficient import (
 )
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.prediction import fit_constant_step, held_out_errors, summarize_errors
-from stickslip_fit.estimation.result import JointFit, Result, load_result
+from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.estimation.saved_result import load_result
 
 __all__ = [
     "Flag",

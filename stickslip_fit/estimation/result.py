@@ -6,9 +6,9 @@ direction.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -23,12 +23,13 @@ from stickslip_fit._format import join_words
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
-from stickslip_fit.causes import Cause, ExtendedLaw, describe, restore
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.causes import ExtendedLaw, describe
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
 from stickslip_fit.laws import StepLaw, traverse_length
 from stickslip_fit.logs import Log
-from stickslip_fit.machine import Link, Machine
+from stickslip_fit.logs.log import CHANGED
+from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 
@@ -72,8 +73,9 @@ def library_versions() -> dict[str, str]:
 
 def build_provenance(log: Log, command: str) -> Provenance:
     """Where a fit of `log` comes from."""
+    changed = f" ({CHANGED})" if log.is_changed else ""
     return Provenance(
-        log_files=tuple(name for name, _ in log.sources),
+        log_files=tuple(name + changed for name, _ in log.sources),
         log_sha256=log.sha256,
         machine_name=log.machine.name,
         machine_sha256=log.machine.sha256,
@@ -167,8 +169,7 @@ class Result(Summarized):
         session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint,
         direction and session are null where a parameter is the same for all of them.
         """
-        text = json.dumps(_to_json(self), indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomically(path, text + "\n")
+        write_result_json(result_to_json(self), path)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.
@@ -325,44 +326,16 @@ def has_enough_replicates(noise: NoiseLevel) -> bool:
     return noise.source == "replicates" and noise.df >= MIN_REPLICATE_DF
 
 
-SCHEMA = "stickslip-fit/result/1"
+FORMAT, VERSION = "stickslip-fit/result", 1
+SCHEMA = f"{FORMAT}/{VERSION}"
 
 
-def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
-    """Read a result that `Result.save` wrote.
-
-    Parameters
-    ----------
-    path : path
-    causes : sequence of Cause, optional
-        Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is no saved result.
-    """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
-    except ValueError:
-        raise InputError(InputIssue("is no JSON; give a file that `fit --json` wrote", str(path))) from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(InputIssue(f"is no saved result of the form {SCHEMA}; fit the log again", str(path)))
-    try:
-        return _from_json(content, causes)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError(
-            InputIssue(f"is a damaged result ({error!r}); fit the log again", str(path))
-        ) from None
-
-
-def _to_json(result: Result) -> dict[str, Any]:
+def result_to_json(result: Result) -> dict[str, Any]:
+    """The content of the file that `Result.save` writes, but for its checksum; plain JSON types."""
     return {
         "schema": SCHEMA,
         "method": result.method,
-        "parameters": _parameters_to_json(result.parameters),
+        "parameters": parameters_to_json(result.parameters),
         "remarks": [asdict(flag) for flag in result.flags],
         "provenance": asdict(result.provenance),
         "machine": asdict(result.machine),
@@ -376,7 +349,20 @@ def _to_json(result: Result) -> dict[str, Any]:
     }
 
 
-def _parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
+def write_result_json(content: dict[str, Any], path: str | Path) -> None:
+    """Write the content of a result's file with its checksum; raises InputError if it cannot be written."""
+    content = content | {"sha256": content_sha256(content)}
+    write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def content_sha256(content: dict[str, Any]) -> str:
+    """Hash of a file's content, however it is laid out, but for the hash itself."""
+    rest = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """`Result.parameters` in people's units, as saved."""
     numbers = ("estimate", "standard_error", "low", "high")
     return [
         {
@@ -407,55 +393,6 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
             for direction, noise in fit.repeatability.items()
         },
     }
-
-
-def _from_json(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
-    machine = _machine_from_json(content["machine"])
-    fits = [_joint_from_json(item, machine, causes) for item in content["joints"]]
-    residuals = content["residuals"]
-    source = content["provenance"]
-    return Result(
-        method=content["method"],
-        machine=machine,
-        joints={fit.law.joint: fit for fit in fits},
-        residuals=pd.DataFrame(
-            {
-                "joint": np.array(residuals["joint"], dtype=np.int64),
-                "residual": np.array(residuals["residual"], dtype=float),
-                "used": np.array(residuals["used"], dtype=bool),
-            },
-            index=np.array(residuals["row"], dtype=np.int64),
-        ),
-        flags=tuple(Flag(**{**item, "parameters": tuple(item["parameters"])}) for item in content["remarks"]),
-        provenance=Provenance(**{**source, "log_files": tuple(source["log_files"])}),
-    )
-
-
-def _joint_from_json(item: dict[str, Any], machine: Machine, causes: Sequence[Cause]) -> JointFit:
-    return JointFit(
-        law=restore(item["law"], machine, causes),
-        groups=pd.DataFrame(
-            {
-                "session": np.array(item["sessions"], dtype=object),
-                "direction": np.array(item["directions"], dtype=object),
-            }
-        ),
-        values=np.array(item["values"], dtype=float),
-        known=np.array(item["known"], dtype=bool),
-        covariance=np.array(item["covariance"], dtype=float),
-        interval=np.array(item["interval"], dtype=float),
-        repeatability={
-            direction: NoiseLevel(**{**noise, "value": np.nan if noise["value"] is None else noise["value"]})
-            for direction, noise in item["repeatability"].items()
-        },
-        shared=tuple(item.get("shared", ())),
-    )
-
-
-def _machine_from_json(item: dict[str, Any]) -> Machine:
-    links = [Link(link["mass"], link["com"], tuple(link["inertia"])) for link in item["links"]]
-    ranges = {int(joint): (low, high) for joint, (low, high) in item["ranges"].items()}
-    return Machine(**item | {"ranges": ranges, "links": (links[0], links[1], links[2])})
 
 
 def _number_to_json(value: float) -> float | None:

@@ -6,6 +6,7 @@ reading the file gives the same rows.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
 
 # Finer than anything that can be set, coarser than what unit conversion rounds off (rad, m).
 _KEY_DECIMALS = 10
+CHANGED = "changed after reading"
 _POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "low", "high"]
 
 
@@ -195,21 +197,46 @@ class Log(Summarized):
         ``payload`` (NaN where not given); ``note``; the lab's own columns as ``covariate:<column>``
         and ``text:<column>``; and history, see `add_history`.
     sources : tuple of (str, str)
-        Name and sha256 of each file; the log's own `sha256` is a hash over all of them.
+        Name and sha256 of each file.
+    file_sha256 : str
+        Hash over all files; see `sha256`.
     machine : Machine
         Its ranges are the ends of full traverses.
     notes : tuple of str
         On how the files were read.
+    rows_as_read : DataFrame or None
+        A copy of `rows`, by which a change of them shows; None where nothing was read.
     """
 
     rows: pd.DataFrame
     sources: tuple[tuple[str, str], ...]
-    sha256: str
+    file_sha256: str
     machine: Machine
     notes: tuple[str, ...] = ()
+    rows_as_read: pd.DataFrame | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether `rows` are no longer those that were read, or a selection of them."""
+        return self.rows_as_read is not None and not self.rows.equals(self.rows_as_read)
+
+    @property
+    def sha256(self) -> str:
+        """The hash of the files; of the rows, once these are changed."""
+        if not self.is_changed:
+            return self.file_sha256
+        names = "\n".join(map(str, self.rows.columns)).encode()
+        cells = pd.util.hash_pandas_object(self.rows.astype(str), index=False).to_numpy().tobytes()
+        return hashlib.sha256(names + cells).hexdigest()
+
+    @property
+    def provenance(self) -> tuple[tuple[str, str], ...]:
+        """Name and hash of each file, and of rows that were changed after reading."""
+        files = tuple((name, f"sha256 {sha}") for name, sha in self.sources)
+        return (*files, (CHANGED, f"sha256 {self.sha256}")) if self.is_changed else files
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -228,7 +255,16 @@ class Log(Summarized):
 
     def select(self, mask: npt.ArrayLike) -> Log:
         """Only the rows where `mask` is true, with their history in the whole log."""
-        return replace(self, rows=self.rows[mask].reset_index(drop=True))
+        read = self.rows_as_read
+        if read is not None and len(read) == len(self.rows):
+            read = read[mask].reset_index(drop=True)
+        return replace(self, rows=self.rows[mask].reset_index(drop=True), rows_as_read=read)
+
+    def exclude(self, labels: npt.ArrayLike) -> Log:
+        """The rows with these labels of the index have the status 'excluded', which changes no count."""
+        rows = self.rows.copy()
+        rows.loc[labels, "status"] = "excluded"
+        return replace(self, rows=rows, rows_as_read=self.rows_as_read if self.is_changed else rows.copy())
 
     def configurations(self) -> pd.DataFrame:
         """The configurations of the usable rows, see `count_configurations`."""
@@ -262,13 +298,14 @@ def summarize_log(log: Log) -> Summary:
     tables = [_session_table(log), _coverage_table(log), _condition_table(log), _note_table(log)]
     files = join_words([f"{name} (sha256 {sha[:12]})" for name, sha in log.sources[:MAX_FILES]] or ["memory"])
     more = len(log.sources) - MAX_FILES
+    changed = ("The rows were changed after reading: they are not those of the files.",) * log.is_changed
     return Summary(
         title=f"Log {file_names([name for name, _ in log.sources])}".strip(),
         headline=(f"{_describe_rows(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
         sections=(Section(tables=tuple(table for table in tables if table and table.rows)),),
-        flags=log.notes,
+        flags=(*changed, *log.notes),
         provenance=(
-            *((name, f"sha256 {sha}") for name, sha in log.sources),
+            *log.provenance,
             (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
         ),
     )

@@ -340,16 +340,18 @@ def read_log(
     columns, notes = _build_columns(files, kept, machine)
     issues.raise_if_any()
     rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order])
+    rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
     return Log(
-        rows=rows.assign(steps_before=identity.steps_before[chosen[identity.order]]),
+        rows=rows,
         sources=tuple((file.table.file, file.sha256) for file in sources),
-        sha256=hash_sources(sources),
+        file_sha256=hash_sources(sources),
         machine=machine,
         notes=(
             *(note for cells in files for note in cells.layout.notes),
             *notes,
             *note_similar_sessions(identity),
         ),
+        rows_as_read=rows.copy(),
     )
 
 

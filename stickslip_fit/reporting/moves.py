@@ -234,13 +234,15 @@ class SessionSheet:
 
 def sheet_html(plan: Plan) -> str:
     """The page as HTML, self-contained; each session begins on a sheet of its own."""
-    from stickslip_fit._summary import load_template
+    from stickslip_fit._summary import load_page_assets, load_template
 
     rows = plan.rows()
     by_label = dict(list(rows.groupby("session")))
     sessions = [_make_session(each.label, each.begins, by_label[each.label]) for each in plan.sessions]
     period = f"{from_si(plan.timing.step_period, 'ms'):g} ms"
-    return load_template("sheet.html.j2").render(plan=plan, period=period, sessions=sessions)
+    assets = load_page_assets("sheet.css", script=False)
+    template = load_template("sheet.html.j2")
+    return template.render(assets=assets, plan=plan, period=period, sessions=sessions)
 
 
 def write_sheet_page(plan: Plan, path: str | Path) -> None:

@@ -279,8 +279,8 @@ def _figure_groups(
 def _provenance(log: Log, fit: Result, command: str) -> list[tuple[str, str]]:
     source = fit.provenance
     return [
-        *((name, f"sha256 {sha}") for name, sha in log.sources),
-        *([("all files together", f"sha256 {log.sha256}")] if len(log.sources) > 1 else []),
+        *log.provenance,
+        *([("all files together", f"sha256 {log.file_sha256}")] if len(log.sources) > 1 else []),
         (f"machine {source.machine_name}", f"sha256 {source.machine_sha256}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
         ("command", command or source.command or "none: made from Python"),

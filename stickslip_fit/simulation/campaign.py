@@ -303,7 +303,8 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     missing = {name: np.nan for name in CONDITIONS if name not in driven}
     driven = driven.assign(session=driven["session"].astype("str"), note="", **missing)
     counts = hashlib.sha256(driven["steps"].to_numpy().tobytes())
-    return Log(add_history(driven[list(LOG_COLUMNS)]), (), counts.hexdigest(), machine)
+    made = add_history(driven[list(LOG_COLUMNS)])
+    return Log(made, (), counts.hexdigest(), machine, rows_as_read=made.copy())
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:

@@ -208,6 +208,8 @@ class ResultStore:
             message = f"cannot be made ({error.strerror}); name another folder"
             raise InputError(InputIssue(message, str(path.parent))) from None
         table.to_parquet(stream, index=False)
+        # The hash first: a chunk counts as finished as soon as its table is there.
+        write_atomically(path.with_suffix(".sha256"), hashlib.sha256(stream.getvalue()).hexdigest())
         write_atomically(path, stream.getvalue())
 
     def read(self, chunk: Chunk) -> pd.DataFrame:
@@ -220,7 +222,10 @@ class ResultStore:
         """
         path = self.path_of(chunk)
         try:
-            return pd.read_parquet(path)
+            raw, digest = path.read_bytes(), path.with_suffix(".sha256").read_bytes()
+            if digest != hashlib.sha256(raw).hexdigest().encode():
+                raise ValueError("its hash is another")
+            return pd.read_parquet(io.BytesIO(raw))
         except (OSError, ValueError) as error:
             message = f"cannot be read ({error}); delete it, and run the study again"
             raise InputError(InputIssue(message, str(path))) from None

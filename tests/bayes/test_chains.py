@@ -78,6 +78,39 @@ def test_chains_of_something_else_are_not_taken_up(traverses, tight_prior, tmp_p
         file_backends(path, "x", traverses, tight_prior, 3)
 
 
+def test_files_of_others_are_neither_used_nor_written(traverses, tight_prior, tmp_path):
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["measured"] = np.arange(9.0)
+    raw = path.read_bytes()
+    with pytest.raises(InputError, match="something other than chains"):
+        file_backends(path, "x", traverses, tight_prior, 3)
+    assert path.read_bytes() == raw
+    path.unlink()
+    with h5py.File(path, "w") as file:
+        file.attrs["schema"] = "stickslip-fit/chains/2"
+    with pytest.raises(InputError, match="newer version"):
+        file_backends(path, "x", traverses, tight_prior, 3)
+
+
+@pytest.mark.parametrize("damage", ["nan", "no steps"])
+def test_damaged_chains_are_not_continued(traverses, tight_prior, tmp_path, damage):
+    path = tmp_path / "chains.h5"
+    chains = file_backends(path, "x", traverses, tight_prior, 3)
+    quick = QUICK | {"max_steps": 10}
+    sample_posterior(traverses, tight_prior, chains, on_step=lambda steps: None, **quick)
+    file_backends(path, "x", traverses, tight_prior, 3)
+    with h5py.File(path, "a") as file:
+        ensemble = file["x/ensemble_2"]
+        if damage == "nan":
+            ensemble["chain"][3, 1, 1] = np.nan
+        else:
+            del ensemble.attrs["iteration"]
+    with pytest.raises(InputError, match=r"damaged chains|no HDF5 file that can be read") as caught:
+        file_backends(path, "x", traverses, tight_prior, 3)
+    assert len(caught.value.problems) == 1
+
+
 def test_a_walk_finds_a_known_density_though_its_guess_is_poor():
     """Off centre by three standard deviations and half as wide: differential evolution has to do it."""
     guess = StudentTProposal(np.array([3.0, 0.0]), 0.5 * np.eye(2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -100,3 +101,39 @@ def test_rows_cannot_lose_their_order_or_history_by_selection_of_nothing(sheet, 
     assert list(empty.rows.columns) == list(log.rows.columns)
     assert empty.configurations().empty
     pd.testing.assert_frame_equal(log.select([True] * 6).rows, log.rows)
+
+
+def test_a_log_that_was_changed_after_reading_does_not_keep_the_hash_of_its_file(sheet, read):
+    log = read(sheet)
+    of_file, usable = log.sha256, log.rows["status"] == "ok"
+    assert of_file == log.file_sha256
+    kept = log.select(usable), log.exclude([0]), log.exclude([0]).select([True, False] * 3)
+    assert [part.sha256 for part in kept] == [of_file] * 3
+    replaced = replace(log, rows=log.rows.assign(steps=log.rows["steps"] + 1))
+    dropped = replace(log, rows=log.rows.iloc[1:])
+    changed = [replaced, dropped, replaced.select(usable), replaced.exclude([0])]
+    log.rows.loc[0, "steps"] += 5
+    changed += [log, log.select(usable)]
+    hashes = [each.sha256 for each in changed]
+    assert of_file not in hashes
+    assert len(set(hashes)) == len(hashes)
+    assert all("changed after reading" in str(each) for each in changed)
+    log.rows.loc[0, "steps"] -= 5
+    assert log.sha256 == of_file
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda rows: rows.rename(columns={"humidity": "damp"}),
+        lambda rows: rows.assign(note="x"),
+        lambda rows: rows.assign(own=[[1]] * len(rows)),
+        lambda rows: rows[::-1],
+        lambda rows: rows.iloc[:0],
+    ],
+)
+def test_every_kind_of_change_is_seen(sheet, read, change):
+    log = read(sheet)
+    changed = replace(log, rows=change(log.rows))
+    assert changed.is_changed
+    assert changed.sha256 != log.sha256

@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+import re
 from html.parser import HTMLParser
 
 import pytest
@@ -34,10 +38,12 @@ class Page(HTMLParser):
     def __init__(self, html):
         super().__init__()
         self.tags, self.rows, self.cell, self.addresses = [], [], None, []
+        self.attributes, self.text = [], ""
         self.feed(html)
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
+        self.attributes += attributes
         self.addresses += [value for name, value in attributes if name in ("src", "href")]
         if tag == "tr":
             self.rows.append([])
@@ -50,6 +56,7 @@ class Page(HTMLParser):
             self.cell = None
 
     def handle_data(self, data):
+        self.text += data
         if self.cell is not None:
             self.cell[1] += data
 
@@ -110,9 +117,45 @@ def test_names_from_the_plan_are_text_and_never_markup(page, plan):
 
 def test_the_page_asks_for_nothing_from_elsewhere(page, plan):
     assert page.addresses == []
-    assert not any(sign in sheet_html(plan) for sign in ("url(", "@import", "http"))
+    assert not any(sign in sheet_html(plan) for sign in ("url(", "@import", "http:", "https:"))
 
 
 def test_the_page_is_written_as_utf8(plan, tmp_path):
     write_sheet_page(plan, tmp_path / "sheet.html")
     assert (tmp_path / "sheet.html").read_text(encoding="utf-8") == sheet_html(plan)
+
+
+def test_the_policy_trusts_this_style_alone_and_no_script(plan):
+    source = sheet_html(plan)
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', source.replace("&#39;", "'"))
+    rules = {name: set(rest) for name, *rest in map(str.split, policy.split(";"))}
+    (style,) = re.findall(r"<style>(.*?)</style>", source, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    assert rules["style-src"] == {f"'sha256-{digest}'"}
+    assert all(rules[name] == {"'none'"} for name in ("default-src", "script-src", "base-uri", "form-action"))
+    assert source.index("http-equiv") < source.index("<style>")
+
+
+HOSTILE = (
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(2)>',
+    "</style><style>*{display:none}</style>",
+    "</title><meta http-equiv=refresh content=0>",
+    "{{ 7 * 7 }}{% raw %}",
+    "&lt;b&gt;&amp;#10;--><!--",
+    "'><base href=//elsewhere>",
+)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_texts_of_a_plan_are_shown_and_stay_inert(tmp_path, page, text):
+    path, quoted = tmp_path / "plan.toml", json.dumps(text)
+    names = ("<script>alert(1)</script> & co", "<b>second</b>", "<img src=x onerror=alert(1)>")
+    content = PLAN
+    for name in names:
+        content = content.replace(json.dumps(name), quoted)
+    path.write_text(content)
+    hostile = Page(sheet_html(read_plan(path, load_machine())))
+    assert hostile.tags == page.tags
+    assert hostile.text.count(text) >= 5
+    assert not any(name == "style" or name.startswith("on") for name, _ in hostile.attributes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -12,6 +13,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.strategies import ClosedForm
 from stickslip_fit.studies import Cores, Scenario, run_study
 from stickslip_fit.studies import study as study_module
+from stickslip_fit.studies.execution import ResultStore, current_code_version
 
 ORDER = ["scenario", "campaign", "strategy", "joint", "direction"]
 
@@ -101,6 +103,27 @@ def test_a_damaged_chunk_is_named(study, tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:100])
     with pytest.raises(InputError, match=r"000000-000006.parquet: cannot be read .* delete it"):
         run_study(plan, tmp_path, Watched())
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_no_bit_of_a_chunk_can_flip_unnoticed(study, tmp_path):
+    plan = study(campaigns=7)
+    run_study(plan, tmp_path, Watched())
+    (chunk,) = study_module.make_chunks(plan, None)
+    store = ResultStore(tmp_path, current_code_version())
+    path, rng = store.path_of(chunk), np.random.default_rng(1)
+    raw = path.read_bytes()
+    for place in rng.integers(len(raw), size=100):
+        damaged = bytearray(raw)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="its hash is another"):
+            store.read(chunk)
+    path.write_bytes(raw)
+    assert set(store.read(chunk)["campaign"]) == set(range(7))
+    path.with_suffix(".sha256").unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        store.read(chunk)
 
 
 def test_what_cannot_be_told_apart_is_refused(study):

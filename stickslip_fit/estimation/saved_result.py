@@ -1,0 +1,288 @@
+"""load_result: a saved result, checked so that what loads can be used; one message for all that cannot.
+
+The file's format has a number: newer ones are refused. A checksum finds what was damaged or edited; types,
+shapes, covariances and the laws themselves are checked too, since a file may come from elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from math import isfinite, tau
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pandas as pd
+from annotated_types import Ge, MinLen
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes import Cause, restore
+from stickslip_fit.causes.parameters import FIRST_TRAVERSE
+from stickslip_fit.errors import InputError, InputIssue, shorten
+from stickslip_fit.estimation.noise import Flag, NoiseLevel
+from stickslip_fit.estimation.result import (
+    FORMAT,
+    VERSION,
+    JointFit,
+    Provenance,
+    Result,
+    content_sha256,
+    parameters_to_json,
+)
+from stickslip_fit.laws import StepLaw
+from stickslip_fit.logs.schema import CONDITIONS
+from stickslip_fit.machine import Machine
+
+STEP_SIZES = 1e-12, 1e-2  # rad or m; beyond, the numbers are in other units
+MAX_LENGTH = 10.0  # m, of a manipulator
+MAX_REPEATABILITY = 10.0
+NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its size
+ADVICE = "fit the log again"
+
+
+def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+    """Read a result that `Result.save` wrote.
+
+    Parameters
+    ----------
+    path : path
+    causes : sequence of Cause, optional
+        Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no saved result, was made by a newer version, or is damaged.
+    """
+    return result_from_json(read_result_json(path), path, causes)
+
+
+def read_result_json(path: str | Path) -> dict[str, Any]:
+    """The content of a result's file, unharmed and of a version that this one knows.
+
+    Raises
+    ------
+    InputError
+        As `load_result`.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        content = json.loads(text, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
+    except OSError as error:
+        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+    except (ValueError, RecursionError) as error:
+        message = f"is no JSON ({shorten(str(error), 80)}); give a file that `fit --json` wrote"
+        raise InputError(InputIssue(message, str(path))) from None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    form, _, version = str(schema).rpartition("/")
+    if form != FORMAT or not version.isdecimal():
+        message = "is no saved result; give a file that `fit --json` wrote"
+        raise InputError(InputIssue(message, str(path)))
+    if int(version[:9]) > VERSION:
+        message = f"was made by a newer version of stickslip-fit (its format is {shorten(version, 9)}, "
+        raise InputError(InputIssue(f"{message}here {VERSION} is known); update stickslip-fit", str(path)))
+    if content.get("sha256") != content_sha256(content):
+        message = f"is a damaged result: it is not what was saved (its checksum is another); {ADVICE}"
+        raise InputError(InputIssue(message, str(path)))
+    return dict(content)
+
+
+def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+    """The result in the content of a file.
+
+    Raises
+    ------
+    InputError
+        If the content is damaged, naming `path`.
+    """
+    try:
+        # Impossible numbers are found by what comes out.
+        with np.errstate(all="ignore"):
+            return _build_result(content, causes)
+    except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, InputError) as error:
+        what = error.args[0] if error.args else type(error).__name__
+        message = f"is a damaged result: {shorten(str(what), 200)}; {ADVICE}"
+        raise InputError(InputIssue(message, str(path))) from None
+
+
+def _finite(text: str) -> float:
+    if not isfinite(float(text)):
+        raise ValueError(f"the number {shorten(text, 20)} is not finite")
+    return float(text)
+
+
+def _whole(text: str) -> int:
+    if len(text) > len(str(-(2**62))):
+        raise ValueError(f"the number {shorten(text, 20)} is too large")
+    return int(text)
+
+
+def _build_result(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
+    file = _validate(content)
+    machine = file.machine
+    _check_machine(machine)
+    fits = [_build_joint(item, machine, causes) for item in file.joints]
+    joints = {fit.law.joint: fit for fit in fits}
+    _check(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
+    read = file.residuals
+    _check(len({len(read.row), len(read.joint), len(read.residual), len(read.used)}) == 1, "residuals")
+    _check(len(set(read.row)) == len(read.row) and {*read.joint} <= {*joints}, "residuals")
+    residuals = {
+        "joint": np.array(read.joint, dtype=np.int64),
+        "residual": np.array(read.residual, dtype=float),
+        "used": np.array(read.used, dtype=bool),
+    }
+    result = Result(
+        method=file.method,
+        machine=machine,
+        joints=joints,
+        residuals=pd.DataFrame(residuals, index=np.array(read.row, dtype=np.int64)),
+        flags=tuple(file.remarks),
+        provenance=file.provenance,
+    )
+    _check_parameters(parameters_to_json(result.parameters), content["parameters"])
+    return result
+
+
+def _check(holds: bool, what: str) -> None:
+    if not holds:
+        raise ValueError(what)
+
+
+def _validate(content: dict[str, Any]) -> Any:
+    """The content as objects with the types of a result's members."""
+    from pydantic import BaseModel, ConfigDict, ValidationError
+
+    class Table(BaseModel):
+        model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    class NoiseTable(Table):
+        value: float | None
+        df: Annotated[int, Ge(0)]
+        source: Literal["replicates", "residuals", "posterior", "given"]
+
+    class JointTable(Table):
+        law: dict[str, Any]
+        sessions: Annotated[list[str], MinLen(1)]
+        directions: list[Literal["+", "-"]]
+        shared: list[str]
+        values: list[list[float | None]]
+        known: list[list[bool]]
+        covariance: list[list[list[float | None]]]
+        interval: list[list[list[float | None]]]
+        repeatability: dict[Literal["+", "-"], NoiseTable]
+
+    class ResidualTable(Table):
+        row: list[int]
+        joint: list[int]
+        residual: list[float | None]
+        used: list[bool]
+
+    class ResultTable(Table):
+        method: Literal["closed-form", "least-squares", "heavy-tailed-least-squares", "bayes"]
+        remarks: list[Flag]
+        provenance: Provenance
+        machine: Machine
+        joints: list[JointTable]
+        residuals: ResidualTable
+
+    try:
+        return ResultTable.model_validate_json(json.dumps(content))
+    except ValidationError as error:
+        detail = error.errors(include_url=False, include_context=False)[0]
+        raise ValueError(f"{' '.join(map(str, detail['loc']))}: {detail['msg']}") from None
+
+
+def _check_machine(machine: Machine) -> None:
+    ends = [machine.ranges[joint] for joint in (1, 2, 3)]
+    _check(all(low < high for low, high in ends), "the machine's ranges")
+    _check(all(abs(end) <= tau for end in (*ends[0], *ends[1])), "the machine's ranges")
+    lengths = [machine.a1, machine.l2, machine.l2 + ends[2][0], *(abs(link.com) for link in machine.links)]
+    _check(max(*lengths, abs(ends[2][0]), abs(ends[2][1])) <= MAX_LENGTH, "the machine's lengths")
+    _check(min(lengths) >= 0 and machine.l2 + ends[2][0] > 0, "the machine's lengths")
+    _check(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
+
+
+def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause]) -> JointFit:
+    law = restore(item.law, machine, causes)
+    g, p = len(item.sessions), len(law.parameters)
+    name = f"joint {law.joint}"
+    _check(item.law["joint"] == law.joint, f"the law of {name} is of another joint")
+    groups = pd.DataFrame({"session": item.sessions, "direction": item.directions})
+    _check(not groups.duplicated().any(), f"a group of {name} stands in it twice")
+    fit = JointFit(
+        law=law,
+        groups=groups,
+        values=_array(item.values, (g, p), f"values of {name}"),
+        known=_array(item.known, (g, p), f"known of {name}").astype(bool),
+        covariance=_array(item.covariance, (g, p, p), f"covariance of {name}"),
+        interval=_array(item.interval, (g, p, 2), f"interval of {name}"),
+        repeatability={
+            direction: NoiseLevel(np.nan if noise.value is None else noise.value, noise.df, noise.source)
+            for direction, noise in item.repeatability.items()
+        },
+        shared=tuple(item.shared),
+    )
+    _check({*item.directions} <= {*fit.repeatability}, f"repeatability of {name}")
+    noise = [level.value for level in fit.repeatability.values()]
+    _check(not any(value < 0 or value > MAX_REPEATABILITY for value in noise), f"repeatability of {name}")
+    _check({*fit.shared} <= {parameter.name for parameter in law.parameters}, f"shared of {name}")
+    _check(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
+    _check(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
+    for matrix in fit.covariance:
+        _check(_is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
+    _check(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
+    return fit
+
+
+def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:
+    array = np.array(values, dtype=float)
+    _check(array.shape == shape, f"{what}: its shape is {array.shape}, not {shape}")
+    return array
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Whether it is symmetric and positive semi-definite where it is known."""
+    known = ~np.isnan(np.diag(matrix))
+    part = matrix[np.ix_(known, known)]
+    scale = np.sqrt(np.abs(np.diag(part)))
+    if np.isnan(part).any() or (np.diag(part) < 0).any() or not np.isfinite(scale).all():
+        return False
+    correlation = part / np.where(scale > 0, scale, 1.0)[:, None] / np.where(scale > 0, scale, 1.0)
+    if (
+        not np.isfinite(correlation).all()
+        or np.abs(correlation - correlation.T).max(initial=0) > NEGATIVE_TOL
+    ):
+        return False
+    return not len(part) or bool(np.linalg.eigvalsh(correlation)[0] >= -NEGATIVE_TOL * len(part))
+
+
+def _has_plausible_steps(fit: JointFit, machine: Machine) -> bool:
+    """Whether every group with values has a step size in the law's first calibration configuration."""
+    fitted = ~np.isnan(fit.values).any(axis=1)
+    rows = _calibration_rows(fit.law, fit.groups[fitted], machine)
+    sizes = machine.span(fit.law.joint) / np.exp(fit.law.predict(rows, fit.values[fitted]))
+    return bool(np.all((sizes > STEP_SIZES[0]) & (sizes < STEP_SIZES[1])))
+
+
+def _calibration_rows(law: StepLaw, groups: pd.DataFrame, machine: Machine) -> pd.DataFrame:
+    """A full traverse for each group, the first of its session, under mean conditions."""
+    configuration = law.calibration()[0]
+    places = {name: getattr(configuration, name) for name in ("q1", "q2", "q3", "theta", "psi")}
+    low, high = machine.ranges[law.joint]
+    constant = {**dict.fromkeys(law.columns, np.nan), **dict.fromkeys(CONDITIONS, np.nan), **FIRST_TRAVERSE}
+    constant |= {**places, "joint": law.joint, "start": low, "stop": high, "session_seconds": 0.0}
+    return groups.assign(**constant | {"steps_before": 0, "session": groups["session"]})
+
+
+def _check_parameters(expected: list[dict[str, Any]], listed: Any) -> None:
+    """That the list for people says what the arrays do."""
+    _check(isinstance(listed, list) and len(listed) == len(expected), "parameters")
+    for one, other in zip(expected, listed, strict=True):
+        _check(isinstance(other, dict) and one.keys() == other.keys(), "parameters")
+        for key, value in one.items():
+            same = value == other[key]
+            if isinstance(value, float) and isinstance(other[key], float):
+                same = bool(np.isclose(value, other[key], rtol=1e-6, atol=0))
+            _check(same, f"parameters: {key} of {one['name']} is not what the joints say")
