@@ -17,7 +17,8 @@ from typing import Any, Literal, Protocol
 
 import pandas as pd
 
-from stickslip_fit.capture.journal import POSITION_COLUMNS, Event, Journal, JournalReplay
+from stickslip_fit.capture.events import POSITION_COLUMNS
+from stickslip_fit.capture.journal import Event, Journal, JournalReplay
 from stickslip_fit.capture.operator import (
     CountPredictor,
     ExpectedCount,
