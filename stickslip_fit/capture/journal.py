@@ -340,10 +340,14 @@ class JournalReplay:
                 self.skipped.add(event["planned"])
 
     @property
+    def made(self) -> set[int]:
+        """Traverses of the plan that have a reading."""
+        return {drive.planned for drive in self.drives if drive.planned is not None and drive.status == "ok"}
+
+    @property
     def finished(self) -> set[int]:
         """Traverses of the plan that are made or skipped."""
-        made = {drive.planned for drive in self.drives if drive.planned is not None and drive.status == "ok"}
-        return made | self.skipped
+        return self.made | self.skipped
 
     @property
     def last_time(self) -> datetime | None:
