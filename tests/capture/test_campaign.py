@@ -402,6 +402,8 @@ def test_two_captures_at_once_are_refused(short):
 
 
 def killed(folder, kills, seed):
+    if not hasattr(os, "fork"):
+        pytest.skip("this system cannot fork a capture that is killed")
     program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
     root = Path(__file__).parents[2]
     found = subprocess.run(program, cwd=root, capture_output=True, text=True, timeout=550, check=False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import resource
 import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -24,6 +22,7 @@ EVENTS = [
 @contextmanager
 def disk_of(size):
     """No file may grow beyond so many bytes, as on a full disk."""
+    resource = pytest.importorskip("resource", reason="this system limits no file's size")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -131,6 +130,7 @@ def test_a_journal_that_is_not_there_is_said(tmp_path):
 @pytest.fixture
 def windows(monkeypatch):
     """No fcntl, folders that cannot be opened, and msvcrt, which locks bytes from the file's position on."""
+    fcntl = pytest.importorskip("fcntl", reason="this system's own lock is tested by the others")
     lock, open_file, locked = fcntl.flock, os.open, []
 
     def locking(handle, mode, number):
