@@ -162,9 +162,9 @@ class Homing:
             if not interrupted.limit_reached:
                 raise
             raise InputError(
-                f"{purpose}: {interrupted.reason}, which is as far away as it can be. See that the joint moves "
-                "and that the law is its own, tune the end-stop detector again (`capture tune`), then go on "
-                "with --resume"
+                f"{purpose}: {interrupted.reason}, which is as far away as it can be. See that the joint "
+                "moves and that the law is its own, tune the end-stop detector again (`capture tune`), then "
+                "go on with --resume"
             ) from None
         self.reached(joint, stop)
 

@@ -103,7 +103,9 @@ def check_event(event: Any) -> None:
     name = event.get("event") if isinstance(event, dict) else None
     if not isinstance(name, str) or name not in _EVENTS:
         known = ", ".join(_EVENTS)
-        raise ImpossibleEventError(f"the event is {_shorten(event if name is None else name)}, none of {known}")
+        raise ImpossibleEventError(
+            f"the event is {_shorten(event if name is None else name)}, none of {known}"
+        )
     fields = {key: value for key, value in event.items() if key not in ("event", "number")}
     _check_fields(name, fields, _EVENTS[name])
     if name == "drive":

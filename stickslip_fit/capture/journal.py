@@ -352,7 +352,7 @@ class JournalReplay:
     @property
     def last_time(self) -> datetime | None:
         """When the latest drive began."""
-        return datetime.fromisoformat(self.drives[-1].row["time"]) if self.drives else None
+        return _began(self.drives[-1].row) if self.drives else None
 
     def rows(self) -> pd.DataFrame:
         """The log's rows, in order of time; a drive without a step has none."""
@@ -378,9 +378,8 @@ class JournalReplay:
             return f"{last.steps} steps were commanded before"
         if name == "ended" and last and event["steps"] + event["pushed"] != last.steps:
             return f"{last.steps} steps were commanded"
-        if name == "drive" and self.last_time is not None:
-            if datetime.fromisoformat(event["row"]["time"]) <= self.last_time:
-                return "the drive before it began later"
+        if name == "drive" and last and _began(event["row"]) <= _began(last.row):
+            return "the drive before it began later"
         if name in ("drive", "skipped") and event["planned"] is not None:
             finished = self.finished
             following = next(number for number in itertools.count() if number not in finished)
@@ -398,6 +397,10 @@ class JournalReplay:
             status = "excluded"  # it brought a joint into place
         notes = tuple(filter(None, (drive.purpose, event["why"])))
         self.drives[-1] = replace(drive, steps=event["steps"], status=status, notes=notes)
+
+
+def _began(row: Mapping[str, Any]) -> datetime:
+    return datetime.fromisoformat(row["time"])
 
 
 def _make_row(drive: DriveRecord) -> dict[str, Any]:

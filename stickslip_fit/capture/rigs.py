@@ -85,7 +85,9 @@ def run_campaign(
     total = job.plan.traverses_per_session * len(job.plan.sessions)
     progress = f"{len(replay.finished):,} of {total:,} traverses are done; the log is {job.log}"
     if not replay.made or (replay.made == before and not complete):
-        raise InputError(f"no traverse was recorded; {'all are left out' if complete else 'go on with --resume'}")
+        raise InputError(
+            f"no traverse was recorded; {'all are left out' if complete else 'go on with --resume'}"
+        )
     return progress if complete else f"{progress}; --resume goes on"
 
 

@@ -262,7 +262,9 @@ def _write(text: str) -> None:
             # What is left in the buffer would fail once more when the program ends.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    raise InputError(f"nothing can be shown on the standard output ({reason}); open it and go on with --resume")
+    raise InputError(
+        f"nothing can be shown on the standard output ({reason}); open it and go on with --resume"
+    )
 
 
 class TerminalOperator(ConsoleOutput):

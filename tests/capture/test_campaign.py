@@ -194,7 +194,7 @@ def test_quit_and_resumed_it_goes_on_with_the_next_traverse(short):
 
 def test_a_joint_whose_stop_is_not_heard_is_driven_once_over_the_whole_way(short):
     short.joints.deaf = True
-    with pytest.raises(InputError, match="no stop was heard within the limit of .* tune .* --resume"):
+    with pytest.raises(InputError, match=r"no stop was heard within the limit of .* tune .* --resume"):
         short.run()
     assert not short.player.troubles
     row = short.rows.iloc[-1]

@@ -31,10 +31,14 @@ def test_no_file_needs_a_posix_system_to_be_loaded():
     assert not {path.name: found for path in FILES if (found := loaded_with(path) & POSIX_ONLY)}
 
 
-@pytest.mark.parametrize("path", sorted((CHECKOUT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", sorted((CHECKOUT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.name
+)
 def test_the_workflows_try_every_python_that_the_package_promises(path):
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text("utf-8"))["project"]
-    promised = {match[1] for name in project["classifiers"] if (match := re.fullmatch(r".*:: (3\.\d+)", name))}
+    promised = {
+        match[1] for name in project["classifiers"] if (match := re.fullmatch(r".*:: (3\.\d+)", name))
+    }
     assert f">={min(promised, key=lambda name: int(name[2:]))}" == project["requires-python"]
     jobs = yaml.safe_load(path.read_text("utf-8"))["jobs"]
     for job in jobs.values():
@@ -48,4 +52,6 @@ def test_every_dependency_is_pinned_at_or_above_its_lower_bound():
     pins = dict(line.lower().split("==") for line in lines if "==" in line)
     for requirement in project["dependencies"]:
         name, bound = re.fullmatch(r"([\w-]+)(?:\[\w+\])?>=([\d.]+)", requirement).groups()
-        assert [int(part) for part in pins[name].split(".")[:3]] >= [int(part) for part in bound.split(".")], name
+        assert [int(part) for part in pins[name].split(".")[:3]] >= [
+            int(part) for part in bound.split(".")
+        ], name

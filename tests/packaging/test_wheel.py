@@ -28,6 +28,8 @@ plan = "plan.toml"
 law = "law.toml"
 campaigns = 4
 seed = 1
+[moves]
+count = 0
 [[scenario]]
 name = "nothing hidden"
 """
@@ -37,8 +39,8 @@ COMMANDS = (
     ("simulate plan.toml --law law.toml -o log.csv", "log.csv"),
     ("check log.csv", ""),
     ("calibrate log.csv", ""),
-    ("fit log.csv --json fit.json", "fit.json"),
-    ("fit log.csv --bayes", ""),
+    ("fit log.csv --json fit.json --chart fit.png", "fit.png"),
+    ("fit log.csv --method bayes --tree draws.nc", "draws.nc"),
     ("predict fit.json plan.toml -o counts.csv", "counts.csv"),
     ("plan-move fit.json --at 0,-90,0 --joints 0,-90,6", ""),
     ("dead-reckon fit.json --at 0,-90,0 --drive 3+5000", ""),
@@ -92,7 +94,9 @@ def lay_out(folder: Path) -> None:
         "[sessions]\ndates = [2012-03-05]\n[[sweep]]\njoint = 3\nq2_deg = -90\n"
     )
     (folder / "study.toml").write_text(STUDY)
-    (folder / "law.toml").write_text((CHECKOUT / "data" / "reference" / "law.toml").read_text("utf-8"), "utf-8")
+    (folder / "law.toml").write_text(
+        (CHECKOUT / "data" / "reference" / "law.toml").read_text("utf-8"), "utf-8"
+    )
     (folder / "a.wav").write_bytes(b"RIFF")
 
 
@@ -101,7 +105,9 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(installed):
     files = subprocess.run(
         ["git", "ls-files", "stickslip_fit"], cwd=CHECKOUT, capture_output=True, text=True, check=True
     ).stdout.split()
-    reference = {f"stickslip_fit/{path.relative_to(CHECKOUT)}" for path in (CHECKOUT / "data/reference").iterdir()}
+    reference = {
+        f"stickslip_fit/{path.relative_to(CHECKOUT)}" for path in (CHECKOUT / "data/reference").iterdir()
+    }
     held = {name for name in zipfile.ZipFile(installed[0]).namelist() if ".dist-info/" not in name}
     assert held == {*files, *reference}
 
@@ -118,7 +124,7 @@ def test_every_command_works_in_an_empty_environment(installed, tmp_path):
 @pytest.mark.nightly
 def test_what_needs_an_extra_says_which(installed, tmp_path):
     lay_out(tmp_path)
-    (tmp_path / "tuning.json").write_text("{}")
+    assert run(tmp_path, installed[1], "capture", "tune", "-o", "tuning.json", "--emulate").returncode == 0
     for line, extra in EXTRAS:
         done = run(tmp_path, installed[1], *line.split())
         assert done.returncode == 2, f"{line}\n{done.stderr}"
