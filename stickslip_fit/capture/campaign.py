@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -427,7 +428,7 @@ class Campaign:
 
     def _keep_edited(self) -> Path | None:
         """Rename a log that this capture did not write; its new name, or None where there is none."""
-        log = Path(self.log)
+        log = Path(os.path.realpath(self.log))  # a link stays where it is
         if not log.exists() or hashlib.sha256(log.read_bytes()).hexdigest() in self.replay.log_hashes:
             return None
         copies = (Path(f"{log}.edited-{number}") for number in itertools.count(1))

@@ -14,6 +14,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib import import_module
@@ -79,11 +80,14 @@ class Journal:
     def append(self, event: Event) -> None:
         """Write an event so that it survives this program; raises InputError, e.g. on a full disk."""
         line, checksum = _format_record({"number": self._count, **event}, self._checksum)
+        end = os.fstat(self._handle).st_size
         try:
             # A full disk accepts the beginning of a line and refuses the rest the next time.
             while line:
                 line = line[os.write(self._handle, line) :]
         except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._handle, end)  # the next event may find room, and has to begin a line
             raise _make_write_error(error, self.path) from None
         self._count, self._checksum = self._count + 1, checksum
 

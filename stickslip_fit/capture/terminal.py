@@ -224,7 +224,7 @@ KEY_CHOICES = {
 
 
 class ConsoleOutput:
-    """Prints the progress of a capture; raises InputError where the output is closed or full."""
+    """Prints the progress of a capture; raises InputError or OSError where that is not possible."""
 
     def __init__(self) -> None:
         self._checks = 0
@@ -252,19 +252,9 @@ class ConsoleOutput:
 
 
 def _write(text: str) -> None:
-    reason = "it is closed"
-    if sys.stdout is not None:
-        try:
-            typer.echo(text, nl=False)  # flushes, and old Windows consoles have escapes translated
-            return
-        except OSError as error:
-            reason = str(error.strerror)
-            # What is left in the buffer would fail once more when the program ends.
-            with suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    raise InputError(
-        f"nothing can be shown on the standard output ({reason}); open it and go on with --resume"
-    )
+    if sys.stdout is None:
+        raise InputError("nothing can be shown, since the standard output is closed; go on with --resume")
+    typer.echo(text, nl=False)  # flushes, and old Windows consoles have escapes translated
 
 
 class TerminalOperator(ConsoleOutput):

@@ -164,7 +164,9 @@ def test_a_key_breaks_a_drive_off_and_the_traverse_is_made_from_its_beginning(sh
     assert short.joints.stopped == 1
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("the microphone is gone")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), InputError("the microphone is gone"), BrokenPipeError(32, "Broken pipe")]
+)
 def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_says_so(short, error):
     class Ends(Player):
         def progress(self, drive, steps, detection):

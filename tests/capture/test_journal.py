@@ -115,9 +115,8 @@ def test_a_full_disk_is_said_and_what_was_whole_remains(tmp_path):
             journal.commit(EVENTS[0])
         with disk_of(1000), pytest.raises(InputError, match="make room"):
             journal.commit(EVENTS[0])
-    assert path.stat().st_size == 1000  # with the beginning of a record
-    assert found(read_journal, path) == [EVENTS[0]] * taken
-    with continue_journal(path, lambda event: None) as journal:
+        assert found(read_journal, path) == [EVENTS[0]] * taken
+        assert path.stat().st_size < 1000  # without the beginning of a record
         journal.commit(EVENTS[1])
     assert found(read_journal, path) == [EVENTS[0]] * taken + [EVENTS[1]]
 
