@@ -83,7 +83,9 @@ def _open_stream(device: str | int | None, rate: int, callback: Any) -> Any:
     try:
         import sounddevice
     except ImportError:
-        raise InputError("a microphone needs sounddevice; install it: pip install sounddevice") from None
+        raise InputError(
+            "a microphone needs sounddevice; install it: pip install 'stickslip-fit[capture]'"
+        ) from None
     except OSError:
         raise InputError(
             "a microphone needs the PortAudio library; install it (Debian, Ubuntu: apt install libportaudio2)"
@@ -128,7 +130,9 @@ def read_wav(path: str | Path) -> Recording:
         import soundfile
     except ImportError:
         raise InputError(
-            InputIssue("can only be read with soundfile; install it: pip install soundfile", str(path))
+            InputIssue(
+                "can only be read with soundfile; install it: pip install 'stickslip-fit[capture]'", str(path)
+            )
         ) from None
     if not Path(path).is_file():
         raise InputError(InputIssue("there is no such file; give a recording", str(path)))

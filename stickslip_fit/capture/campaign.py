@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,9 @@ import pandas as pd
 
 from stickslip_fit import __version__
 from stickslip_fit._io import write_atomically
+from stickslip_fit.capture.events import ImpossibleEventError
 from stickslip_fit.capture.journal import (
+    Event,
     Journal,
     JournalReplay,
     continue_journal,
@@ -27,6 +31,7 @@ from stickslip_fit.capture.journal import (
     read_journal,
 )
 from stickslip_fit.capture.operator import (
+    DEFAULT_TOLERANCE,
     CountPredictor,
     ExpectedCount,
     Operator,
@@ -46,6 +51,16 @@ from stickslip_fit.machine import Machine
 from stickslip_fit.units import JOINTS
 
 BACK_OFF_STEPS = 200  # away from a stop that a joint may be standing at, so that the detector hears it move
+HAND_UNCERTAINTY = 0.05  # of the range, of a position that was set by hand
+COUNT_UNCERTAINTY = DEFAULT_TOLERANCE  # of the way, of a position that was reached by count
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a joint stands, rad or m, and how far it may stand from there."""
+
+    position: float
+    uncertainty: float = 0.0
 
 
 class Homing:
@@ -55,6 +70,9 @@ class Homing:
     from the nearest stop by as many steps as a law says; it is then only as accurate as that law on that
     day: 1 % of 120 degrees are 1.2. Each drive that brings a joint into place is in the log as
     ``excluded``, with a note: it warms and wears the joint, but is no reading.
+
+    A joint is driven to a stop over the way from the farthest place at which it may stand, and no further
+    than `DriveLimits` allow for that; a stop that is not detected by then is not tried again.
 
     Parameters
     ----------
@@ -77,7 +95,11 @@ class Homing:
         self.machine = machine
         self.driver = driver
         self.by_hand = by_hand
-        self.known: dict[int, float] = {}
+        self.known: dict[int, _Place] = {}
+
+    def reached(self, joint: int, stop: float) -> None:
+        """A joint stands at this stop, which was detected."""
+        self.known[joint] = _Place(stop)
 
     def forget(self, joints: tuple[int, ...] = JOINTS) -> None:
         """Joints may have been moved: their positions are unknown until a stop is detected."""
@@ -91,6 +113,8 @@ class Homing:
         ------
         DriveInterruptedError
             If a drive is interrupted, or a joint meets a stop where there should be none.
+        InputError
+            If a stop is not detected where it has to be.
         """
         moving = int(row["joint"])
         for joint in (*(other for other in JOINTS if other != moving), moving):
@@ -98,7 +122,7 @@ class Homing:
             self._place(joint, target, row, setting)
 
     def _place(self, joint: int, target: float, row: Row, setting: RigSetting) -> None:
-        if joint in self.known and self._equal(joint, self.known[joint], target):
+        if joint in self.known and self._equal(joint, self.known[joint].position, target):
             return
         low, high = self._stops(joint, setting)
         for stop in (low, high):
@@ -110,10 +134,12 @@ class Homing:
         predicted = predict_count(self.count_predictor, pd.Series(drive_row))
         if not predicted.known:
             self.by_hand(joint, target)
+            uncertainty = HAND_UNCERTAINTY * (high - low)
         else:
             self._place(joint, nearest, row, setting)
             self._count(joint, target, drive_row, predicted)
-        self.known[joint] = target
+            uncertainty = COUNT_UNCERTAINTY * abs(target - nearest)
+        self.known[joint] = _Place(target, uncertainty)
 
     def _stops(self, joint: int, setting: RigSetting) -> tuple[float, float]:
         """The joint's own stops, or those that the operator has set."""
@@ -121,14 +147,27 @@ class Homing:
         return stops_set.get(joint, self.machine.ranges[joint])
 
     def _home(self, joint: int, stop: float, other_stop: float, row: Row) -> None:
-        start = self.known.get(joint, other_stop)
+        place = self.known.get(joint, _Place(other_stop))
+        outwards = place.uncertainty if other_stop > stop else -place.uncertainty
+        farthest = place.position + outwards
+        if abs(farthest - stop) > abs(other_stop - stop):
+            farthest = other_stop
         if joint not in self.known:
-            away = self._drive_row(joint, stop, other_stop, row)
-            self.driver.steps(away, BACK_OFF_STEPS, f"joint {joint} moved off a stop it might stand at")
+            back_off = self._drive_row(joint, stop, other_stop, row)
+            self.driver.steps(back_off, BACK_OFF_STEPS, f"joint {joint} moved off a stop it might stand at")
         self.forget((joint,))
         purpose = f"joint {joint} brought to its stop at {format_position(joint, stop)}"
-        self.driver.to_stop(self._drive_row(joint, start, stop, row), purpose)
-        self.known[joint] = stop
+        try:
+            self.driver.to_stop(self._drive_row(joint, place.position, stop, row), purpose, farthest)
+        except DriveInterruptedError as interrupted:
+            if not interrupted.limit_reached:
+                raise
+            raise InputError(
+                f"{purpose}: {interrupted.reason}, which is as far away as it can be. See that the joint "
+                "moves and that the law is its own, tune the end-stop detector again (`capture tune`), then "
+                "go on with --resume"
+            ) from None
+        self.reached(joint, stop)
 
     def _count(self, joint: int, target: float, drive_row: Row, predicted: ExpectedCount) -> None:
         self.forget((joint,))
@@ -140,13 +179,11 @@ class Homing:
     def _drive_row(self, joint: int, start: float, stop: float, row: Row) -> dict[str, Any]:
         """A drive of one joint while the others stand at their known or planned positions."""
         moving = int(row["joint"])
-        positions = {
-            f"q{other}": self.known.get(other, row["start"] if other == moving else row[f"q{other}"])
-            for other in JOINTS
-        }
+        planned = {f"q{other}": row["start" if other == moving else f"q{other}"] for other in JOINTS}
+        known = {f"q{other}": place.position for other, place in self.known.items()}
         direction = "+" if stop > start else "-"
         ends = {"joint": joint, "direction": direction, "start": start, "stop": stop}
-        return {**row, **positions, f"q{joint}": float("nan"), **ends}
+        return {**row, **planned, **known, f"q{joint}": float("nan"), **ends}
 
     def _equal(self, joint: int, position: float, other: float) -> bool:
         return abs(position - other) <= RANGE_TOL * self.machine.span(joint)
@@ -229,6 +266,9 @@ class Campaign:
         self.homing = Homing(machine, self.driver, self._bring_by_hand, count_predictor)
         self.conditions = conditions or {}
         self.setting: RigSetting | None = None
+        self._rows: list[dict[str, Any]] = [
+            {str(name): value for name, value in row.items()} for row in plan.rows().to_dict("records")
+        ]
 
     def run(self) -> bool:
         """Make every traverse of the plan that is not made yet; whether all are made or left out.
@@ -265,11 +305,33 @@ class Campaign:
             if self.replay.begin_event is not None and self.replay.begin_event[key] != sha256:
                 message = f"was begun with another {key}; go on with the same one, or name another log"
                 raise InputError(InputIssue(message, str(self.driver.journal.path)))
-        self._keep_edited()
+        if self.replay.drives or self.replay.skipped:
+            read_journal(self.driver.journal.path, self._check_event)
+
+    def _check_event(self, event: Event) -> None:
+        """Raise ImpossibleEventError for an event that does not fit the plan or the machine."""
+        number, total = event.get("planned"), len(self._rows)
+        if number is not None and number >= total:
+            raise ImpossibleEventError(f"the plan has only {total} traverses, numbered from 0")
+        if event["event"] != "drive":
+            return
+        row = event["row"]
+        for joint in JOINTS:
+            names = ("start", "stop") if joint == row["joint"] else (f"q{joint}",)
+            (low, high), slack = self.machine.ranges[joint], RANGE_TOL * self.machine.span(joint)
+            for name in names:
+                if not low - slack <= row[name] <= high + slack:
+                    raise ImpossibleEventError(f"{name} of drive is outside of the range of joint {joint}")
+        if row["session"] not in (session.label for session in self.plan.sessions):
+            raise ImpossibleEventError(f"the plan has no session {row['session']}")
+        planned = None if number is None else self._rows[number]
+        for name in ("session", "joint", "direction", "start", "stop"):
+            if planned is not None and planned[name] != row[name]:
+                raise ImpossibleEventError(f"{name} of traverse {number} is {planned[name]} in the plan")
 
     def _make_traverses(self) -> None:
-        rows, session, total = self.plan.rows(), "", self.plan.traverses_per_session * len(self.plan.sessions)
-        for number, row in enumerate(rows.to_dict("records")):
+        session = ""
+        for number, row in enumerate(self._rows):
             if number in self.replay.finished:
                 continue
             try:
@@ -278,7 +340,7 @@ class Campaign:
                     self.homing.forget()
                     self._note_conditions(self.conditions)
                     self._handle_reply(self.operator.begin_session(session))
-                self._make(row, number, f"{number + 1} of {total:,}: {row['sweep']}")
+                self._make(row, number, f"{number + 1} of {len(self._rows):,}: {row['sweep']}")
             except _SkippedError:
                 self.driver.write({"event": "skipped", "planned": number})
 
@@ -298,7 +360,7 @@ class Campaign:
         joint = int(row["joint"])
         self.homing.forget((joint,))
         drive, steps = self.driver.traverse(row, number, title)
-        self.homing.known[joint] = float(row["stop"])
+        self.homing.reached(joint, float(row["stop"]))
         self._save()
         count = steps - row["check_every"] / 2 if row["check_every"] > 1 else steps
         step_size = abs(row["stop"] - row["start"]) / count
@@ -336,8 +398,10 @@ class Campaign:
 
     def _handle_reply(self, reply: OperatorReply) -> None:
         """Record the operator's note with the last drive, and follow their decision."""
-        if reply.note:
-            drive = len(self.replay.drives) - 1
+        drive = len(self.replay.drives) - 1
+        if reply.note and drive < 0:
+            self.operator.show("the note is not kept: there is no drive yet that it could stand with")
+        elif reply.note:
             self.driver.write({"event": "noted", "drive": drive, "text": reply.note})
         self._note_conditions({**self.replay.conditions, **reply.conditions})
         if reply.choice is OperatorChoice.QUIT:
@@ -355,20 +419,22 @@ class Campaign:
             content = format_csv(rows)
             sha256 = hashlib.sha256(content).hexdigest()
             # Recorded first, so that the log is recognized as the capture's own after a crash.
+            edited = self._keep_edited()
             if sha256 not in self.replay.log_hashes[-1:]:
                 self.driver.write({"event": "writing", "sha256": sha256})
             write_atomically(self.log, content)
+            if edited:
+                self.operator.show(f"{self.log} was changed by others; their file is kept as {edited}")
 
-    def _keep_edited(self) -> None:
-        """Rename a log that was changed since the capture wrote it."""
-        log = Path(self.log)
-        if log.exists() and hashlib.sha256(log.read_bytes()).hexdigest() not in self.replay.log_hashes:
-            copies = (Path(f"{log}.edited-{number}") for number in itertools.count(1))
-            edited = next(copy for copy in copies if not copy.exists())
-            log.rename(edited)
-            self.operator.show(
-                f"{log} was changed since it was written; the changed file is kept as {edited}"
-            )
+    def _keep_edited(self) -> Path | None:
+        """Rename a log that this capture did not write; its new name, or None where there is none."""
+        log = Path(os.path.realpath(self.log))  # a link stays where it is
+        if not log.exists() or hashlib.sha256(log.read_bytes()).hexdigest() in self.replay.log_hashes:
+            return None
+        copies = (Path(f"{log}.edited-{number}") for number in itertools.count(1))
+        edited = next(copy for copy in copies if not copy.exists())
+        log.rename(edited)
+        return edited
 
 
 def hash_plan(plan: Plan) -> str:

@@ -2,15 +2,19 @@
 
 Every record is one line, a checksum (CRC-32) and a numbered JSON object; the checksum covers all records
 before it too, so that a missing or displaced line is noticed. A last line without its end is what a crash
-leaves, and is cut off on resuming; any other damage is an error.
+leaves, and is cut off on resuming; any other damage is an error, and so is an event that no capture writes,
+whatever its checksum.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib import import_module
@@ -21,6 +25,7 @@ from zlib import crc32
 
 import pandas as pd
 
+from stickslip_fit.capture.events import POSITION_COLUMNS, ImpossibleEventError, check_event
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs.schema import CONDITIONS
 
@@ -28,10 +33,8 @@ Event = dict[str, Any]
 EventHandler = Callable[[Event], object]
 _CHECKSUM_DIGITS = 8  # hexadecimal digits of a checksum
 _LOCKED_BYTE = 0x7FFF_0000  # position of the byte that is locked on Windows
-_DAMAGED_MESSAGE = (
-    "does not agree with its checksum, which no crash does to a whole line; put the file back from a copy, "
-    "or cut it off before this line and go on with --resume"
-)
+_REPAIR_ADVICE = "put the file back from a copy, or cut it off before this line and go on with --resume"
+_DAMAGED_MESSAGE = f"does not agree with its checksum, which no crash does to a whole line; {_REPAIR_ADVICE}"
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,14 @@ class Journal:
     def append(self, event: Event) -> None:
         """Write an event so that it survives this program; raises InputError, e.g. on a full disk."""
         line, checksum = _format_record({"number": self._count, **event}, self._checksum)
+        end = os.fstat(self._handle).st_size
         try:
             # A full disk accepts the beginning of a line and refuses the rest the next time.
             while line:
                 line = line[os.write(self._handle, line) :]
         except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._handle, end)  # the next event may find room, and has to begin a line
             raise _make_write_error(error, self.path) from None
         self._count, self._checksum = self._count + 1, checksum
 
@@ -129,7 +135,7 @@ def continue_journal(path: str | Path, apply: EventHandler) -> Journal:
     handle = _open_file(path, os.O_RDWR | os.O_APPEND)
     try:
         _lock_file(handle, path)
-        content = path.read_bytes()
+        content = _read_content(path)
         recorded = _parse_records(content, path, apply)
         os.ftruncate(handle, recorded.length)
         if recorded.length and content[recorded.length - 1] != ord("\n"):
@@ -147,7 +153,7 @@ def read_journal(path: str | Path, apply: EventHandler) -> JournalState:
     """Read a journal, which another process may be writing; raises and calls as `continue_journal`."""
     path = Path(path)
     try:
-        return _parse_records(path.read_bytes(), path, apply)
+        return _parse_records(_read_content(path), path, apply)
     except OSError as error:
         raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
 
@@ -166,13 +172,46 @@ def _parse_records(content: bytes, path: Path, apply: EventHandler) -> JournalSt
         text = line[_CHECKSUM_DIGITS + 1 :]
         following = crc32(text, checksum)
         if line[: _CHECKSUM_DIGITS + 1] != b"%0*x " % (_CHECKSUM_DIGITS, following):
-            if count == len(whole):
+            if count == len(whole) and (count or _is_cut_record(line)):
                 break
             raise InputError(InputIssue(_DAMAGED_MESSAGE, str(path), count + 1))
-        apply(json.loads(text))
+        try:
+            apply(_parse_event(text, count))
+        except ImpossibleEventError as error:
+            message = f"holds an event that no capture writes: {error}; {_REPAIR_ADVICE}"
+            raise InputError(InputIssue(message, str(path), count + 1)) from None
         count, checksum, length = count + 1, following, length + len(line) + 1
     length = min(length, len(content))
     return JournalState(count, length, checksum, len(content) - length)
+
+
+def _parse_event(text: bytes, number: int) -> Event:
+    try:
+        event = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ImpossibleEventError("it is no JSON") from None
+    if not isinstance(event, dict):
+        raise ImpossibleEventError("it is no JSON object")
+    if event.get("number") != number:
+        raise ImpossibleEventError(f"its number is not {number}")
+    return event
+
+
+def _is_cut_record(rest: bytes) -> bool:
+    """Whether a file's only line is the beginning of a journal's first record, and no other file's content.
+
+    A power cut may leave zeros where nothing was written.
+    """
+    rest = rest.rstrip(b"\0")
+    begin, text = b'{"number": 0,', rest[_CHECKSUM_DIGITS + 1 :]
+    checksum = re.fullmatch(rb"[0-9a-f]{0,8} ?", rest[: _CHECKSUM_DIGITS + 1])
+    return checksum is not None and text[: len(begin)] == begin[: len(text)]
+
+
+def _read_content(path: Path) -> bytes:
+    if path.exists() and not path.is_file():
+        raise InputError(InputIssue("is no file; name another log", str(path)))  # a pipe would be waited for
+    return path.read_bytes()
 
 
 def _make_write_error(error: OSError, path: Path) -> InputError:
@@ -231,7 +270,6 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-POSITION_COLUMNS = ("q1", "q2", "q3", "theta", "psi", "start", "stop")
 LOG_COLUMNS = (
     *("session", "time", "joint", "direction", "steps", *POSITION_COLUMNS, "check_every", "status"),
     *(*CONDITIONS, "note"),
@@ -276,9 +314,14 @@ class JournalReplay:
         self.skipped: set[int] = set()
         self.conditions: Mapping[str, float] = {}
         self.log_hashes: tuple[str, ...] = ()  # of the log as it was written last, and the time before
+        self._driving = False  # whether the last event belongs to a drive that has not ended
 
     def apply(self, event: Mapping[str, Any]) -> None:
-        """Apply one more event."""
+        """Apply one more event; raises ImpossibleEventError for one that cannot follow those before it."""
+        check_event(event)
+        if why := self._explain_bad_order(event):
+            raise ImpossibleEventError(f"{event['event']} cannot stand here: {why}")
+        self._driving = event["event"] in ("drive", "commanded")
         match event["event"]:
             case "begun":
                 self.begin_event = event
@@ -301,15 +344,19 @@ class JournalReplay:
                 self.skipped.add(event["planned"])
 
     @property
+    def made(self) -> set[int]:
+        """Traverses of the plan that have a reading."""
+        return {drive.planned for drive in self.drives if drive.planned is not None and drive.status == "ok"}
+
+    @property
     def finished(self) -> set[int]:
         """Traverses of the plan that are made or skipped."""
-        made = {drive.planned for drive in self.drives if drive.planned is not None and drive.status == "ok"}
-        return made | self.skipped
+        return self.made | self.skipped
 
     @property
     def last_time(self) -> datetime | None:
         """When the latest drive began."""
-        return datetime.fromisoformat(self.drives[-1].row["time"]) if self.drives else None
+        return _began(self.drives[-1].row) if self.drives else None
 
     def rows(self) -> pd.DataFrame:
         """The log's rows, in order of time; a drive without a step has none."""
@@ -319,6 +366,30 @@ class JournalReplay:
         rows["time"] = pd.to_datetime(rows["time"], utc=True)
         numbers = [*POSITION_COLUMNS, *CONDITIONS, *covariates]
         return rows.astype(dict.fromkeys(numbers, float) | {"joint": "int64", "steps": "int64"})
+
+    def _explain_bad_order(self, event: Mapping[str, Any]) -> str:
+        """Why an event cannot follow those before it; empty where it can."""
+        name, last = event["event"], self.drives[-1] if self.drives else None
+        if (name == "begun") == (self.begin_event is not None):
+            return "the campaign has begun already" if name == "begun" else "no campaign has begun"
+        if name in ("commanded", "ended") and not (self._driving and last):
+            return "no joint is being driven"
+        if name in ("excluded", "noted") and event["drive"] != len(self.drives) - 1:
+            return "that drive is not the last one"
+        if name == "excluded" and last and last.status != "ok":
+            return "that drive is no reading"
+        if name == "commanded" and last and event["steps"] <= last.steps:
+            return f"{last.steps} steps were commanded before"
+        if name == "ended" and last and event["steps"] + event["pushed"] != last.steps:
+            return f"{last.steps} steps were commanded"
+        if name == "drive" and last and _began(event["row"]) <= _began(last.row):
+            return "the drive before it began later"
+        if name in ("drive", "skipped") and event["planned"] is not None:
+            finished = self.finished
+            following = next(number for number in itertools.count() if number not in finished)
+            if event["planned"] != following:
+                return f"traverse {following} of the plan is next, not {event['planned']}"
+        return ""
 
     def _change(self, drive: int, note: str, **changes: Any) -> None:
         before = self.drives[drive]
@@ -330,6 +401,10 @@ class JournalReplay:
             status = "excluded"  # it brought a joint into place
         notes = tuple(filter(None, (drive.purpose, event["why"])))
         self.drives[-1] = replace(drive, steps=event["steps"], status=status, notes=notes)
+
+
+def _began(row: Mapping[str, Any]) -> datetime:
+    return datetime.fromisoformat(row["time"])
 
 
 def _make_row(drive: DriveRecord) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from stickslip_fit.capture.operator import CountPredictor, Operator
 from stickslip_fit.capture.protocols import AudioSource, Clock, Controller, RealClock
 from stickslip_fit.capture.terminal import Keyboard, TerminalOperator
 from stickslip_fit.capture.traverse import DriveLimits, Rig
-from stickslip_fit.capture.tuning import Tuning, choose_tuning, load_tuning, record_joint
+from stickslip_fit.capture.tuning import Tuning, check_tuning, choose_tuning, load_tuning, record_joint
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.machine import Machine
@@ -51,11 +51,13 @@ class RigConnection:
 
 
 def capture_real(job: CaptureJob, connection: RigConnection, tuning: Path) -> str:
-    """Capture a plan at a real rig; a sentence on how far it got."""
+    """Capture a plan at a real rig; a sentence on how far it got, raises as `run_campaign`."""
+    tuned = load_tuning(tuning)
+    check_tuning(tuned, tuning)
     with Keyboard() as keys, open_journal(job) as (journal, replay):
         operator = TerminalOperator(keys)
         with open_rig(connection, job.plan.timing.step_period, operator) as (controller, source):
-            rig = Rig(controller, SequentialDetector(source, load_tuning(tuning)), RealClock())
+            rig = Rig(controller, SequentialDetector(source, tuned), RealClock())
             return run_campaign(job, journal, replay, rig, operator)
 
 
@@ -70,11 +72,22 @@ def open_journal(job: CaptureJob) -> Iterator[tuple[Journal, JournalReplay]]:
 def run_campaign(
     job: CaptureJob, journal: Journal, replay: JournalReplay, rig: Rig, operator: Operator
 ) -> str:
-    """Run a campaign; a sentence on how far it got."""
+    """Run a campaign; a sentence on how far it got.
+
+    Raises
+    ------
+    InputError
+        As `Campaign.run`, and if it ends early without having recorded a reading.
+    """
+    before = replay.made
     inputs = (job.plan, job.machine, job.log, journal, replay, rig, operator)
     complete = Campaign(*inputs, job.predictor, job.count_predictor, job.drive_limits, job.conditions).run()
     total = job.plan.traverses_per_session * len(job.plan.sessions)
     progress = f"{len(replay.finished):,} of {total:,} traverses are done; the log is {job.log}"
+    if not replay.made or (replay.made == before and not complete):
+        raise InputError(
+            f"no traverse was recorded; {'all are left out' if complete else 'go on with --resume'}"
+        )
     return progress if complete else f"{progress}; --resume goes on"
 
 
@@ -97,6 +110,11 @@ def open_rig(
 def tune_at_rig(connection: RigConnection, joint: int, check_every: int, step_period: float) -> Tuning:
     """Tune the detector at a real rig, with an operator who says when the joint has met its stop."""
     with Keyboard() as keys:
+        if not keys.at_terminal:
+            raise InputError(
+                "a key has to be pressed when the joint has met its stop: tune at a terminal, or from "
+                "recordings with --moving and --at-stop"
+            )
         operator = TerminalOperator(keys)
         with open_rig(connection, step_period, operator) as (controller, microphone):
             return tune_by_hand(controller, microphone, RealClock(), joint, check_every, keys, operator)

@@ -6,6 +6,7 @@ import os
 import re
 import select
 import sys
+from contextlib import suppress
 from importlib import import_module
 from math import inf
 from time import monotonic, sleep
@@ -30,7 +31,10 @@ from stickslip_fit.capture.operator import (
 from stickslip_fit.capture.protocols import Detection
 from stickslip_fit.errors import InputError
 
-END_OF_INPUT = "q"  # the key that the end of the input counts as
+NO_INPUT = (
+    "the standard input has ended, so that nobody can answer; go on at a terminal with --resume, or try it "
+    "with --emulate --unattended"
+)
 SPECIAL = "\x1b"  # any arrow or function key
 POLL = 0.02  # s between two queries of a keyboard that cannot be waited for
 
@@ -69,7 +73,8 @@ class PosixConsole:
         """See `Console.close`."""
         import termios
 
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+        with suppress(termios.error):  # the terminal may have been closed
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
     def waiting(self, seconds: float | None) -> bool:
         """See `Console.waiting`."""
@@ -77,9 +82,12 @@ class PosixConsole:
 
     def read(self) -> str:
         """See `Console.read`."""
-        text = os.read(sys.stdin.fileno(), 64).decode("utf-8", "replace")
+        try:
+            text = os.read(sys.stdin.fileno(), 64).decode("utf-8", "replace")
+        except OSError:  # of a terminal that was closed
+            text = ""
         if not text:
-            raise KeyboardInterrupt  # the terminal is closed: nobody can answer
+            raise InputError(NO_INPUT)
         return re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", SPECIAL, text)
 
 
@@ -125,13 +133,18 @@ def system_console() -> Console:
 
 
 class Keyboard:
-    """The standard input key by key, while it is used as a context; line by line where it is no terminal."""
+    """The standard input key by key, while it is used as a context; line by line where it is no terminal.
+
+    Everything raises InputError where the input has ended, since nobody can answer then.
+    """
 
     def __init__(self) -> None:
         self._console: Console | None = None
         self._unread = ""
 
     def __enter__(self) -> Self:
+        if sys.stdin is None:
+            raise InputError(NO_INPUT)
         if sys.stdin.isatty():
             self._console = system_console()
             self._console.open()
@@ -144,6 +157,11 @@ class Keyboard:
             self._console.close()
             self._console = None
 
+    @property
+    def at_terminal(self) -> bool:
+        """Whether a key can be pressed at any time."""
+        return self._console is not None
+
     def pressed(self) -> bool:
         """Whether a key was pressed since the last call; discards all input."""
         self._unread, pressed = "", False
@@ -154,8 +172,7 @@ class Keyboard:
     def key(self, seconds: float | None = None) -> str:
         """Wait for a key, in lower case; empty for Enter, and where none comes within so many seconds."""
         if self._console is None:
-            line = sys.stdin.readline()
-            return line.strip()[:1].lower() if line else END_OF_INPUT
+            return self._read_line()[:1].lower()
         if seconds is not None and not (self._unread or self._console.waiting(seconds)):
             return ""
         return self._next(self._console).strip().lower()
@@ -163,7 +180,7 @@ class Keyboard:
     def line(self, label: str) -> str:
         """A line of text, typed after a label."""
         if self._console is None:
-            return sys.stdin.readline().strip()
+            return self._read_line()
         text = ""
         print(f"{label}: ", end="", flush=True)
         while (key := self._next(self._console)) not in "\r\n":  # Enter comes as either
@@ -175,6 +192,12 @@ class Keyboard:
                 print("\b \b", end="", flush=True)
         print()
         return text.strip()
+
+    def _read_line(self) -> str:
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError(NO_INPUT)
+        return line.strip()
 
     def _next(self, console: Console) -> str:
         self._unread = self._unread or console.read()
@@ -201,7 +224,7 @@ KEY_CHOICES = {
 
 
 class ConsoleOutput:
-    """Prints the progress of a capture."""
+    """Prints the progress of a capture; raises InputError or OSError where that is not possible."""
 
     def __init__(self) -> None:
         self._checks = 0
@@ -209,7 +232,7 @@ class ConsoleOutput:
     def show(self, text: str) -> None:
         """See `Operator.show`."""
         self._clear()
-        print(text)
+        _write(f"{text}\n")
 
     def begin_drive(self, drive: PlannedDrive) -> None:
         """See `Operator.begin_drive`."""
@@ -221,11 +244,17 @@ class ConsoleOutput:
         self._checks += 1
         if sys.stdout.isatty() and self._checks % PROGRESS_INTERVAL == 0:
             about = f" of about {drive.expected.steps:,.0f}" if drive.expected.known else ""
-            typer.echo(f"\r\x1b[K  {steps:,}{about} steps, {detection.level:+.1f} dB", nl=False)
+            _write(f"\r\x1b[K  {steps:,}{about} steps, {detection.level:+.1f} dB")
 
     def _clear(self) -> None:
-        if sys.stdout.isatty():
-            typer.echo("\r\x1b[K", nl=False)  # which old Windows consoles have to be told in their way
+        if sys.stdout is not None and sys.stdout.isatty():
+            _write("\r\x1b[K")
+
+
+def _write(text: str) -> None:
+    if sys.stdout is None:
+        raise InputError("nothing can be shown, since the standard output is closed; go on with --resume")
+    typer.echo(text, nl=False)  # flushes, and old Windows consoles have escapes translated
 
 
 class TerminalOperator(ConsoleOutput):

@@ -17,7 +17,8 @@ from typing import Any, Literal, Protocol
 
 import pandas as pd
 
-from stickslip_fit.capture.journal import POSITION_COLUMNS, Event, Journal, JournalReplay
+from stickslip_fit.capture.events import POSITION_COLUMNS
+from stickslip_fit.capture.journal import Event, Journal, JournalReplay
 from stickslip_fit.capture.operator import (
     CountPredictor,
     ExpectedCount,
@@ -84,6 +85,8 @@ class DriveOutcome:
         Nothing can be driven until the controller is reconnected.
     overrun : int
         Steps commanded after `steps`, until the detection was certain.
+    limit_reached : bool
+        No stop was detected within the limit of steps.
     """
 
     steps: int
@@ -91,6 +94,7 @@ class DriveOutcome:
     reason: str = ""
     connection_lost: bool = False
     overrun: int = 0
+    limit_reached: bool = False
 
 
 class DriveObserver(Protocol):
@@ -107,9 +111,10 @@ class DriveObserver(Protocol):
 
 
 class _InterruptError(Exception):
-    def __init__(self, reason: str, connection_lost: bool = False) -> None:
+    def __init__(self, reason: str, connection_lost: bool = False, limit_reached: bool = False) -> None:
         self.reason = reason
         self.connection_lost = connection_lost
+        self.limit_reached = limit_reached
         super().__init__(reason)
 
 
@@ -164,7 +169,8 @@ def _drive(
         with suppress(ControllerError):
             rig.controller.stop()
         if isinstance(error, _InterruptError):
-            return DriveOutcome(drive.steps, "interrupted", error.reason, error.connection_lost)
+            how = {"connection_lost": error.connection_lost, "limit_reached": error.limit_reached}
+            return DriveOutcome(drive.steps, "interrupted", error.reason, **how)
         raise
 
 
@@ -194,13 +200,15 @@ class _RunningDrive:
         if self.observer.stop_wanted():
             raise _InterruptError("stopped by a key")
         if self.steps + command > self.target.max_steps:
-            raise _InterruptError(f"no stop was heard within the limit of {self.target.max_steps:,} steps")
+            limit = f"{self.target.max_steps:,} steps"
+            raise _InterruptError(f"no stop was heard within the limit of {limit}", limit_reached=True)
         if self.rig.clock.now() - self.began > self.target.max_seconds:
             limit = f"{self.target.max_seconds:,.0f} s ({self.steps:,} steps)"
             raise _InterruptError(f"no stop was heard within the limit of {limit}")
 
 
 Row = Mapping[str, Any]
+MAX_CONFIGURATION_RATIO = 1.6  # of the counts of a joint for the same way, in different configurations
 COMMIT_INTERVAL = 100  # commands between two records that survive a power cut: each takes milliseconds
 
 
@@ -239,9 +247,10 @@ class DriveLimits:
 class DriveInterruptedError(Exception):
     """A drive did not end as it should; it is in the journal."""
 
-    def __init__(self, drive: PlannedDrive, reason: str) -> None:
+    def __init__(self, drive: PlannedDrive, reason: str, limit_reached: bool = False) -> None:
         self.drive = drive
         self.reason = reason
+        self.limit_reached = limit_reached
         super().__init__(reason)
 
 
@@ -283,9 +292,9 @@ class Driver:
         drive = self.plan_drive(row, title)
         return drive, self._record(drive, planned, "", drive_to_stop)
 
-    def to_stop(self, row: Row, purpose: str) -> None:
-        """Drive a joint to its stop; raises as `traverse`."""
-        self._record(self.plan_drive(row, purpose), None, purpose, drive_to_stop)
+    def to_stop(self, row: Row, purpose: str, farthest: float) -> None:
+        """Drive a joint to its stop, from a start that may be as far as `farthest`; raises as `traverse`."""
+        self._record(self.plan_drive(row, purpose), None, purpose, drive_to_stop, farthest)
 
     def steps(self, row: Row, steps: int, purpose: str) -> bool:
         """Make so many steps; whether no stop was met. Raises as `traverse`."""
@@ -311,10 +320,11 @@ class Driver:
         planned: int | None,
         purpose: str,
         run: Callable[[Rig, DriveTarget, DriveObserver], DriveOutcome],
+        farthest: float | None = None,
     ) -> int:
-        """Run a drive and return its steps."""
+        """Run a drive and return its steps; it may have to begin as far away as `farthest`."""
         self.operator.begin_drive(drive)
-        drive_target = self.drive_limits.target(drive.row, drive.expected)
+        drive_target = self.drive_limits.target(drive.row, self._expect_at_most(drive, farthest))
         row = self._journal_row(drive.row)
         self.write({"event": "drive", "planned": planned, "purpose": purpose, "row": row})
         outcome = run(self.rig, drive_target, _JournalObserver(self, drive))
@@ -323,8 +333,24 @@ class Driver:
         if outcome.connection_lost:
             raise ConnectionLost(f"{outcome.reason}; see to the controller, then go on with --resume")
         if outcome.status != "ok":
-            raise DriveInterruptedError(drive, outcome.reason)
+            raise DriveInterruptedError(drive, outcome.reason, outcome.limit_reached)
         return outcome.steps
+
+    def _expect_at_most(self, drive: PlannedDrive, farthest: float | None) -> ExpectedCount:
+        """The predicted count or, without one, the most that the readings of the campaign admit."""
+        row, predicted = drive.row, drive.expected
+        if farthest is not None:
+            row = pd.Series({**row, "start": farthest})
+            predicted = predict_count(self.predictor, row)
+        counts = [
+            reading.steps / abs(reading.row["stop"] - reading.row["start"])
+            for reading in self.replay.drives
+            if reading.status == "ok"
+            and (reading.row["joint"], reading.row["direction"]) == (row["joint"], row["direction"])
+        ]
+        if predicted.known or not counts:
+            return predicted
+        return ExpectedCount(MAX_CONFIGURATION_RATIO * max(counts) * abs(row["stop"] - row["start"]))
 
     def _journal_row(self, row: pd.Series) -> dict[str, Any]:
         positions = {name: None if pd.isna(row[name]) else float(row[name]) for name in POSITION_COLUMNS}

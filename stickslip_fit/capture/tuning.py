@@ -269,13 +269,20 @@ class Tuning(Summarized):
             return (
                 f"{band} The two cannot be distinguished: {100 * self.missed:.0f} % of the stops would be "
                 "missed at the second check. Put the microphone nearer to the manipulator, or make the room "
-                "quieter, and tune again."
+                "quieter, and tune again with `capture tune`."
             )
         how = "well" if self.missed <= MAX_MISSED_WELL else "poorly"
         return (
             f"{band} They can be distinguished {how}: {_format_odds(self.missed)} stops is missed at the "
             f"second check, {_format_odds(self.false_stops)} traverses of 12,000 steps has a false stop."
         )
+
+
+def check_tuning(tuning: Tuning, path: str | Path | None = None) -> None:
+    """Raise InputError, which says how to tune anew, for a tuning under which stops would be missed."""
+    if not tuning.separates:
+        file = None if path is None else str(path)
+        raise InputError(InputIssue(f"stops would not be detected. {tuning.conclusion}", file))
 
 
 def select_band(frequencies: Array, frequency: float, width: float) -> npt.NDArray[np.bool_]:
@@ -300,6 +307,8 @@ def save_tuning(tuning: Tuning, path: str | Path) -> None:
 def load_tuning(path: str | Path) -> Tuning:
     """Read a tuning that `save_tuning` wrote; raises InputError if there is none in the file."""
     try:
+        if Path(path).exists() and not Path(path).is_file():
+            raise InputError(InputIssue("is no file; tune the detector first", str(path)))
         content = json.loads(Path(path).read_text(encoding="utf-8"))
         content |= {name: np.array(content[name], float) for name in SPECTRUM_FIELDS}
         tuning = Tuning(**content)
@@ -307,7 +316,7 @@ def load_tuning(path: str | Path) -> Tuning:
     except OSError as error:
         message = f"cannot be read ({error.strerror}); tune the detector first"
         raise InputError(InputIssue(message, str(path))) from None
-    except (ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, AttributeError, KeyError, ArithmeticError, RecursionError):
         raise InputError(InputIssue("is no tuning; tune the detector again", str(path))) from None
     if not complete:
         raise InputError(InputIssue("is damaged; tune the detector again", str(path)))
@@ -316,10 +325,15 @@ def load_tuning(path: str | Path) -> Tuning:
 
 def _is_complete(tuning: Tuning) -> bool:
     numbers = [getattr(tuning, field.name) for field in fields(tuning) if field.name not in SPECTRUM_FIELDS]
-    return all(np.isfinite(number) and number > 0 for number in numbers) and all(
-        spectrum.shape == tuning.frequencies.shape and np.all(np.isfinite(spectrum))
-        for spectrum in (tuning.moving, tuning.at_stop)
-    )
+    if not all(np.isfinite(number) and number > 0 for number in numbers):
+        return False
+    spectra, bins = (tuning.moving, tuning.at_stop), tuning.samples // 2 + 1
+    with np.errstate(all="ignore"):
+        return (
+            isinstance(tuning.rate, int)
+            and all(spectrum.shape == (bins,) and np.all(np.isfinite(spectrum)) for spectrum in spectra)
+            and bool(np.isfinite(tuning.missed) and np.isfinite(tuning.false_stops))
+        )
 
 
 def _format_odds(share: float) -> str:

@@ -314,7 +314,7 @@ def default_output(paths: list[Path]) -> Path:
 def reference_campaign() -> Path:
     """The simulated campaign of the demo, in a checkout or in an installed package."""
     package = Path(__file__).parents[1]
-    for folder in (package.parent / "data", package / "data"):
+    for folder in (package / "data", package.parent / "data"):
         path = folder / "reference" / "campaign.csv"
         if path.exists():
             return path

@@ -102,11 +102,13 @@ def listen(
     """Say where in a recording the end stop is detected."""
     from stickslip_fit.capture.audio import read_wav
     from stickslip_fit.capture.end_stop import SequentialDetector
-    from stickslip_fit.capture.tuning import load_tuning
+    from stickslip_fit.capture.tuning import check_tuning, load_tuning
     from stickslip_fit.units import to_si
 
+    tuned = load_tuning(tuning)
+    check_tuning(tuned, tuning)
     sound = read_wav(recording)
-    detector = SequentialDetector(sound, load_tuning(tuning))
+    detector = SequentialDetector(sound, tuned)
     seconds = check_every * to_si(step_period, "ms")
     checks = int(len(sound.values) / sound.rate / seconds)
     for check in range(1, checks + 1):

@@ -19,6 +19,16 @@ from stickslip_fit.errors import InputError
 from tests.capture.played import SHORT, STEP, Capture, Joints, Player, plan_of
 from tests.capture.test_journal import disk_of
 
+# Joint 3 is set by hand just before its stop, and then brought to that stop.
+HAND = """
+check_every = 1
+[sessions]
+dates = [2012-03-05]
+[[sweep]]
+joint = 2
+q3_mm = [0.3, 0]
+replicates = 3
+"""
 REPEAT, SKIP, QUIT = (
     OperatorReply(choice) for choice in (OperatorChoice.REPEAT, OperatorChoice.SKIP, OperatorChoice.QUIT)
 )
@@ -154,7 +164,9 @@ def test_a_key_breaks_a_drive_off_and_the_traverse_is_made_from_its_beginning(sh
     assert short.joints.stopped == 1
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("the microphone is gone")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), InputError("the microphone is gone"), BrokenPipeError(32, "Broken pipe")]
+)
 def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_says_so(short, error):
     class Ends(Player):
         def progress(self, drive, steps, detection):
@@ -182,16 +194,59 @@ def test_quit_and_resumed_it_goes_on_with_the_next_traverse(short):
     assert again.rows["time"].is_monotonic_increasing
 
 
-def test_a_joint_whose_stop_is_not_heard_is_stopped_by_the_limit(short):
+def test_a_joint_whose_stop_is_not_heard_is_driven_once_over_the_whole_way(short):
     short.joints.deaf = True
-    short.answer(QUIT)
-    short.run()
-    assert "no stop was heard within the limit" in short.player.troubles[0]
+    with pytest.raises(InputError, match=r"no stop was heard within the limit of .* tune .* --resume"):
+        short.run()
+    assert not short.player.troubles
     row = short.rows.iloc[-1]
     assert row["status"] == "interrupted"
     least = abs(row["stop"] - row["start"]) / STEP[row["joint"], row["direction"]]
     assert row["steps"] <= 1.25 * (1.01 * least + 5) + 101
     assert short.joints.against_stop <= row["steps"]
+
+
+def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_into_again(short):
+    class Deafened(Player):
+        def begin_drive(self, drive):
+            super().begin_drive(drive)
+            self.joints.deaf |= drive.title.startswith("3 of")
+
+    short.player = Deafened(short.joints)
+    with pytest.raises(InputError, match="no stop was heard"):
+        short.run()
+    assert len(short.player.troubles) == 1
+    traverse, back_off, home = short.rows["steps"].tolist()[-3:]
+    assert back_off == 200
+    assert max(traverse, home) <= 1.25 * (1.01 * 0.012 / STEP[3, "-"] + 5) + 101
+
+
+def test_without_a_law_a_drive_is_limited_by_the_readings_before_it(short):
+    class Deafened(Player):
+        def begin_drive(self, drive):
+            super().begin_drive(drive)
+            self.joints.deaf |= drive.title.startswith("3 of")
+
+    short.predictor = short.count_predictor = None
+    short.player = Deafened(short.joints)
+    with pytest.raises(InputError, match="no stop was heard"):
+        short.run()
+    (reading,) = short.rows[short.rows["direction"].eq("-") & short.rows["status"].eq("ok")]["steps"]
+    assert short.rows["steps"].max() <= 2 * reading + 100
+
+
+def test_a_joint_that_was_set_by_hand_is_driven_as_far_as_it_may_stand_away(folder):
+    class Misplaced(Player):
+        def bring_joint(self, joint, position):
+            reply = super().bring_joint(joint, position)
+            self.joints.position[joint] += 0.0012 if joint == 3 else 0.0
+            return reply
+
+    capture = Capture(folder, plan_of(folder, HAND), count_predictor=None)
+    capture.player = Misplaced(capture.joints)
+    assert capture.run()
+    assert_whole(capture)
+    assert capture.rows["start"].eq(0.0003).any()
 
 
 def test_a_controller_that_hangs_is_stopped_by_the_clock(short):
@@ -320,12 +375,37 @@ def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of
     assert (kept["supply"] == 80.0).all()
 
 
+def test_a_log_that_another_program_writes_meanwhile_is_kept(short):
+    class Meanwhile(Player):
+        def review(self, reading):
+            if len(self.told) == 1:
+                short.log.write_text("another campaign\n")
+            return super().review(reading)
+
+    short.player = Meanwhile(short.joints)
+    assert short.run()
+    assert_whole(short)
+    assert short.log.with_name("log.csv.edited-1").read_text() == "another campaign\n"
+
+
+def test_a_file_beside_the_log_that_is_no_journal_is_left_alone(short):
+    other = short.log.with_name("log.csv.journal")
+    for content in ("12 readings of last week", "0123abcd a letter", "one line\nanother"):
+        other.write_text(content)
+        for again in (False, True):
+            with pytest.raises(InputError, match=r"log\.csv\.journal, line 1: does not agree"):
+                short.run(again)
+        assert other.read_text() == content
+
+
 def test_two_captures_at_once_are_refused(short):
     with begin_journal(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
         short.run(again=True)
 
 
 def killed(folder, kills, seed):
+    if not hasattr(os, "fork"):
+        pytest.skip("this system cannot fork a capture that is killed")
     program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
     root = Path(__file__).parents[2]
     found = subprocess.run(program, cwd=root, capture_output=True, text=True, timeout=550, check=False)

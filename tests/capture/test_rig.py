@@ -64,6 +64,7 @@ class AtProcess(Player):
 @contextmanager
 def rig_at_work():
     """A rig in a process of its own, and its controller."""
+    pytest.importorskip("pty", reason="this system has no pseudo-terminals")
     options = ("--step-period-ms", str(PERIOD_MS), "--snr-db", "20", "--repeatability-pct", "0")
     with start_emulator(LAW, *options) as rig:
         controller = open_controller(rig.port, "new", pytest.fail, PERIOD_MS / 1000)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import pty
 import subprocess
 import sys
-import termios
 from collections import deque
+from io import StringIO
 from itertools import count
 from types import SimpleNamespace
 
@@ -25,7 +24,9 @@ from stickslip_fit.capture.operator import (
     format_setting,
 )
 from stickslip_fit.capture.terminal import Keyboard, TerminalOperator, UnattendedOperator
+from stickslip_fit.errors import InputError
 
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
 WORK = PlannedDrive(
     pd.Series({"joint": 3, "direction": "+", "start": 0.0, "stop": 0.012}),
     "1 of 2: joint 3",
@@ -38,6 +39,7 @@ ODD = TraverseReading(WORK, 13005, 0.012 / 13002.5, "5.7 % more steps than predi
 @pytest.fixture
 def hand(monkeypatch):
     """Types at the terminal that the keys are read from."""
+    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals", exc_type=ImportError)
     master, slave = pty.openpty()
     with os.fdopen(slave) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
@@ -208,10 +210,50 @@ for module in walk_packages(capture.__path__, "stickslip_fit.capture."):
 
 
 def test_the_terminal_is_left_as_it_was(hand):
+    import termios
+
     before = termios.tcgetattr(sys.stdin)
     with Keyboard():
         assert termios.tcgetattr(sys.stdin) != before
     assert termios.tcgetattr(sys.stdin) == before
+
+
+@POSIX
+def test_a_terminal_that_is_closed_ends_it_with_a_message(monkeypatch):
+    import pty
+
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with Keyboard() as keys:
+            os.close(master)
+            with pytest.raises(InputError, match="nobody can answer"):
+                keys.pressed()
+            with pytest.raises(InputError, match="nobody can answer"):
+                keys.key()
+
+
+@pytest.mark.parametrize("ask", [lambda keys: keys.key(), lambda keys: keys.line("note")])
+def test_input_that_has_ended_is_no_answer(monkeypatch, ask):
+    monkeypatch.setattr(sys, "stdin", StringIO())
+    with Keyboard() as keys, pytest.raises(InputError, match="nobody can answer"):
+        ask(keys)
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(InputError, match="nobody can answer"), Keyboard():
+        pass
+
+
+class FullDisk(StringIO):
+    def write(self, text):
+        raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize(("stdout", "error"), [(None, InputError), (FullDisk(), OSError)])
+def test_output_that_nobody_can_read_ends_it(monkeypatch, stdout, error):
+    monkeypatch.setattr(sys, "stdout", stdout)
+    for show in (lambda each: each.show("Bring joint 3"), lambda each: each.begin_drive(WORK)):
+        with pytest.raises(error, match=r"nothing can be shown|No space left"):
+            show(UnattendedOperator())
 
 
 def test_only_what_changes_is_asked_for():

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
+from stickslip_fit.capture.tuning import save_tuning
 from stickslip_fit.logs import read_log
-from tests.capture.hearing import SECONDS, steps, write_wav
+from tests.capture.hearing import SECONDS, steps, tuned, write_wav
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
 PLAN = """
@@ -88,6 +91,46 @@ def test_what_cannot_be_is_said_before_anything_moves(run, plan, tmp_path, optio
     assert status == 2
     assert complaint in said
     assert not (tmp_path / "log.csv.journal").exists()
+
+
+def test_a_campaign_that_recorded_nothing_fails(run, plan, tmp_path, monkeypatch):
+    for typed, complaint in (
+        ("q\n", "no traverse was recorded; go on with --resume"),
+        ("s\n" * 9, "no traverse was recorded; all are left out"),
+        ("\n", "the standard input has ended"),
+    ):
+        log = tmp_path / f"{len(typed)}.csv"
+        monkeypatch.setattr(sys, "stdin", StringIO(typed))
+        status, _, said = run("capture", plan, "-o", log, "--emulate", "--ideal-detector")
+        assert (status, said.count("\n")) == (2, 1)
+        assert complaint in said
+        assert not log.exists()
+
+
+def test_what_was_recorded_before_is_no_failure(run, plan, tmp_path, monkeypatch):
+    log = tmp_path / "log.csv"
+    assert run("capture", plan, "-o", log, *ALONE)[0] == 0
+    monkeypatch.setattr(sys, "stdin", StringIO(""))
+    assert run("capture", plan, "-o", log, "--resume", "--emulate", "--ideal-detector")[0] == 0
+
+
+def test_a_tuning_that_would_miss_the_stops_is_refused_before_anything_else(run, plan, tmp_path):
+    tuning, log = tmp_path / "tuning.json", tmp_path / "log.csv"
+    save_tuning(tuned(Acoustics(-6.0)), tuning)
+    of_rig = ("--port", "/dev/nothing", "--tuning", tuning)
+    for command in (("capture", plan, "-o", log, *of_rig), ("capture", "listen", plan, "--tuning", tuning)):
+        status, _, said = run(*command)
+        assert status == 2
+        assert re.search(r"tuning\.json: stops would not be detected.* tune again with `capture tune`", said)
+    assert not log.with_name("log.csv.journal").exists()
+    status, _, said = run("capture", plan, "-o", log, "--emulate", "--unattended", "--snr=-6")
+    assert (status, "stops would not be detected" in said) == (2, True)
+
+
+def test_tuning_at_a_rig_takes_a_terminal(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", StringIO("\n" * 9))
+    status, _, said = run("capture", "tune", "-o", tmp_path / "ear.json", "--port", "/dev/nothing")
+    assert (status, "tune at a terminal" in said) == (2, True)
 
 
 def test_conditions_given_beforehand_are_in_the_log(run, plan, tmp_path):

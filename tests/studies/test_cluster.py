@@ -39,6 +39,7 @@ def cluster():
         yield started
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no signal that kills a worker")
 def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):
     monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 20)
     plan = study(campaigns=240)

@@ -17,7 +17,7 @@ from stickslip_fit.capture.protocols import AudioSource, Clock, Controller, EndS
 from stickslip_fit.capture.rigs import TUNING_CHECKS, CaptureJob, open_journal, run_campaign
 from stickslip_fit.capture.terminal import Keyboard, TerminalOperator, UnattendedOperator
 from stickslip_fit.capture.traverse import Rig
-from stickslip_fit.capture.tuning import Tuning, choose_tuning, record_joint
+from stickslip_fit.capture.tuning import Tuning, check_tuning, choose_tuning, record_joint
 from stickslip_fit.causes import ExtendedLaw, library
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs.plan import Noise, Plan
@@ -67,6 +67,7 @@ def _emulate(
     if not emulation.ideal_detector:
         microphone = rig.microphone(Acoustics(emulation.snr_db, period=period))
         tuning = tune_emulated(controller, microphone, clock, plan.check_every)
+        check_tuning(tuning)
         operator.show(tuning.conclusion)
         detector = SequentialDetector(microphone, tuning)
     return Rig(controller, detector, clock), EmulatedOperator(operator, rig.manipulator, clock, plan)
