@@ -198,7 +198,11 @@ def test_the_number_of_processes_makes_no_difference(problem):
     own_problem = replace(
         problem(hide("session", ("drift",), 12, seed=3)), alternatives=build_unstructured_alternatives
     )
-    one, two = (measured(own_problem, workers=workers)[0] for workers in (1, 2))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    found, splits = size_findings(selection, own_problem, ALPHA), splits_of(selection)[:4]
+    one, two = (
+        estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, workers=workers)[0] for workers in (1, 2)
+    )
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
 
 
