@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,6 +13,9 @@ import pytest
 from scipy.integrate import quad
 
 from stickslip_fit import cli
+
+# Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
+os.environ["LOKY_MAX_CPU_COUNT"] = "1"
 
 FULL = {1: (-120.0, 120.0), 2: (-210.0, 30.0), 3: (0.0, 12.0)}
 PLACE = (

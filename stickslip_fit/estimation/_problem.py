@@ -100,6 +100,9 @@ class FitOptions:
 
 
 DEFAULT_OPTIONS = FitOptions()
+# Of one pass: counts that a law suits take tens, and hundreds near a bound or with outliers; the next pass
+# of `reweighting` carries on where it stopped.
+MAX_ITERATIONS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +124,11 @@ class Problem:
         """The minimum of the sum of weight (y - model)^2."""
         if self.sharing.parameters.any():
             arguments = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
-            return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper)
+            return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper, most=MAX_ITERATIONS)
         data = (self.model, self.y, weight, self.groups, start, self.scales)
-        return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0)
+        return minimize(
+            *data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=MAX_ITERATIONS
+        )
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""

@@ -117,8 +117,8 @@ TRUTHS = {
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_intervals_cover_also_where_a_variance_is_nothing(name):
-    found = coverage(150, [[2, 2], [3, 2], [1, 2], [3, 3]], TRUTHS[name])
-    assert np.all(found >= 0.95 - SAME * np.sqrt(0.05 * 0.95 / 150))
+    found = coverage(80, [[2, 2], [3, 2], [1, 2], [3, 3]], TRUTHS[name])
+    assert np.all(found >= 0.95 - SAME * np.sqrt(0.05 * 0.95 / 80))
 
 
 @pytest.mark.nightly

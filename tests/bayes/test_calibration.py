@@ -81,7 +81,7 @@ def check(ranks):
 
 @pytest.mark.parametrize("law", ["prismatic", "elbow", "base"])
 def test_truths_rank_evenly_among_the_draws_and_intervals_cover(cases, fitted, law):
-    check(study(cases[law], fitted, cases[law].prior, 14))
+    check(study(cases[law], fitted, cases[law].prior, 10))
 
 
 def test_a_wrong_prior_scale_is_found_out(cases, fitted):

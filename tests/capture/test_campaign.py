@@ -424,7 +424,7 @@ def assert_nothing_lost(folder, kills, seed):
 
 
 def test_killed_at_random_moments_it_loses_nothing(folder):
-    assert_nothing_lost(folder, 30, 1)
+    assert_nothing_lost(folder, 12, 1)
 
 
 @pytest.mark.nightly

@@ -1,10 +1,16 @@
-"""Commands that several pages give: the same one on the same files is run once, and remembered."""
+"""What several pages do: the same command on the same files, or analysis of the same log, is run once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from hashlib import sha256
+from inspect import signature
 from pathlib import Path
+from pickle import PicklingError
+from typing import Any
+
+import joblib
 
 Run = Callable[..., tuple[int, str, str]]
 Answer = tuple[int, str, str]
@@ -31,6 +37,29 @@ class Remembered:
             Path(name).parent.mkdir(parents=True, exist_ok=True)
             Path(name).write_bytes(content)
         return answer
+
+
+NO_DIFFERENCE = ("progress", "command")  # to the numbers
+
+
+def remember[Result](function: Callable[..., Result]) -> Callable[..., Result]:
+    """The function, which gives for equal arguments the result that it gave first."""
+    known: dict[str, Result] = {}
+
+    @wraps(function)
+    def call(*arguments: Any, **options: Any) -> Result:
+        given = signature(function).bind(*arguments, **options)
+        given.apply_defaults()
+        compared = {name: value for name, value in given.arguments.items() if name not in NO_DIFFERENCE}
+        try:
+            key = joblib.hash(compared)
+        except PicklingError:  # a page's own class
+            return function(*arguments, **options)
+        if key not in known:
+            known[key] = function(*arguments, **options)
+        return known[key]
+
+    return call
 
 
 def _files() -> dict[str, tuple[int, str]]:

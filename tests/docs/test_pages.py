@@ -8,17 +8,17 @@ import shutil
 import tomllib
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import pytest
-from joblib import parallel_config
 
 from tests.docs.commands import ROOT, lines, obey
 from tests.docs.fences import Fence, fences
 from tests.docs.files import make_files
-from tests.docs.remembered import Remembered
+from tests.docs.remembered import Remembered, remember
 
 Run = Callable[..., tuple[int, str, str]]
 LOOSELY = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -28,6 +28,15 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not {*page.parts} & {*NOT_OURS}),
 ]
+SLOW = (
+    "stickslip_fit.diagnosis.diagnose",
+    "stickslip_fit.strategies.compare_strategies",
+    "stickslip_fit.reporting.page.report",
+)
+COPIES = {
+    "stickslip_fit.reporting.page.diagnose": "stickslip_fit.diagnosis.diagnose",
+    "stickslip_fit.reporting.page.compare_strategies": "stickslip_fit.strategies.compare_strategies",
+}
 WITH_CODE = [page for page in PAGES if any(fences(page))]
 
 
@@ -43,14 +52,29 @@ def desk(files, tmp_path, monkeypatch) -> Path:
     """A folder like the one that a reader is in."""
     shutil.copytree(files, tmp_path, symlinks=True, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    # Without processes of their own, whose imports would take longer than these small jobs.
-    with mpl.rc_context({"backend": "agg"}), parallel_config(backend="sequential"):
+    with mpl.rc_context({"backend": "agg"}):
         yield tmp_path
 
 
 @pytest.fixture(scope="session")
 def remembered() -> Remembered:
     return Remembered()
+
+
+@pytest.fixture(scope="session")
+def once() -> dict[str, Any]:
+    """The analyses that take long, each of which is made once for equal arguments."""
+    made = {}
+    for place in SLOW:
+        module, _, name = place.rpartition(".")
+        made[place] = remember(getattr(import_module(module), name))
+    return made | {copy: made[place] for copy, place in COPIES.items()}
+
+
+@pytest.fixture(autouse=True)
+def analyses_once(once, monkeypatch) -> None:
+    for place, function in once.items():
+        monkeypatch.setattr(place, function)
 
 
 @pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: str(page.relative_to(ROOT)))

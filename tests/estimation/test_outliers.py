@@ -59,7 +59,7 @@ def flagged(logs, sessions, each, seed):
 
 
 def test_heavy_tails_are_no_outliers():
-    assert flagged(40, 10, 20, 3) <= 1
+    assert flagged(15, 10, 20, 3) <= 1
 
 
 @pytest.mark.nightly

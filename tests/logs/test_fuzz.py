@@ -21,8 +21,8 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.units import SUFFIXES, to_si
 
-quick = settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
-thorough = settings(quick, max_examples=100)
+quick = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+thorough = settings(quick, max_examples=50)
 
 UNITS = {
     "q1": ("deg", "rad"),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -105,10 +106,15 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Reported(Fitted):
-    """The same with the page made of them."""
+    """The same with the page made of them, once it is asked for."""
 
-    page: Page = field(repr=False)
-    source: str = field(repr=False)
+    @cached_property
+    def source(self) -> str:
+        return self.html
+
+    @cached_property
+    def page(self) -> Page:
+        return Page(self.source)
 
 
 @pytest.fixture(scope="session")
@@ -130,9 +136,7 @@ def reported(fitted: Callable[..., Fitted]) -> Callable[..., Reported]:
     """Report a table in a log file's columns."""
 
     def make(table: pd.DataFrame, name: str = "log.csv") -> Reported:
-        found = fitted(table, name)
-        html = found.html
-        return Reported(found.log, found.calibration, found.constant, found.fit, Page(html), html)
+        return Reported(**vars(fitted(table, name)))
 
     return make
 

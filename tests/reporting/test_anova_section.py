@@ -70,10 +70,10 @@ def test_every_reading_is_drawn_where_its_count_puts_it(turned, found):
         assert drawn(axis) == pytest.approx(np.sort(less), abs=1e-6)
 
 
-def test_figures_stand_only_where_there_are_answers(found, campaign, reported):
+def test_figures_stand_only_where_there_are_answers(found, campaign, fitted):
     keys = [picture.key for picture in factor_pictures(3, found.factor_tests)]
     assert keys == ["day-3", "direction-3", "normal-force-3"]
-    one_day = analyze_variance(reported(campaign(DAYS[:1], ROTATION)).log)
+    one_day = analyze_variance(fitted(campaign(DAYS[:1], ROTATION)).log)
     assert [picture.key for picture in factor_pictures(3, one_day.factor_tests)] == [
         "direction-3",
         "normal-force-3",

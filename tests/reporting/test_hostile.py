@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-import warnings
 
 import pandas as pd
 import pytest
@@ -41,9 +40,7 @@ def hostile(request, campaign, reported):
     table.loc[[0, 1, 2], "note"] = [SCRIPT, IMAGE, JINJA]
     table.loc[3, "status"] = "excluded"
     table["<b>pressure</b>"] = "1"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return reported(table, name='a<b>&"c.csv')
+    return reported(table, name='a<b>&"c.csv')
 
 
 def figures(page):

@@ -28,6 +28,7 @@ from stickslip_fit.strategies import (
     other_sessions,
 )
 from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
+from tests.conftest import CALIBRATION, SWEEPS
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,8 @@ def test_the_hierarchy_agrees_with_draws_from_its_posterior(today, log, trials):
 @pytest.fixture(scope="module")
 def warm(campaign, written):
     """A log in which every step grows by 1 % a kelvin, in rooms that differ."""
-    table = campaign(sessions=("2012-03-05", "2012-03-06", "2012-03-07"))
+    two_joints = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] != 1)
+    table = campaign(("2012-03-05", "2012-03-06", "2012-03-07"), two_joints)
     temperature = np.random.default_rng(8).uniform(18.0, 26.0, len(table)).round(2)
     counts = table["steps"] / (1.0 + 0.01 * (temperature - temperature.mean()))
     table = table.assign(temperature_C=temperature, steps=(counts / 5).round().astype(int) * 5)
@@ -107,7 +109,7 @@ def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
     known = causes_from_other_sessions(warm, [cause])
     found = compare_strategies(warm, [plain, WithCauses(plain, known)])
     rms = found.accuracy().set_index(["joint", "strategy"])["rms_relative"]
-    for joint in (1, 2, 3):
+    for joint in (2, 3):
         assert rms[joint, plain.name] > 0.015
         assert rms[joint, f"{plain.name}, with causes"] < 0.005
 

@@ -41,8 +41,8 @@ def cluster():
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no signal that kills a worker")
 def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 20)
-    plan = study(campaigns=240)
+    monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 10)
+    plan = study(campaigns=80)
     written, killed = [], []
     write = ResultStore.write
 
@@ -62,7 +62,7 @@ def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, 
     found = run_study(plan, tmp_path, Cluster(cluster.scheduler_address))
     killer.join()
     assert len(killed) == 1
-    assert sorted(written) == list(range(0, 240, 20))
+    assert sorted(written) == list(range(0, 80, 10))
     same(found, run_study(plan, backend=Cores(1)))
 
 
