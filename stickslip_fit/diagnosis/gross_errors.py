@@ -18,9 +18,11 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, Selection, predict_departures
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(student_t.ppf(0.75, TAIL_DF))  # of its absolute value, in units of its scale
@@ -37,7 +39,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     None where so many rows depart that it is an effect.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
-    z = robust_residuals(problem)
+    z, _ = fit_robustly(problem)
     p_values = np.minimum(1.0, 2.0 * len(problem) * student_t.sf(np.abs(z), TAIL_DF))
     rows = np.flatnonzero(p_values < level)
     rows = rows[~_have_company(z, rows, problem)]
@@ -46,19 +48,58 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     return Outliers(rows, float(p_values[rows].min()))
 
 
-def robust_residuals(problem: DiagnosisProblem) -> Array:
-    """Residuals of the baseline's robust fit in units of the scale of Student's t noise, shape (n,)."""
-    campaign = [_merge_sessions(part, problem.noise_group) for part in problem.parts]
-    weight = np.ones(len(problem))
-    for parts in (campaign, problem.parts):
-        z, weight = _iterate_weights(problem, parts, weight)
-    return z
+def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:
+    """The baseline's robust fit: residuals in units of the scale of Student's t noise, (n,), and the laws."""
+    campaign = tuple(_merge_sessions(part, problem.noise_group) for part in problem.parts)
+    _, weight, _ = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    z, _, parts = _iterate_weights(problem, problem.parts, weight)
+    return z, parts
+
+
+def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
+    """The problem without some rows, its baseline refitted and its repeatability that of the other rows."""
+    if not len(rows):
+        return problem
+    smaller = replace(problem, parts=fit_robustly(problem)[1]).without_rows(rows)
+    linearized, drive = smaller.linearize(), smaller.noise_group
+    squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
+    df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
+    total = np.bincount(drive, squares, len(problem.repeatability))
+    pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
+    variance = np.where(df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled)
+    return replace(smaller, repeatability=np.sqrt(variance))
+
+
+def restore_rows(selection: Selection, problem: DiagnosisProblem, aside: IntArray) -> IntArray:
+    """Which of the rows that were set aside the law with the named causes explains after all."""
+    if not selection.law_causes or not len(aside):
+        return aside[:0]
+    departure = predict_departures(selection, problem, aside)
+    smaller = selection.problem
+    sd = np.sqrt(smaller.repeatability[problem.noise_group[aside]] ** 2 + problem.rounding[aside])
+    return aside[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
+
+
+def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: float) -> Selection:
+    """A selection from the other rows as one of all `n` rows, with the gross errors among its outliers."""
+    if not len(aside):
+        return selection
+    kept = np.setdiff1d(np.arange(n), aside)
+    causes = CauseSet(MISFIRE, (), {})
+    others = [one for one in selection.selected if one.cause != MISFIRE]
+    misfire = SelectedCause(MISFIRE, None, np.zeros(0), causes, None, p_value)
+    return replace(
+        selection,
+        outliers=np.sort(np.concatenate([aside, kept[selection.outliers]])),
+        selected=(misfire, *others),
+        p_value=min(selection.p_value, p_value),
+    )
 
 
 def _iterate_weights(
     problem: DiagnosisProblem, parts: Sequence[LawBlock], weight: Array
-) -> tuple[Array, Array]:
-    """Residuals in units of their scale, and relative weights, after convergence from these weights."""
+) -> tuple[Array, Array, tuple[LawBlock, ...]]:
+    """Residuals in units of their scale, relative weights, and the laws, after convergence from these weights."""
     scale = problem.scale
     for _ in range(MAX_PASSES):
         fit = fit_extended(
@@ -70,7 +111,7 @@ def _iterate_weights(
         before, weight = weight, (TAIL_DF + 1.0) / (TAIL_DF + z**2)
         if np.max(np.abs(np.log(weight / before))) < WEIGHT_TOL:
             break
-    return z, weight
+    return z, weight, tuple(parts)
 
 
 def _robust_scale(residual: Array, drive: IntArray) -> Array:

@@ -1,7 +1,8 @@
 """diagnose: the whole diagnosis of a log, in the order of the mathematics. Start reading here.
 
 1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise.
-2. `linearized`: whitened residuals and effects, the calibration parameters projected out.
+2. `gross_errors`: counts that are set aside before anything is estimated; tested again at the end.
+3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
 3. `hypotheses`: what could be wrong, each as a subspace of effects.
 4. `noise`: repeatability, noisy configurations, outlying counts.
 5. `misfit`: is anything wrong? Bayes factors and the p-value.
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +28,13 @@ from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.gross_errors import (
+    find_gross_errors,
+    restore_rows,
+    set_aside,
+    with_gross_errors,
+)
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, Verdict
@@ -41,6 +49,8 @@ from stickslip_fit.diagnosis.selection import (
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.logs import Log
 
+GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
+MAX_SEARCHES = 4  # each with fewer rows, or with rows that came back
 BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
 MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
@@ -104,6 +114,56 @@ def diagnose_problem(
         As of `diagnose`.
     """
     began = time.perf_counter()
+    progress("searching for causes", 0.05)
+    rng = np.random.default_rng(seed)
+    gross = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha)
+    aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
+    for _ in range(MAX_SEARCHES):
+        search = _search(set_aside(problem, aside), missing, alpha, rng)
+        found = search.selection
+        kept = np.setdiff1d(np.arange(len(problem)), aside)
+        if len(found.influential):
+            kept = np.delete(kept, found.outliers)
+            aside = np.union1d(aside, kept[found.influential])
+            p_value = min(p_value, found.p_value)
+        elif len(back := restore_rows(found, problem, aside)):
+            aside = np.setdiff1d(aside, back)
+        else:
+            break
+    selection = with_gross_errors(found, len(problem), aside, p_value)
+    findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
+    searched, linearized = selection.problem, search.linearized
+    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
+    return Diagnosis(
+        verdict=_choose_verdict(findings),
+        findings=findings,
+        p_value=selection.p_value,
+        misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
+        repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
+        inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
+        untestable=search.untestable,
+        alpha=alpha,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        selection=selection,
+        aliased_causes=find_aliased_causes(selection.first_misfit),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A selection, the problem with the causes that were searched, and why the others were not."""
+
+    selection: Selection
+    problem: DiagnosisProblem
+    linearized: LinearizedFit
+    untestable: Mapping[str, str]
+    too_small: str | None
+
+
+def _search(
+    problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
+) -> _Search:
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
     if too_small:
@@ -114,28 +174,10 @@ def diagnose_problem(
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
-    progress("searching for causes", 0.05)
-    rng = np.random.default_rng(seed)
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
-    findings = size_findings(selection, testable, alpha) if selection.p_value < alpha else ()
-    searched = selection.problem
-    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
-    return Diagnosis(
-        verdict=_choose_verdict(findings),
-        findings=findings,
-        p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * problem.scale) ** 2))),
-        repeatability=np.nan if too_small else float(np.sqrt(np.mean(row_sd**2))),
-        inclusion=_inclusion_probabilities(selection, testable, untestable),
-        untestable=untestable,
-        alpha=alpha,
-        seed=seed,
-        seconds=time.perf_counter() - began,
-        selection=selection,
-        aliased_causes=find_aliased_causes(selection.first_misfit),
-    )
+    return _Search(selection, testable, linearized, untestable, too_small)
 
 
 def bootstrap_size(alpha: float) -> int:
