@@ -85,7 +85,7 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
         if selected.cause == MISFIRE:
             findings.append(_size_misfires(selection, problem, selected))
         elif selected.cause == UNKNOWN:
-            findings.append(_size_unknown(selection, selected, alpha))
+            findings.append(size_unknown(selection, selected, alpha))
         else:
             findings.append(_size_cause(selection, linearized, selected, next(slices), alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
@@ -218,7 +218,8 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     return Interval(middle, low, high)
 
 
-def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+    """The finding of unknown structure in the residuals that a selection leaves."""
     misfit, linearized = selected.misfit, selection.linearized
     assert misfit is not None
     best = misfit.best_hypothesis(UNKNOWN)

@@ -66,7 +66,9 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
     df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
     total = np.bincount(drive, squares, len(problem.repeatability))
     pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
-    variance = np.where(df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled)
+    variance = np.where(
+        df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled
+    )
     return replace(smaller, repeatability=np.sqrt(variance))
 
 
@@ -102,9 +104,7 @@ def _iterate_weights(
     """Residuals in units of their scale, relative weights, and the laws, after convergence from these weights."""
     scale = problem.scale
     for _ in range(MAX_PASSES):
-        fit = fit_extended(
-            problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0)
-        )
+        fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))
         parts = fit.parts
         scale = _robust_scale(fit.residual, problem.noise_group)
         z = fit.residual / scale

@@ -39,7 +39,10 @@ MAX_TAIL_LOG_RATIO = 6.0  # nats below the best, for a df to be allowed
 TAIL_ERROR_RATE = float(chi2.sf(2 * MAX_TAIL_LOG_RATIO, 1))  # probability that the true df is not
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
-MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = 5.5, 120.0  # medians of the absolute residuals; larger ones count as so large
+MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
+    5.5,
+    120.0,
+)  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection

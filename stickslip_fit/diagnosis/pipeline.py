@@ -1,15 +1,17 @@
 """diagnose: the whole diagnosis of a log, in the order of the mathematics. Start reading here.
 
 1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise.
-2. `gross_errors`: counts that are set aside before anything is estimated; tested again at the end.
+2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
-3. `hypotheses`: what could be wrong, each as a subspace of effects.
-4. `noise`: repeatability, noisy configurations, outlying counts.
-5. `misfit`: is anything wrong? Bayes factors and the p-value.
-6. `selection`: forward selection of causes, and the causes that the data cannot separate.
-7. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
-8. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law.
-9. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
+4. `hypotheses`: what could be wrong, each as a subspace of effects.
+5. `noise`: repeatability, noisy configurations, outlying counts.
+6. `misfit`: is anything wrong? Bayes factors and the p-value.
+7. `selection`: forward selection of causes, and the causes that the data cannot separate; `influence`:
+   none rests on one or two rows.
+8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
+9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
+   `withdrawal`: a cause that does not predict better is not named.
+10. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
 
 `result` holds the `Diagnosis`; `separability` asks the same of a plan before any data; `residuals`
 prepares the figures.
@@ -27,7 +29,6 @@ from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.experiments import next_experiment
-from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.gross_errors import (
     find_gross_errors,
     restore_rows,
@@ -37,7 +38,7 @@ from stickslip_fit.diagnosis.gross_errors import (
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
-from stickslip_fit.diagnosis.result import Diagnosis, Verdict
+from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import (
     Selection,
     cause_probabilities,
@@ -92,7 +93,8 @@ def diagnose(
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis
-    return replace(diagnosis, next_experiment=next_experiment(diagnosis)).measure_gain(progress=progress)
+    diagnosis = diagnosis.measure_gain(progress=progress)
+    return replace(diagnosis, next_experiment=next_experiment(diagnosis))
 
 
 def diagnose_problem(
@@ -135,7 +137,7 @@ def diagnose_problem(
     searched, linearized = selection.problem, search.linearized
     row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
     return Diagnosis(
-        verdict=_choose_verdict(findings),
+        verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
         misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
@@ -183,14 +185,6 @@ def _search(
 def bootstrap_size(alpha: float) -> int:
     """Bootstrap samples for a false-alarm rate, of which the misfit test has a share of 3/4."""
     return int(np.ceil(1.5 * BOOTSTRAP_PER_ALARM / alpha))
-
-
-def _choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
-    if not findings:
-        return "nothing wrong"
-    if findings[0].cause == UNKNOWN:
-        return "unknown cause"
-    return "cannot tell apart" if findings[0].equivalent else "cause named"
 
 
 def _inclusion_probabilities(

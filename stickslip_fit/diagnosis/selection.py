@@ -263,6 +263,16 @@ def extend_problem(
     return problem, fit, linearize(problem)
 
 
+def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -> Selection:
+    """The selection with other causes, its noise, fit and residuals those of the law with them."""
+    if _law_causes(selected):
+        problem, fit, linearized = extend_problem(selection.problem, selected)
+    else:
+        problem, linearized, _ = _reestimate_noise(selection.problem)
+        fit = problem.fit_extended()
+    return replace(selection, problem=problem, selected=selected, fit=fit, linearized=linearized)
+
+
 def _first_of_pair(
     problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
 ) -> SelectedCause | None:
