@@ -101,7 +101,7 @@ def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: fl
 def _iterate_weights(
     problem: DiagnosisProblem, parts: Sequence[LawBlock], weight: Array
 ) -> tuple[Array, Array, tuple[LawBlock, ...]]:
-    """Residuals in units of their scale, relative weights, and the laws, after convergence from these weights."""
+    """Residuals in units of their scale, relative weights, and the laws, after convergence."""
     scale = problem.scale
     for _ in range(MAX_PASSES):
         fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))

@@ -48,6 +48,7 @@ from stickslip_fit.diagnosis.selection import (
     select_causes,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
+from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.logs import Log
 
 GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
@@ -85,9 +86,11 @@ def diagnose(
     Raises
     ------
     InputError
-        If the log has no usable traverse.
+        If the log has no usable traverse, `alpha` is not between 0 and 1, or `seed` is negative.
     """
     began = time.perf_counter()
+    check_rate("alpha", alpha)
+    check_count("seed", seed, least=0)
     progress("fitting the published law", 0.0)
     diagnosis = diagnose_problem(*problem_from_log(log, causes), alpha=alpha, seed=seed, progress=progress)
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
@@ -114,8 +117,15 @@ def diagnose_problem(
         Causes for which the data lack a variable, with the reason.
     alpha, seed, progress
         As of `diagnose`.
+
+    Raises
+    ------
+    InputError
+        As `diagnose`.
     """
     began = time.perf_counter()
+    check_rate("alpha", alpha)
+    check_count("seed", seed, least=0)
     progress("searching for causes", 0.05)
     rng = np.random.default_rng(seed)
     gross = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha)

@@ -24,7 +24,7 @@ from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs import Log
@@ -120,7 +120,13 @@ class Diagnosis(Summarized):
         with a note (`withdrawal`), and the gain is measured again.
 
         `workers` are processes, all cores without it; the numbers do not depend on it.
+
+        Raises
+        ------
+        InputError
+            If `workers` is neither -1 nor at least 1.
         """
+        check_workers(workers)
         began, selection, findings = time.perf_counter(), self.selection, self.findings
         machine, inclusion = self.log.machine if self.log is not None else None, dict(self.inclusion)
         options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}

@@ -28,6 +28,7 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
+from stickslip_fit.logs._rows import check_rows
 from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELDS
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
@@ -200,6 +201,11 @@ class Log(Summarized):
         Its ranges are the ends of full traverses.
     notes : tuple of str
         On how the files were read.
+
+    Raises
+    ------
+    InputError
+        For rows that cannot be computed with: see `check_rows`.
     """
 
     rows: pd.DataFrame
@@ -207,6 +213,9 @@ class Log(Summarized):
     sha256: str
     machine: Machine
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_rows(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -223,7 +232,11 @@ class Log(Summarized):
 
     @property
     def usable(self) -> pd.DataFrame:
-        """The rows that may be fitted: those whose status is ok."""
+        """The rows that may be fitted: those whose status is ok.
+
+        They are checked again, since a frame can be changed after the log was made.
+        """
+        check_rows(self.rows)
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:
