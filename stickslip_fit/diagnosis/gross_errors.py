@@ -51,14 +51,22 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
 def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:
     """The baseline's robust fit: residuals in units of the scale of Student's t noise, (n,), and the laws."""
     campaign = tuple(_merge_sessions(part, problem.noise_group) for part in problem.parts)
-    _, weight, _ = _iterate_weights(problem, campaign, np.ones(len(problem)))
-    z, _, parts = _iterate_weights(problem, problem.parts, weight)
+    _, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    # Not from the least-squares values: a gross error may have driven those of its session anywhere.
+    sessions = [replace(part, block=own.block) for part, own in zip(campaign, problem.parts, strict=True)]
+    z, _, parts = _iterate_weights(problem, sessions, weight)
     return z, parts
 
 
 def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
-    """The problem without some rows, its baseline refitted and its repeatability that of the other rows."""
-    if not len(rows):
+    """The problem without some rows, its baseline refitted and its repeatability that of the other rows.
+
+    Without rows it is the problem itself, unless its baseline has no finite prediction.
+    """
+    if not len(rows) and all(
+        np.isfinite(part.law.predict(problem.rows.iloc[part.rows], part.values)).all()
+        for part in problem.parts
+    ):
         return problem
     smaller = replace(problem, parts=fit_robustly(problem)[1]).without_rows(rows)
     linearized, drive = smaller.linearize(), smaller.noise_group
