@@ -1,9 +1,13 @@
-"""InputError: input that cannot be used, with every issue: where, what is wrong and what to do about it."""
+"""InputError: input that cannot be used, with every issue: where, what is wrong and what to do about it.
+
+Rates, counts and seeds that callers give are checked here, in one way everywhere.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 
 @dataclass(frozen=True)
@@ -50,3 +54,37 @@ class InputError(Exception):
 def shorten(value: str, width: int = 60) -> str:
     """Cut a value so that a binary blob in a cell does not fill the screen."""
     return value if len(value) <= width else value[: width - 3] + "..."
+
+
+def check_rate(name: str, value: float) -> None:
+    """Check a probability that is neither 0 nor 1.
+
+    Examples
+    --------
+    >>> check_rate("alpha", 0)
+    Traceback (most recent call last):
+    ...
+    stickslip_fit.errors.InputError: alpha must lie above 0 and below 1, not 0
+    """
+    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < value < 1:
+        raise InputError(f"{name} must lie above 0 and below 1, not {value!r}")
+
+
+def check_count(name: str, value: int, least: int = 1) -> None:
+    """Check a whole number; a seed is at `least` 0.
+
+    Examples
+    --------
+    >>> check_count("seed", -1, least=0)
+    Traceback (most recent call last):
+    ...
+    stickslip_fit.errors.InputError: seed must be a whole number of at least 0, not -1
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise InputError(f"{name} must be a whole number of at least {least}, not {value!r}")
+
+
+def check_workers(value: int) -> None:
+    """Check a number of processes: -1 for as many as there are cores, or at least 1."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or (value < 1 and value != -1):
+        raise InputError(f"workers must be -1 (as many as there are cores) or at least 1, not {value!r}")

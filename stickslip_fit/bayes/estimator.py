@@ -57,6 +57,7 @@ from stickslip_fit.bayes.sampler import (
     sample_posterior,
 )
 from stickslip_fit.causes import Cause, ExtendedLaw
+from stickslip_fit.errors import check_count
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.logs import Log
@@ -417,8 +418,8 @@ def fit_bayes(
     Raises
     ------
     InputError
-        If the log has no usable traverse, the priors lack a joint or direction, or `backend` holds the
-        chains of another log, law, prior or seed.
+        If the log has no usable traverse, the priors lack a joint or direction, `backend` holds the
+        chains of another log, law, prior or seed, or a seed or count is out of its range.
 
     Notes
     -----
@@ -427,6 +428,9 @@ def fit_bayes(
     form, what remains is sampled by ensembles, and the draws are weighted to the exact posterior. Causes'
     parameters are drawn beside it and weighted with it, all joints at once.
     """
+    check_count("seed", seed, least=0)
+    check_count("target_ess", target_ess)
+    check_count("max_steps", max_steps)
     priors = weak_priors(log) if priors is None else priors
     if causes:
         settings: dict[str, Any] = {"seed": seed, "target_ess": target_ess, "max_steps": max_steps}

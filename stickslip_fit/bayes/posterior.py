@@ -21,7 +21,7 @@ from stickslip_fit._summary import Section, Summarized, Summary
 from stickslip_fit._typing import Array
 from stickslip_fit.bayes.priors import Priors, predict_log_steps
 from stickslip_fit.bayes.result import INTERVAL_QUANTILES, group_name
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_count
 from stickslip_fit.estimation import Flag, JointFit, Result
 from stickslip_fit.estimation.result import (
     PREDICTION_COLUMNS,
@@ -179,8 +179,9 @@ class Posterior(Summarized):
         Raises
         ------
         InputError
-            For a joint or direction that was not fitted, or where the joint may well stall.
+            For a joint or direction that was not fitted, a negative seed, or where the joint may well stall.
         """
+        check_count("seed", seed, least=0)
         rng = np.random.default_rng(seed)
         predictions = []
         for (joint, direction), subset in rows.groupby(["joint", "direction"], observed=True, sort=False):

@@ -146,6 +146,8 @@ def _describe_shape(finding: Finding) -> str:
         f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
         f"{describe_carrier(finding.carrier)}, and has the shape of no known cause"
     )
+    if finding.note:
+        return f"{text}; {finding.note}"
     if not finding.closest:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
@@ -162,7 +164,8 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     cure = remedy_for(finding) if not finding.equivalent else ""
     law = "" if finding.cause == MISFIRE else "the extended law"
     what = capitalize_first(f"{cure}, or {law}," if cure and law else cure or law)
-    if (gain := diagnosis.gain) is None:
+    gain = diagnosis.gain
+    if gain is None or gain.extended >= gain.baseline:
         cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
     else:
         cut = (

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betaincinv, chdtrc, gammaln
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, acts_on, compute_changes
@@ -31,6 +31,7 @@ from stickslip_fit.diagnosis.selection import (
     Selection,
     allocate_alpha,
     alternative_forms,
+    predict_departures,
 )
 from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -85,7 +86,7 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
         if selected.cause == MISFIRE:
             findings.append(_size_misfires(selection, problem, selected))
         elif selected.cause == UNKNOWN:
-            findings.append(_size_unknown(selection, selected, alpha))
+            findings.append(size_unknown(selection, selected, alpha))
         else:
             findings.append(_size_cause(selection, linearized, selected, next(slices), alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
@@ -229,7 +230,8 @@ def _noncentral_tail(x: float, df: int, noncentrality: float) -> float:
     return float(weight @ chdtrc(df + 2.0 * extra, x))
 
 
-def _size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+    """The finding of unknown structure in the residuals that a selection leaves."""
     misfit, linearized = selected.misfit, selection.linearized
     assert misfit is not None
     best = misfit.best_hypothesis(UNKNOWN)
@@ -302,7 +304,7 @@ def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
 
 def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
     rows, n = selection.outliers, len(problem)
-    departure = _misfire_departures(selection, problem, rows)
+    departure = predict_departures(selection, problem, rows)
     sizes = np.abs(departure)
     rms = float(np.sqrt(np.sum(sizes**2) / n))
     error = Z_95 * rms * float(np.sqrt(np.mean(problem.scale[rows] ** 2) / np.mean(sizes**2) / len(rows)))
@@ -322,19 +324,6 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
         (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
         traverses=problem.rows.iloc[rows].assign(departure=departure),
     )
-
-
-def _misfire_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
-    """Departure of outlying rows from the fit without them; 0 where that has no values for them."""
-    departure = np.zeros(len(problem))
-    for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
-        blocks, first = np.unique(fitted.block, return_index=True)
-        known = np.isin(part.rows, outliers) & np.isin(part.block, blocks)
-        values = fitted.values[first[np.searchsorted(blocks, part.block[known])]]
-        rows = part.rows[known]
-        if len(rows):
-            departure[rows] = problem.responses[rows] - fitted.law.predict(problem.rows.iloc[rows], values)
-    return departure[outliers]
 
 
 def _rms(values: Array) -> float:

@@ -59,6 +59,8 @@ class Finding:
         For ``unknown``: the variable that the structure follows.
     traverses : DataFrame or None
         For outlying counts: those rows, with `departure` (relative) from the law.
+    note : str
+        For ``unknown``: the causes that are not named, and why.
     """
 
     cause: str
@@ -73,6 +75,7 @@ class Finding:
     share: float = 0.0
     carrier: str = ""
     traverses: pd.DataFrame | None = None
+    note: str = ""
 
     @property
     def cause_set(self) -> tuple[str, ...]:

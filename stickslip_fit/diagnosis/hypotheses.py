@@ -23,6 +23,7 @@ from stickslip_fit.units import PRISMATIC
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
+MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 N_WAVES = 6
 MAX_PERIODS = 250
@@ -126,8 +127,10 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
 def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
     """A hypothesis whose effects are random combinations of columns, whitened and projected, shape (n, m).
 
-    None where calibration absorbs the effects.
+    None where calibration absorbs the effects, or where they are too large to be numbers.
     """
+    if not np.isfinite(effects).all() or np.abs(effects).max(initial=0.0) > MAX_EFFECT:
+        return None
     if effects.shape[1] == 1:
         length = float(np.linalg.norm(effects))
         if length < EFFECT_TOL:

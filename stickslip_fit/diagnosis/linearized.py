@@ -235,7 +235,8 @@ def fit_extended(
     for part in parts:
         block, own = blocks.of_row[part.rows], part.values.shape[1]
         first[block, :own] = part.values
-        scales[block, :own] = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
+        size = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
+        scales[block, :own] = np.where(size > 0, size, np.abs(part.values).max(initial=0.0) or 1.0)
     first[:, widest:] = start
     scales[:, widest:] = [size for cause in causes for size in cause.scale]
     bounds = [(-np.inf, np.inf)] * widest

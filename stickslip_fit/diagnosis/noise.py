@@ -38,7 +38,10 @@ MAX_TAIL_LOG_RATIO = 6.0  # nats below the best, for a df to be allowed
 TAIL_ERROR_RATE = float(chdtrc(1, 2 * MAX_TAIL_LOG_RATIO))  # probability that the true df is not
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
-MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = 5.5, 120.0  # range of outliers, medians of the absolute residuals
+MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
+    5.5,
+    120.0,
+)  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection
@@ -239,13 +242,13 @@ def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, A
     by_tail : dict of float to array, shape (k,)
         Log likelihood of noise with outliers for each df.
     """
-    n = deviation.shape[1]
+    n, deviation = deviation.shape[1], np.minimum(deviation, MAX_OUTLIER_MEDIANS)
     number = max(int(MAX_MISFIRE_SHARE * n), 1)
     places = np.argpartition(-deviation, number - 1, axis=1)[:, :number]
     top = np.take_along_axis(deviation, places, axis=1)
     far = top > MIN_OUTLIER_MEDIANS
     log_range = np.log(MAX_OUTLIER_MEDIANS / MIN_OUTLIER_MEDIANS)
-    outlier_density = np.where(far & (top < MAX_OUTLIER_MEDIANS), 1.0 / (top * log_range), 0.0)
+    outlier_density = np.where(far, 1.0 / (top * log_range), 0.0)
     alone, both = np.full(len(deviation), -np.inf), np.full(len(deviation), -np.inf)
     odds, by_tail = np.zeros_like(top), dict.fromkeys(TAIL_DF, both)
     for df in TAIL_DF:

@@ -1,14 +1,17 @@
 """diagnose: the whole diagnosis of a log, in the order of the mathematics. Start reading here.
 
 1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise.
-2. `linearized`: whitened residuals and effects, the calibration parameters projected out.
-3. `hypotheses`: what could be wrong, each as a subspace of effects.
-4. `noise`: repeatability, noisy configurations, outlying counts.
-5. `misfit`: is anything wrong? Bayes factors and the p-value.
-6. `selection`: forward selection of causes, and the causes that the data cannot separate.
-7. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
-8. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law.
-9. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
+2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
+3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
+4. `hypotheses`: what could be wrong, each as a subspace of effects.
+5. `noise`: repeatability, noisy configurations, outlying counts.
+6. `misfit`: is anything wrong? Bayes factors and the p-value.
+7. `selection`: forward selection of causes, and the causes that the data cannot separate; `influence`:
+   none rests on one or two rows.
+8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
+9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
+   `withdrawal`: a cause that does not predict better is not named.
+10. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
 
 `result` holds the `Diagnosis`; `separability` asks the same of a plan before any data; `residuals`
 prepares the figures.
@@ -18,7 +21,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,10 +29,16 @@ from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.experiments import next_experiment
-from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.gross_errors import (
+    find_gross_errors,
+    restore_rows,
+    set_aside,
+    with_gross_errors,
+)
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
-from stickslip_fit.diagnosis.result import Diagnosis, Verdict
+from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import (
     Selection,
     cause_probabilities,
@@ -39,8 +48,11 @@ from stickslip_fit.diagnosis.selection import (
     select_causes,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
+from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.logs import Log
 
+GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
+MAX_SEARCHES = 4  # each with fewer rows, or with rows that came back
 BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
 MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
@@ -74,15 +86,18 @@ def diagnose(
     Raises
     ------
     InputError
-        If the log has no usable traverse.
+        If the log has no usable traverse, `alpha` is not between 0 and 1, or `seed` is negative.
     """
     began = time.perf_counter()
+    check_rate("alpha", alpha)
+    check_count("seed", seed, least=0)
     progress("fitting the published law", 0.0)
     diagnosis = diagnose_problem(*problem_from_log(log, causes), alpha=alpha, seed=seed, progress=progress)
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis
-    return replace(diagnosis, next_experiment=next_experiment(diagnosis)).measure_gain(progress=progress)
+    diagnosis = diagnosis.measure_gain(progress=progress)
+    return replace(diagnosis, next_experiment=next_experiment(diagnosis))
 
 
 def diagnose_problem(
@@ -102,8 +117,65 @@ def diagnose_problem(
         Causes for which the data lack a variable, with the reason.
     alpha, seed, progress
         As of `diagnose`.
+
+    Raises
+    ------
+    InputError
+        As `diagnose`.
     """
     began = time.perf_counter()
+    check_rate("alpha", alpha)
+    check_count("seed", seed, least=0)
+    progress("searching for causes", 0.05)
+    rng = np.random.default_rng(seed)
+    gross = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha)
+    aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
+    for _ in range(MAX_SEARCHES):
+        search = _search(set_aside(problem, aside), missing, alpha, rng)
+        found = search.selection
+        kept = np.setdiff1d(np.arange(len(problem)), aside)
+        if len(found.influential):
+            kept = np.delete(kept, found.outliers)
+            aside = np.union1d(aside, kept[found.influential])
+            p_value = min(p_value, found.p_value)
+        elif len(back := restore_rows(found, problem, aside)):
+            aside = np.setdiff1d(aside, back)
+        else:
+            break
+    selection = with_gross_errors(found, len(problem), aside, p_value)
+    findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
+    searched, linearized = selection.problem, search.linearized
+    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
+    return Diagnosis(
+        verdict=choose_verdict(findings),
+        findings=findings,
+        p_value=selection.p_value,
+        misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
+        repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
+        inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
+        untestable=search.untestable,
+        alpha=alpha,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        selection=selection,
+        aliased_causes=find_aliased_causes(selection.first_misfit),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A selection, the problem with the causes that were searched, and why the others were not."""
+
+    selection: Selection
+    problem: DiagnosisProblem
+    linearized: LinearizedFit
+    untestable: Mapping[str, str]
+    too_small: str | None
+
+
+def _search(
+    problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
+) -> _Search:
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
     if too_small:
@@ -114,41 +186,15 @@ def diagnose_problem(
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
-    progress("searching for causes", 0.05)
-    rng = np.random.default_rng(seed)
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
-    findings = size_findings(selection, testable, alpha) if selection.p_value < alpha else ()
-    searched = selection.problem
-    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
-    return Diagnosis(
-        verdict=_choose_verdict(findings),
-        findings=findings,
-        p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * problem.scale) ** 2))),
-        repeatability=np.nan if too_small else float(np.sqrt(np.mean(row_sd**2))),
-        inclusion=_inclusion_probabilities(selection, testable, untestable),
-        untestable=untestable,
-        alpha=alpha,
-        seed=seed,
-        seconds=time.perf_counter() - began,
-        selection=selection,
-        aliased_causes=find_aliased_causes(selection.first_misfit),
-    )
+    return _Search(selection, testable, linearized, untestable, too_small)
 
 
 def bootstrap_size(alpha: float) -> int:
     """Bootstrap samples for a false-alarm rate, of which the misfit test has a share of 3/4."""
     return int(np.ceil(1.5 * BOOTSTRAP_PER_ALARM / alpha))
-
-
-def _choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
-    if not findings:
-        return "nothing wrong"
-    if findings[0].cause == UNKNOWN:
-        return "unknown cause"
-    return "cannot tell apart" if findings[0].equivalent else "cause named"
 
 
 def _inclusion_probabilities(

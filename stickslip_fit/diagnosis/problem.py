@@ -106,14 +106,17 @@ class DiagnosisProblem:
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.
 
-        A fit that does not converge is restarted nearer to zero effect, where the law is nearly linear.
+        A fit that does not converge is restarted nearer to zero effect, where the law is nearly linear; one
+        with no finite prediction (a joint stalls) at last from zero effect.
         """
         start = np.zeros(0) if start is None else start
         best = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, start)
         if best.converged or not len(start):
             return best
         absent = np.concatenate([np.array(version.null_values, dtype=float) for version in versions])
-        for share in RESTART_SHARES:
+        for share in (*RESTART_SHARES, 0.0):
+            if not share and np.isfinite(self._chi_square(best)):
+                break
             nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
             fit = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, nearer)
             if fit.converged or self._chi_square(fit) < self._chi_square(best):
@@ -123,7 +126,8 @@ class DiagnosisProblem:
         return best
 
     def _chi_square(self, fit: ExtendedFit) -> float:
-        return float(np.sum((fit.residual / self.scale) ** 2))
+        total = float(np.sum((fit.residual / self.scale) ** 2))
+        return total if np.isfinite(total) else np.inf
 
     def without_rows(self, removed: IntArray) -> DiagnosisProblem:
         """The problem without some rows, the baseline refitted."""

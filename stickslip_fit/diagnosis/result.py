@@ -21,14 +21,25 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.gain import measure_gain
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
-from stickslip_fit.errors import InputError
+from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
+from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs import Log
 from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
+
+
+def choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
+    """The verdict: the first finding decides it."""
+    if not findings:
+        return "nothing wrong"
+    if findings[0].cause == UNKNOWN:
+        return "unknown cause"
+    return "cannot tell apart" if findings[0].equivalent else "cause named"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,14 +116,39 @@ class Diagnosis(Summarized):
     def measure_gain(self, *, workers: int = -1, progress: ProgressCallback = ignore_progress) -> Diagnosis:
         """The same diagnosis with `gain`, `gain_new_session` and the gain of each finding.
 
+        A cause with which held-out traverses are predicted worse is no longer named: it becomes ``unknown``
+        with a note (`withdrawal`), and the gain is measured again.
+
         `workers` are processes, all cores without it; the numbers do not depend on it.
+
+        Raises
+        ------
+        InputError
+            If `workers` is neither -1 nor at least 1.
         """
-        began = time.perf_counter()
-        machine = self.log.machine if self.log is not None else None
+        check_workers(workers)
+        began, selection, findings = time.perf_counter(), self.selection, self.findings
+        machine, inclusion = self.log.machine if self.log is not None else None, dict(self.inclusion)
         options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
-        gain, new_session, findings = measure_gain(self.selection, self.findings, machine, **options)
-        seconds = self.seconds + time.perf_counter() - began
-        return replace(self, findings=findings, gain=gain, gain_new_session=new_session, seconds=seconds)
+        while True:
+            gain, new_session, findings = measure_gain(selection, findings, machine, **options)
+            unsupported = find_unsupported(findings)
+            if not unsupported:
+                break
+            selection, findings = withdraw_causes(selection, findings, unsupported, self.alpha)
+            for one in unsupported:
+                unknown = inclusion.get(UNKNOWN) or 0.0
+                inclusion |= {UNKNOWN: max(inclusion[one.cause] or 0.0, unknown), one.cause: unknown}
+        return replace(
+            self,
+            verdict=choose_verdict(findings),
+            findings=findings,
+            selection=selection,
+            inclusion=inclusion,
+            gain=gain,
+            gain_new_session=new_session,
+            seconds=self.seconds + time.perf_counter() - began,
+        )
 
     def extended_law(self, *, command: str = "") -> Result:
         """The published laws extended by the named causes, fitted to the log.
@@ -256,6 +292,8 @@ def _finding_to_json(finding: Finding) -> dict[str, Any]:
         "parameters": [_parameter_to_json(parameter) for parameter in finding.parameters],
         "gain": gain,
     }
+    if finding.note:
+        content["note"] = finding.note
     if finding.closest:
         content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
     return content

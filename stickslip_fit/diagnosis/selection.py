@@ -11,7 +11,7 @@ with few traverses are not tested.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +30,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_session_effects,
     split_sessions,
 )
+from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
@@ -147,6 +148,9 @@ class Selection:
         The baseline with `law_causes` in it.
     linearized : LinearizedFit
         The residuals under `fit`.
+    influential : array of int
+        Rows of `problem`, outliers each, without which there is no evidence of the cause that the search
+        would have selected next.
     """
 
     problem: DiagnosisProblem
@@ -157,6 +161,7 @@ class Selection:
     p_value: float
     fit: ExtendedFit
     linearized: LinearizedFit
+    influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -199,10 +204,15 @@ def select_causes(
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
+    influential = outliers[:0]
     while last.p_value < level and len(selected) < MAX_CAUSES:
         following = _make_selected(last, form_cause_set(last))
         if following.cause == UNKNOWN:
             following = _first_of_pair(problem, selected, last) or following
+        support = assess_support(linearized, last, following.cause)
+        if support.too_narrow:
+            influential = support.outlying
+            following = _make_selected(last, form_cause_set(last, UNKNOWN))
         selected.append(following)
         if following.cause == UNKNOWN:
             break
@@ -216,7 +226,8 @@ def select_causes(
         if [one.cause for one in revised] != [one.cause for one in causes]:
             problem, fit, linearized = extend_problem(problem, revised)
         selected = [*revised, *(one for one in selected if one.version is None)]
-    return Selection(problem, outliers, (*misfires, *selected), first, last, p_value, fit, linearized)
+    everything = (*misfires, *selected)
+    return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
 
 
 def allocate_alpha(alpha: float) -> float:
@@ -262,6 +273,16 @@ def extend_problem(
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     problem = problem.with_noise(problem.estimate_noise(linearized, left))
     return problem, fit, linearize(problem)
+
+
+def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -> Selection:
+    """The selection with other causes, its noise, fit and residuals those of the law with them."""
+    if _law_causes(selected):
+        problem, fit, linearized = extend_problem(selection.problem, selected)
+    else:
+        problem, linearized, _ = _reestimate_noise(selection.problem)
+        fit = problem.fit_extended()
+    return replace(selection, problem=problem, selected=selected, fit=fit, linearized=linearized)
 
 
 def _first_of_pair(
@@ -358,6 +379,19 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
+    """Departure of outlying rows from the fit without them; 0 where that has no values for them."""
+    departure = np.zeros(len(problem))
+    for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
+        blocks, first = np.unique(fitted.block, return_index=True)
+        known = np.isin(part.rows, outliers) & np.isin(part.block, blocks)
+        values = fitted.values[first[np.searchsorted(blocks, part.block[known])]]
+        rows = part.rows[known]
+        if len(rows):
+            departure[rows] = problem.responses[rows] - fitted.law.predict(problem.rows.iloc[rows], values)
+    return departure[outliers]
 
 
 def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:

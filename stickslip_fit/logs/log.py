@@ -29,6 +29,7 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
+from stickslip_fit.logs._rows import check_rows
 from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELDS
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
@@ -206,6 +207,11 @@ class Log(Summarized):
         On how the files were read.
     rows_as_read : DataFrame or None
         A copy of `rows`, by which a change of them shows; None where nothing was read.
+
+    Raises
+    ------
+    InputError
+        For rows that cannot be computed with: see `check_rows`.
     """
 
     rows: pd.DataFrame
@@ -214,6 +220,9 @@ class Log(Summarized):
     machine: Machine
     notes: tuple[str, ...] = ()
     rows_as_read: pd.DataFrame | None = None
+
+    def __post_init__(self) -> None:
+        check_rows(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -250,7 +259,11 @@ class Log(Summarized):
 
     @property
     def usable(self) -> pd.DataFrame:
-        """The rows that may be fitted: those whose status is ok."""
+        """The rows that may be fitted: those whose status is ok.
+
+        They are checked again, since a frame can be changed after the log was made.
+        """
+        check_rows(self.rows)
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:

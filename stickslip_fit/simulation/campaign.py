@@ -19,7 +19,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.laws import Rows, StepLaw, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
 from stickslip_fit.logs.plan import NoiseKind, Plan
@@ -272,7 +272,8 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     ------
     InputError
         If the plan has no noise, a law lacks parameters or stalls within a traverse, parameters are given
-        for a session that is not planned, or a session is not over when the next one begins.
+        for a session that is not planned, a session is not over when the next one begins, or the seed is
+        negative.
     """
     if plan.noise is None:
         raise InputError("the plan has no [noise]; add one with repeatability_pct before simulating it")
@@ -281,6 +282,7 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     sessions, traverses = len(plan.sessions), plan.traverses_per_session
     session, group = np.repeat(np.arange(sessions), traverses), group_index(rows)
     seed = plan.seed if seed is None else seed
+    check_count("seed", seed, least=0)
     draws = draw_random(seed, sessions, traverses, len(GROUPS), plan.noise.kind)
     day = np.array([truth.day_to_day.get(pair, 0.0) for pair in GROUPS])
     factor = 1.0 + day[group] * draws.day[session, group]

@@ -16,7 +16,7 @@ from stickslip_fit.bayes import weak_prior
 from stickslip_fit.bayes.marginal import ConditionalPosterior, linearize_at_mode
 from stickslip_fit.bayes.priors import PRIOR_SPREAD, build_group_data
 from stickslip_fit.causes import Cause
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.closed_form import MIN_DF
 from stickslip_fit.estimation.noise import pool_residuals
@@ -253,6 +253,8 @@ def default_strategies(extra: int = EXTRA_TRAVERSES, seed: int = 0) -> tuple[Str
     >>> [strategy.name for strategy in default_strategies()][:3]
     ['constant step', 'closed form', 'least squares, thesis +4']
     """
+    check_count("extra", extra, least=0)
+    check_count("seed", seed, least=0)
     return (
         ConstantStepStrategy(),
         ClosedForm(),

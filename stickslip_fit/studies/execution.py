@@ -19,7 +19,7 @@ import pandas as pd
 
 import stickslip_fit
 from stickslip_fit._io import write_atomically
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_workers
 from stickslip_fit.estimation.result import library_versions
 from stickslip_fit.studies.calibration import (
     StudyDesign,
@@ -122,6 +122,7 @@ class Cores:
         """See `Backend.run`."""
         from joblib import Parallel, delayed
 
+        check_workers(self.workers)
         parallel = Parallel(n_jobs=self.workers, return_as="generator_unordered", batch_size=1)
         yield from parallel(delayed(_run_locally)(k, chunk) for k, chunk in enumerate(chunks))
 

@@ -17,7 +17,7 @@ import pandas as pd
 
 from stickslip_fit._io import progress_bar
 from stickslip_fit._summary import Summarized
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.strategies.compare import convert_units, save_tables
 from stickslip_fit.strategies.statistics import t_half_width
@@ -68,12 +68,14 @@ def run_study(
     ------
     InputError
         If two strategies or scenarios have one name, no strategy suits the plan, a joint stalls, the folder
-        cannot be written to, or the backend fails.
+        cannot be written to, the backend fails, or the number of campaigns or the seed is out of its range.
     """
     for kind, named in (("strategies", plan.strategies), ("scenarios", plan.scenarios)):
         names = [item.name for item in named]
         if not names or len(set(names)) < len(names):
             raise InputError(f"{kind} need names that differ, and there must be one; these are {names}")
+    check_count("campaigns", plan.campaigns)
+    check_count("seed", plan.seed, least=0)
     design = design_study(plan)
     chunks = make_chunks(plan, design)
     if folder is None:

@@ -1,0 +1,164 @@
+"""Gross errors: counts so far off that they would distort the noise, the baseline and every search.
+
+They are set aside before anything else is estimated. A robust fit of the baseline shows them: iteratively
+reweighted least squares under Student's t (K. Lange, R. Little and J. Taylor, JASA 84:881, 1989), first with
+one set of calibration parameters for the whole campaign, where no single traverse has much leverage, then,
+from its weights, with each session's own.
+
+A large real effect is no gross error. It is shared by the traverses next to a row in time, by those of the
+same configuration, or by many rows; a gross error stands alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.influence import OUTLYING_SD
+from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
+from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, Selection, predict_departures
+
+TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
+UNIT_MEDIAN = float(student_t.ppf(0.75, TAIL_DF))  # of its absolute value, in units of its scale
+MAX_PASSES, WEIGHT_TOL = 25, 0.05
+MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
+MAX_SHARE = 0.05  # of the rows; more are an effect
+NEIGHBOURS = 2  # traverses before and after in time
+SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
+
+
+def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
+    """Rows that Student's t noise gives with a probability below `level` in the whole log, and their p-value.
+
+    None where so many rows depart that it is an effect.
+    """
+    nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
+    z, _ = fit_robustly(problem)
+    p_values = np.minimum(1.0, 2.0 * len(problem) * student_t.sf(np.abs(z), TAIL_DF))
+    rows = np.flatnonzero(p_values < level)
+    rows = rows[~_have_company(z, rows, problem)]
+    if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), 1.0):
+        return nothing
+    return Outliers(rows, float(p_values[rows].min()))
+
+
+def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:
+    """The baseline's robust fit: residuals in units of the scale of Student's t noise, (n,), and the laws."""
+    campaign = tuple(_merge_sessions(part, problem.noise_group) for part in problem.parts)
+    _, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    # Not from the least-squares values: a gross error may have driven those of its session anywhere.
+    sessions = [replace(part, block=own.block) for part, own in zip(campaign, problem.parts, strict=True)]
+    z, _, parts = _iterate_weights(problem, sessions, weight)
+    return z, parts
+
+
+def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
+    """The problem without some rows, its baseline refitted and its repeatability that of the other rows.
+
+    Without rows it is the problem itself, unless its baseline has no finite prediction.
+    """
+    if not len(rows) and all(
+        np.isfinite(part.law.predict(problem.rows.iloc[part.rows], part.values)).all()
+        for part in problem.parts
+    ):
+        return problem
+    smaller = replace(problem, parts=fit_robustly(problem)[1]).without_rows(rows)
+    linearized, drive = smaller.linearize(), smaller.noise_group
+    squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
+    df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
+    total = np.bincount(drive, squares, len(problem.repeatability))
+    pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
+    variance = np.where(
+        df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled
+    )
+    return replace(smaller, repeatability=np.sqrt(variance))
+
+
+def restore_rows(selection: Selection, problem: DiagnosisProblem, aside: IntArray) -> IntArray:
+    """Which of the rows that were set aside the law with the named causes explains after all."""
+    if not selection.law_causes or not len(aside):
+        return aside[:0]
+    departure = predict_departures(selection, problem, aside)
+    smaller = selection.problem
+    sd = np.sqrt(smaller.repeatability[problem.noise_group[aside]] ** 2 + problem.rounding[aside])
+    return aside[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
+
+
+def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: float) -> Selection:
+    """A selection from the other rows as one of all `n` rows, with the gross errors among its outliers."""
+    if not len(aside):
+        return selection
+    kept = np.setdiff1d(np.arange(n), aside)
+    causes = CauseSet(MISFIRE, (), {})
+    others = [one for one in selection.selected if one.cause != MISFIRE]
+    misfire = SelectedCause(MISFIRE, None, np.zeros(0), causes, None, p_value)
+    return replace(
+        selection,
+        outliers=np.sort(np.concatenate([aside, kept[selection.outliers]])),
+        selected=(misfire, *others),
+        p_value=min(selection.p_value, p_value),
+    )
+
+
+def _iterate_weights(
+    problem: DiagnosisProblem, parts: Sequence[LawBlock], weight: Array
+) -> tuple[Array, Array, tuple[LawBlock, ...]]:
+    """Residuals in units of their scale, relative weights, and the laws, after convergence."""
+    scale = problem.scale
+    for _ in range(MAX_PASSES):
+        fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))
+        parts = fit.parts
+        scale = _robust_scale(fit.residual, problem.noise_group)
+        z = fit.residual / scale
+        before, weight = weight, (TAIL_DF + 1.0) / (TAIL_DF + z**2)
+        if np.max(np.abs(np.log(weight / before))) < WEIGHT_TOL:
+            break
+    return z, weight, tuple(parts)
+
+
+def _robust_scale(residual: Array, drive: IntArray) -> Array:
+    """Scale of Student's t noise by the median of each drive's absolute residuals, shape (n,)."""
+    size = np.abs(residual)
+    pooled = max(float(np.median(size)), np.finfo(float).tiny)
+    median = np.full(int(drive.max()) + 1, pooled)
+    for number in np.unique(drive):
+        median[number] = max(float(np.median(size[drive == number])), MIN_RELATIVE_SD * pooled)
+    return median[drive] / UNIT_MEDIAN
+
+
+def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:
+    """One block for each drive, at the median of its sessions' values."""
+    block = drive[part.rows]
+    values = np.empty_like(part.values)
+    for number in np.unique(block):
+        inside = block == number
+        values[inside] = np.median(part.values[inside], axis=0)
+    return replace(part, block=block, values=values)
+
+
+def _have_company(z: Array, rows: IntArray, problem: DiagnosisProblem) -> BoolArray:
+    """Whether most of a row's neighbours in time, or of its replicates, depart as it does."""
+    session = problem.rows["session"].astype(object).factorize()[0]
+    group = np.unique(np.column_stack([session, problem.noise_group]), axis=0, return_inverse=True)[1].ravel()
+    cell = np.unique(
+        np.column_stack([problem.configuration, problem.noise_group]), axis=0, return_inverse=True
+    )[1].ravel()
+    in_time, replicates = split_positions(group), split_positions(cell)
+    company = np.zeros(len(rows), dtype=bool)
+    for k, row in enumerate(rows):
+        series = in_time[group[row]]
+        place = int(np.searchsorted(series, row))
+        near = np.r_[series[max(place - NEIGHBOURS, 0) : place], series[place + 1 : place + 1 + NEIGHBOURS]]
+        before, after = series[max(place - NEIGHBOURS, 0) : place], series[place + 1 : place + 1 + NEIGHBOURS]
+        same = replicates[cell[row]]
+        company[k] = any(
+            len(others) > 0 and np.mean(z[others] / z[row] > SHARED_DEPARTURE) > 0.5
+            for others in (before, after, near, same[same != row])
+        )
+    return company

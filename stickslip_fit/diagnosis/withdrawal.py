@@ -1,0 +1,61 @@
+"""Withdrawal: a cause that does not predict better is no longer named.
+
+What a cause is worth shows on traverses that took no part in choosing or fitting it. A finding whose law
+predicts them worse than without it, or whose gain is so uncertain that it says nothing, becomes ``unknown``:
+the structure is there, the name is not supported. `Diagnosis.measure_gain` decides this, nothing else does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stickslip_fit._format import format_percent
+from stickslip_fit.diagnosis.effect_size import size_unknown
+from stickslip_fit.diagnosis.finding import Finding, Gain
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.selection import Selection, form_cause_set, refit_selection
+
+
+def is_supported(gain: Gain) -> bool:
+    """Whether held-out traverses are predicted no worse, and the interval could not mean twice the error."""
+    return bool(gain.extended <= gain.baseline and np.isfinite(gain.high) and gain.low > -gain.baseline)
+
+
+def find_unsupported(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Findings that extend the law without predicting better."""
+    return tuple(
+        one for one in findings if one.version is not None and one.gain and not is_supported(one.gain)
+    )
+
+
+def withdraw_causes(
+    selection: Selection, findings: Sequence[Finding], unsupported: Sequence[Finding], alpha: float
+) -> tuple[Selection, tuple[Finding, ...]]:
+    """The selection and its findings with `unknown` for the unsupported ones."""
+    names = [one.cause for one in unsupported]
+    first = next(one for one in selection.selected if one.cause in names)
+    assert first.misfit is not None
+    unknown = replace(
+        first,
+        cause=UNKNOWN,
+        version=None,
+        start=np.zeros(0),
+        cause_set=form_cause_set(first.misfit, UNKNOWN),
+    )
+    others = [one for one in selection.selected if one.cause not in (*names, UNKNOWN)]
+    smaller = refit_selection(selection, (*others, unknown))
+    note = "; ".join(map(_explain, unsupported))
+    kept = [one for one in findings if one.cause not in (*names, UNKNOWN)]
+    return smaller, (*kept, replace(size_unknown(smaller, unknown, alpha), note=note))
+
+
+def _explain(finding: Finding) -> str:
+    gain = finding.gain
+    assert gain is not None
+    return (
+        f"{finding.cause} is not named, since with it in the law held-out traverses are not predicted better "
+        f"({format_percent(gain.extended)}, without it {format_percent(gain.baseline)})"
+    )
