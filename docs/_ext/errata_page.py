@@ -1,4 +1,4 @@
-"""What does not hold of the thesis and what does, from ``data/published``, its numbers filled in."""
+"""What does not hold of the thesis, what does and what follows, from ``data/published``, its numbers filled in."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ FOLDER = Path(__file__).parents[2] / "data" / "published"
 
 
 def page() -> str:
-    """A table of what does not hold, and one of what does."""
+    """Tables of what does not hold, of what does, and of what follows."""
     errata = _read("errata")
     wrong = table(["place", "the thesis", "what is right"], _rows(errata["erratum"], "claim", "finding"))
     right = table(["place", "the thesis"], _rows(errata["confirmed"], "claim"))
-    return f"{wrong}\n\n## What holds\n\n{right}"
+    implied = table(["place", "what follows"], _rows(errata["implied"], "claim"))
+    return f"{wrong}\n\n## What holds\n\n{right}\n\n## What the p-values imply\n\n{implied}"
 
 
 def numbers() -> dict[str, dict[str, Any]]:

@@ -84,4 +84,7 @@ def printed_forms(entry: dict[str, Any]) -> list[str]:
     """How the thesis writes the numbers of an entry."""
     forms = entry.get("printed", entry["value"])
     forms = forms if isinstance(forms, list) else [forms]
-    return [each if isinstance(each, str) else str(each) if isinstance(each, int) else f"{each:g}" for each in forms]
+    return [
+        each if isinstance(each, str) else str(each) if isinstance(each, int) else f"{each:g}"
+        for each in forms
+    ]

@@ -45,7 +45,9 @@ def test_counts_and_times():
 def test_the_ranges_agree_with_each_other():
     assert np.radians(value("range_rotary")) == pytest.approx(value("range_rotary_rad"))
     assert abs(np.diff(value("range_q2"))[0]) == value("range_rotary") == value("range_rotary_again")
-    assert value("range_prismatic_nm") == value("range_prismatic") * 1e6 == value("interpolation_length") * 1e6
+    assert (
+        value("range_prismatic_nm") == value("range_prismatic") * 1e6 == value("interpolation_length") * 1e6
+    )
     assert np.degrees(value("range_rotary_rad")) / value("rotary_interval") > value("intervals")
 
 
@@ -68,7 +70,10 @@ def test_five_steps_are_not_a_share_of_0_005_percent():
 
 def test_the_constant_step_of_joint_3_is_off_by_far_more_than_claimed():
     """a, the step without load or recoil, beside the law: at theta = 0 as in Fig. 7.1, and where the law is tested."""
-    for name, theta in (("constant_step_error", 0.0), ("constant_step_error_verified", value("verified_theta_prismatic"))):
+    for name, theta in (
+        ("constant_step_error", 0.0),
+        ("constant_step_error_verified", value("verified_theta_prismatic")),
+    ):
         found = [largest_error(A[sign], prismatic_step(sign, Q2, np.radians(theta))) for sign in SIGNS]
         assert [error for error, _ in found] == pytest.approx(value(name), abs=0.05)
         assert np.degrees([Q2[place] for _, place in found]) == pytest.approx([0.0, -180.0], abs=1e-9)
@@ -83,7 +88,9 @@ def test_the_constant_step_of_joint_2_is_off_by_far_more_than_claimed():
         return [largest_error(gamma0, gamma0 + d * load)[0] for d in d_values]
 
     low, high = value("gamma0_span")
-    assert max(worst(value("gamma0"), d_printed)) == pytest.approx(value("constant_step_error_joint_2"), abs=0.05)
+    assert max(worst(value("gamma0"), d_printed)) == pytest.approx(
+        value("constant_step_error_joint_2"), abs=0.05
+    )
     found = [max(worst(low, d_printed)), max(worst(high, d_printed)), min(worst(high, d_printed))]
     assert found == pytest.approx(value("constant_step_error_joint_2_span"), abs=0.05)
     assert min(found) > 2 * value("constant_step_error_rotary")

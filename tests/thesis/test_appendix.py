@@ -71,7 +71,11 @@ def test_eq_6_6_serves_joint_1_only_over_a_range_about_its_greatest_load():
 
 def test_eq_a_58_is_not_the_derivative_of_a_57():
     """A.57 is M11 times q1's rate (M12 is 0); its derivative has M11's own rate, which A.58 leaves out."""
-    q, rate, acceleration = np.array([0.3, -1.1, 0.006]), np.array([2.0, -1.5, 0.1]), np.array([3.0, 2.0, 0.4])
+    q, rate, acceleration = (
+        np.array([0.3, -1.1, 0.006]),
+        np.array([2.0, -1.5, 0.1]),
+        np.array([3.0, 2.0, 0.4]),
+    )
     step = 1e-6
 
     def momentum(t):
@@ -112,6 +116,9 @@ def test_a_17_takes_the_moment_about_the_joint_s_own_axis():
     ahead, behind = (forward(ARM, q + side * step * np.eye(3)[0]) for side in (1, -1))
     column = (ahead - behind) / (2 * step)
     axis, tip = np.array([0.0, 0.0, 1.0]), forward(ARM, q)
-    own, other = np.cross(axis, tip), np.cross(axis, tip - ARM.a1 * np.array([np.cos(q[0]), np.sin(q[0]), 0.0]))
+    own, other = (
+        np.cross(axis, tip),
+        np.cross(axis, tip - ARM.a1 * np.array([np.cos(q[0]), np.sin(q[0]), 0.0])),
+    )
     assert own == pytest.approx(column, abs=1e-8)
     assert np.abs(other - column).max() > 0.1 * np.abs(column).max()

@@ -88,9 +88,10 @@ def test_a_derived_number_has_its_calculation_and_a_test_that_makes_it(entry):
 
 
 ERRATA = read("errata")
+ENTRIES = [*ERRATA["erratum"], *ERRATA["confirmed"], *ERRATA["implied"]]
 
 
-@pytest.mark.parametrize("entry", ERRATA["erratum"] + ERRATA["confirmed"], ids=lambda entry: entry["place"])
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["place"])
 def test_an_erratum_has_places_and_a_test(entry):
     assert entry.keys() - {"finding"} == {"place", "claim", "test"}
     assert set(entry["place"].split(", ")) <= PLACES
@@ -99,7 +100,7 @@ def test_an_erratum_has_places_and_a_test(entry):
 
 def test_the_page_has_every_entry_with_its_numbers():
     page = errata_page.page()
-    for entry in ERRATA["erratum"] + ERRATA["confirmed"]:
+    for entry in ENTRIES:
         assert f"| {entry['place']} |" in page
     assert "at ±9.2 µrad it gives 26.5 and -19.5 µrad; exact solving at $\\gamma_0$ = 95 µrad" in page
     assert "p = 0.4 and 0.9: the normal force" in page
@@ -116,7 +117,9 @@ def test_section_4_2_measures_joint_3_and_speaks_of_the_rotary_ones():
 def _function(test: str) -> str:
     """The source of a test given as file::function."""
     file, _, name = test.partition("::")
-    found = re.search(rf"\ndef {name}\(.*?(?=\n\ndef |\n\n@|\n\nclass |\Z)", (ROOT / file).read_text("utf-8"), re.S)
+    found = re.search(
+        rf"\ndef {name}\(.*?(?=\n\ndef |\n\n@|\n\nclass |\Z)", (ROOT / file).read_text("utf-8"), re.S
+    )
     assert found, test
     return found[0]
 

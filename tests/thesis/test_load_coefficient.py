@@ -130,7 +130,13 @@ def test_the_printed_d_come_from_changes_within_the_printed_limit():
 
 def test_the_text_runs_zeta_over_the_range_of_q2():
     """The listing's zeta is joint 2's at psi = 0; the text's has the same mean load with the other sign."""
-    listed = np.mean(np.sin(np.linspace(*np.radians([value("iteration_starts_zeta_at"), value("iteration_ends_zeta_at")]), 100_001)))
+    listed = np.mean(
+        np.sin(
+            np.linspace(
+                *np.radians([value("iteration_starts_zeta_at"), value("iteration_ends_zeta_at")]), 100_001
+            )
+        )
+    )
     by_text = np.mean(np.sin(np.linspace(*np.radians(value("zeta_in_the_text")), 100_001)))
     by_range = np.mean(published_load(2, 0.0, np.linspace(FIRST, LAST, 100_001), 0.0, 0.0))
     assert listed == pytest.approx(by_range, rel=1e-9)

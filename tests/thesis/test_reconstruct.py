@@ -12,6 +12,7 @@ from stickslip_fit.errors import InputError
 from tests.thesis.published import value
 from tests.thesis.reconstruct import LABEL, implied, implied_difference, implied_spread, reconstruct
 
+
 @pytest.mark.parametrize("analysis", ["day", "direction", "normal-force"])
 @pytest.mark.parametrize("p_value", [0.6, 0.031, 2e-7])
 @pytest.mark.parametrize("means", [(976e-9, 951e-9), (976e-9, 951e-9, 960e-9)])
@@ -48,7 +49,10 @@ def over_repeatability(p_value):
     [
         *(("day", 3, sign, p, 2) for sign, p in zip("+-", value("p_day_prismatic"), strict=True)),
         ("direction", 3, None, value("p_direction_prismatic"), 2),
-        *(("normal-force", 3, sign, p, LEVELS) for sign, p in zip("+-", value("p_normal_force"), strict=True)),
+        *(
+            ("normal-force", 3, sign, p, LEVELS)
+            for sign, p in zip("+-", value("p_normal_force"), strict=True)
+        ),
         *(("day", 2, sign, p, 2) for sign, p in zip("+-", value("p_day_rotary"), strict=True)),
         ("direction", 2, None, value("p_direction_rotary"), 2),
     ],
@@ -82,7 +86,10 @@ def test_the_rotary_p_values_imply_ratios():
     """No step of joint 2 is printed, so that a repeatability in % does not follow; the days differ by little more."""
     for joint in ("prismatic", "rotary"):
         p_values = [*value(f"p_day_{joint}"), value(f"p_direction_{joint}")]
-        name = {"prismatic": "changes_over_repeatability_prismatic", "rotary": "changes_over_repeatability_rotary"}[joint]
+        name = {
+            "prismatic": "changes_over_repeatability_prismatic",
+            "rotary": "changes_over_repeatability_rotary",
+        }[joint]
         assert [over_repeatability(p) for p in p_values] == pytest.approx(value(name), abs=0.05)
 
 
@@ -94,7 +101,9 @@ def test_the_normal_force_could_hide_behind_the_days():
 
     def power(difference):  # the largest of four means and the smallest apart by it, the others between
         noncentrality = value("days_normal_force") * difference**2 / 2
-        return stats.ncf.sf(stats.f.isf(value("significance_level"), between, within), between, within, noncentrality)
+        return stats.ncf.sf(
+            stats.f.isf(value("significance_level"), between, within), between, within, noncentrality
+        )
 
     scatter = value("day_to_day_change_implied_by_p_values").max() / np.sqrt(2)
     shown = scatter * brentq(lambda difference: power(difference) - 0.8, 0.1, 20.0)
