@@ -1,4 +1,4 @@
-"""What does not hold of the thesis, what does and what follows, from ``data/published``, its numbers filled in."""
+"""What does not hold of the thesis, what does, what follows: ``data/published``, its numbers filled in."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The accuracy that the thesis states: its claims, what its own numbers imply, what a log shows.
 
-The claims are those of its abstract, Secs. 4.7, 6.1 and 6.2 and Chs. 7 and 8; A. Damani, "An Empirical Model of
-Piezoelectric Stick-Slip Actuation of the Kleindiek MM3A Micromanipulator", M.S. thesis, University of Utah, 2013.
+The claims are those of its abstract, Secs. 4.7, 6.1 and 6.2 and Chs. 7 and 8; A. Damani, "An Empirical
+Model of Piezoelectric Stick-Slip Actuation of the Kleindiek MM3A Micromanipulator", M.S. thesis, University
+of Utah, 2013.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ NOTES = {
     ),
     "µrad": (
         "Its quadratic for d (Eq. 6.6), used for every gamma0 from 75 to 115 µrad, is by itself off by up "
-        f"to {QUADRATIC_ERROR} µrad. The {CONSTANT_STEP_ERROR['µrad']} % follows from joint 2's d (Fig. 5.6), "
-        "in + with the arm out and level, theta = psi = 0, at gamma0 = 95 µrad, the middle of that span."
+        f"to {QUADRATIC_ERROR} µrad. The {CONSTANT_STEP_ERROR['µrad']} % follows from joint 2's d (Fig. "
+        "5.6), in + with the arm out and level, theta = psi = 0, gamma0 = 95 µrad, the middle of that span."
     ),
 }
 

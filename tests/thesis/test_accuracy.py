@@ -69,7 +69,7 @@ def test_five_steps_are_not_a_share_of_0_005_percent():
 
 
 def test_the_constant_step_of_joint_3_is_off_by_far_more_than_claimed():
-    """a, the step without load or recoil, beside the law: at theta = 0 as in Fig. 7.1, and where the law is tested."""
+    """a, the step without load or recoil, beside the law: at theta = 0, and where the law is tested."""
     for name, theta in (
         ("constant_step_error", 0.0),
         ("constant_step_error_verified", value("verified_theta_prismatic")),

@@ -46,7 +46,7 @@ def test_the_published_load_holds_at_q1_zero_only():
 
 
 def test_interchange_is_not_enough_for_joint_1():
-    """At theta = -90° joint 1's load is cos q1, not sin(zeta), and its torque hangs on q2, not on q3 alone."""
+    """At theta = -90° joint 1's load is cos q1, not sin(zeta), and its torque depends on q2, too."""
     q1 = np.radians(np.linspace(-120.0, 120.0, 25))
     assert full_load(1, q1, -QUARTER, 0.0, 0.0) == pytest.approx(0.0, abs=1e-15)
     loaded = full_load(1, q1, -QUARTER, -QUARTER, 0.0)
@@ -61,7 +61,7 @@ def test_interchange_is_not_enough_for_joint_1():
 
 
 def test_eq_6_6_serves_joint_1_only_over_a_range_about_its_greatest_load():
-    """The same mean load as joint 2's if the 240 degrees lie evenly about it; none of it follows from the text."""
+    """The same mean load as joint 2's if the 240 degrees lie evenly about its greatest load."""
     of_joint_2 = mean_load(2, *np.radians(value("range_q2")), 0.0, np.nan, 0.0, 0.0)
     evenly = mean_load(1, *np.radians([-120.0, 120.0]), np.nan, -QUARTER, -QUARTER, 0.0)
     as_joint_2 = mean_load(1, *np.radians(value("range_q2")), np.nan, -QUARTER, -QUARTER, 0.0)

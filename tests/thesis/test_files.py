@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "_ext"))
-import errata_page  # noqa: E402
+import errata_page
 
 from tests.thesis.published import (
     DERIVED,
@@ -39,7 +39,8 @@ def test_a_printed_number_has_unit_place_and_meaning(entry):
     values = entry["value"] if isinstance(entry["value"], list) else [entry["value"]]
     assert len(printed_forms(entry)) == len(values)
     assert all(isinstance(each, int | float) for each in values)
-    assert entry["unit"] and entry["what"]
+    assert entry["unit"]
+    assert entry["what"]
 
 
 def test_every_chapter_with_numbers_has_entries():

@@ -156,7 +156,7 @@ def test_the_iteration_converges_only_linearly():
 
 @pytest.mark.parametrize("counted_more", [0, 1])
 def test_the_listing_ends_short_of_the_printed_error(counted_more):
-    """At the largest change it is off by 30 times as much and more, wherever it starts; at a small one it is right."""
+    """At the largest change it is off by 30 times as much, wherever it starts; a small one is right."""
     passes = value("iterations")
     factor = value("d_over_change_first_order")
     last = [listing(GAMMA0, delta, factor * delta, passes, counted_more)[0][-1] for delta in CHANGES]

@@ -10,7 +10,7 @@ from tests.thesis.published import read, value
 
 
 def test_fine_steps_give_the_reach_and_coarse_steps_do_not():
-    """5 nm from 1e-7 rad; a coarse step of 75 to 115 µrad moves the tip by a quarter of the 20 µm printed."""
+    """5 nm from 1e-7 rad; coarse steps of 75 to 115 µrad are a quarter of 20 µm there."""
     reach = value("fine_step_rotary") * 1e-9 / value("fine_resolution_rotary")
     assert reach * 1e3 == pytest.approx(value("reach"))
     machine = load_machine()
@@ -39,7 +39,7 @@ def test_a_coarse_step_of_joint_3_is_of_the_order_that_the_maker_gives():
 
 
 def test_sigma0_jumps_as_printed():
-    """Peng and Chen's sigma0(Me) is continuous to 1 % at its second branch point with Me in the third term."""
+    """Peng and Chen's sigma0(Me) is continuous to 1 % at 0.253 with Me in the third term."""
     low, high = value("sigma0_branch_points")
     first, second, third = (value(f"sigma0_{which}_branch") for which in ("first", "second", "third"))
     at_low = [np.polyval(branch, low) for branch in (first, second)]

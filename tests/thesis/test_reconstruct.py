@@ -58,7 +58,7 @@ def over_repeatability(p_value):
     ],
 )
 def test_every_printed_p_value_comes_back(analysis, joint, direction, p_value, levels):
-    """Means are printed for none of them: any two that differ will do, and imply a repeatability in proportion."""
+    """Means are printed for none of them: any that differ imply a repeatability in proportion."""
     step = MEAN if joint == 3 else value("gamma0") * 1e-6
     for change in (0.02, 0.08):
         means = {f"level {k}": step * (1 + change * k / (levels - 1)) for k in range(levels)}
@@ -83,7 +83,7 @@ def test_the_printed_p_values_imply_repeatability_and_days():
 
 
 def test_the_rotary_p_values_imply_ratios():
-    """No step of joint 2 is printed, so that a repeatability in % does not follow; the days differ by little more."""
+    """No step of joint 2 is printed, so that a repeatability in % does not follow."""
     for joint in ("prismatic", "rotary"):
         p_values = [*value(f"p_day_{joint}"), value(f"p_direction_{joint}")]
         name = {
