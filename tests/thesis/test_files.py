@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from pathlib import Path
+from importlib import import_module
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "_ext"))
-import errata_page
 
 from tests.thesis.published import (
     DERIVED,
@@ -25,6 +22,19 @@ from tests.thesis.published import (
 
 PLACES = places()
 needs_text = pytest.mark.skipif(not TEXT.exists(), reason="the thesis's text is not part of the project")
+
+
+@pytest.fixture
+def errata_page(monkeypatch):
+    """The module that writes the page; its neighbour `markdown` has a namesake among the libraries."""
+    others = {
+        name: sys.modules.pop(name) for name in list(sys.modules) if name.partition(".")[0] == "markdown"
+    }
+    monkeypatch.syspath_prepend(ROOT / "docs" / "_ext")
+    yield import_module("errata_page")
+    for name in ("errata_page", "markdown"):
+        del sys.modules[name]
+    sys.modules.update(others)
 
 
 def test_names_are_unique():
@@ -99,7 +109,7 @@ def test_an_erratum_has_places_and_a_test(entry):
     assert _function(entry["test"])
 
 
-def test_the_page_has_every_entry_with_its_numbers():
+def test_the_page_has_every_entry_with_its_numbers(errata_page):
     page = errata_page.page()
     for entry in ENTRIES:
         assert f"| {entry['place']} |" in page
