@@ -119,6 +119,11 @@ def test_the_page_has_every_entry_with_its_numbers(errata_page):
 
 
 @needs_text
+def test_the_spring_of_adriaens_has_no_displacement():
+    assert "doty+k_s=F_s" in text_at("Sec. 2.2")
+
+
+@needs_text
 def test_section_4_2_measures_joint_3_and_speaks_of_the_rotary_ones():
     section = text_at("Sec. 4.2")
     assert "forprismaticjoint3" in section
