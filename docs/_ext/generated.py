@@ -14,6 +14,7 @@ import api
 import causes_page
 import columns_page
 import command_line
+import errata_page
 import laws_page
 import thesis_figures
 import toml_page
@@ -32,6 +33,7 @@ def pages() -> dict[str, str]:
         "laws.md": laws_page.page(),
         "columns.md": columns_page.page(),
         "keys.md": toml_page.page(),
+        "errata.md": errata_page.page(),
         **{f"schemas/{name}.json": text for name, text in toml_page.schemas().items()},
         "thesis-figures.md": thesis_figures.page(claims),
         **thesis_figures.pictures(claims),

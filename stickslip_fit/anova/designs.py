@@ -1,6 +1,6 @@
 """Designs of the tests: which observations are compared, between which levels, against which error.
 
-Day (thesis Section 4.2), direction (4.4) and normal force (5.2). Direction and normal force are tested
+Day and direction (thesis Sections 4.2 and 5.2) and normal force (4.4). Direction and normal force are tested
 over all sessions, with sessions as blocks, and within each. For normal force, orientations differ by a
 rotation about the joint's axis, which turns the force on guide or bearing and leaves the load along the
 axis as it is.

@@ -95,7 +95,8 @@ class Q1Gravity(StateCause):
     phrase = "gravity acts differently where joint 1 is turned"
     physics = (
         "The published loads of joints 2 and 3 hold at q1 = 0. With joint 1 turned, the arm's plane is "
-        "another, and gravity's components in it are those of A.112 and A.113 (A. Damani, 2013)."
+        "another, and gravity's components in it are those of A.112 and A.113 (A. Damani, M.S. "
+        "thesis, University of Utah, 2013)."
     )
     shows_best = "joint 3 or 2 at q1 = 90 degrees with theta away from 0"
     sentence = "Gravity acts on a joint as q1 turns it, which the law ignores: {k:+} of what physics says"

@@ -4,6 +4,9 @@ Prismatic joint (thesis Eq. 4.5): gamma3 = (1 - b |cos q2|) (a - c cos zeta cos 
 without gravity and recoil, b the recoil of the arm and c the gravity load coefficient. Rotary joints (Eq.
 6.10): gamma = gamma0 + d u with the gravity load u; gamma0 and d are linear in q3 for joint 2 (Elbow), and
 in the reach rho = -(l2 + q3) sin q2 for joint 1 (Base). ConstantStep: one step size everywhere (Ch. 7).
+
+The thesis is A. Damani, "An Empirical Model of Piezoelectric Stick-Slip Actuation of the Kleindiek MM3A
+Micromanipulator", M.S. thesis, Department of Mechanical Engineering, University of Utah, 2013.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Inertia, Coriolis and gravity terms of D(q) qdd + C(q, qd) qd + G(q) = tau (thesis A.95 to A.113).
+"""Inertia, Coriolis and gravity terms of D(q) qdd + C(q, qd) qd + G(q) = tau (thesis A.64 to A.114).
 
 Joints 1, 2 and 3 move the arm in mutually perpendicular directions, so D is diagonal. Link conventions
 are those of mm3a.toml.

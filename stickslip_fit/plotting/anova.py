@@ -1,4 +1,4 @@
-"""Figures of the analysis of variance: readings by day, direction and rotation (Figs. 4.4, 4.6, 5.1)."""
+"""Figures of the analysis of variance: readings by day, direction and rotation (Figs. 4.4, 5.1, 4.6)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from stickslip_fit.plotting._style import (
     thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
-from stickslip_fit.units import from_si
+from stickslip_fit.units import PRISMATIC, from_si
 
 MAX_POINTS = 900
 FAN_HALF_WIDTH = 0.16  # how far beside its level's place an observation may be drawn
@@ -46,7 +46,8 @@ def factor_pictures(joint: int, factor_tests: Sequence[FactorTest]) -> list[Pict
     for factor, (title, describe) in _CAPTIONS.items():
         subset = _select_tests(joint, factor, factor_tests)
         if subset:
-            title = f"Step size by {title.format(joint_name(joint))} of the thesis)"
+            figure = "4.6" if factor == "normal-force" else "4.4" if joint == PRISMATIC else "5.1"
+            title = f"Step size by {title}, {joint_name(joint)} (as Fig. {figure} of the thesis)"
             pictures.append(
                 make_picture(f"{factor}-{joint}", title, describe(subset), plot_factor(joint, factor, subset))
             )
@@ -106,9 +107,9 @@ def _describe_rotations(factor_tests: Sequence[FactorTest]) -> str:
 
 
 _CAPTIONS = {
-    "day": ("day, {} (as Fig. 4.4", _describe_days),
-    "direction": ("direction, {} (as Fig. 4.6", _describe_directions),
-    "normal-force": ("rotation about the axis, {} (as Fig. 5.1", _describe_rotations),
+    "day": ("day", _describe_days),
+    "direction": ("direction", _describe_directions),
+    "normal-force": ("rotation about the axis", _describe_rotations),
 }
 
 

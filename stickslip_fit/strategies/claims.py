@@ -1,4 +1,9 @@
-"""The accuracy that the thesis states (Ch. 7): its claims, what its own numbers imply, what a log shows."""
+"""The accuracy that the thesis states: its claims, what its own numbers imply, what a log shows.
+
+The claims are those of its abstract, Secs. 4.7, 6.1 and 6.2 and Chs. 7 and 8; A. Damani, "An Empirical
+Model of Piezoelectric Stick-Slip Actuation of the Kleindiek MM3A Micromanipulator", M.S. thesis, University
+of Utah, 2013.
+"""
 
 from __future__ import annotations
 
@@ -75,26 +80,27 @@ ROTARY_CLAIMS = (
     Claim("law", 2.0, "%"),
     Claim("constant step", 1.3, "%"),
 )
-NOTE = (
-    "The thesis makes these statements side by side; they do not agree with each other. Its own parameters "
-    "put the constant step's error at up to 159 % (prismatic) and 25.7 % (rotary)."
-)
 # Printed in the thesis or computed from what it prints; data/published gives the source of each.
 STEP = {"nm": 972.0, "µrad": 95.0}
-CONSTANT_STEP_ERROR = {"nm": 159.0, "µrad": 25.7}  # %
-QUADRATIC_ERROR = 1.6  # µrad
+CONSTANT_STEP_ERROR = {"nm": 158.9, "µrad": 25.7}  # %
+QUADRATIC_ERROR = 1.4  # µrad
 REPEATABILITY, DAY_TO_DAY = 0.27, (2.6, 1.9)  # %
+NOTE = (
+    "The thesis makes these statements in different places; they do not agree with each other. Its own "
+    f"parameters put the constant step's error at up to {CONSTANT_STEP_ERROR['nm']} % (prismatic) and "
+    f"{CONSTANT_STEP_ERROR['µrad']} % (rotary)."
+)
 NOTES = {
     "nm": (
         f"Its p-values imply that a traverse repeats to {REPEATABILITY} % and that days differ by "
         f"{DAY_TO_DAY[0]} % (+) and {DAY_TO_DAY[1]} % (−): a law kept from another day is off by that much. "
-        f"The {CONSTANT_STEP_ERROR['nm']:.0f} % is that of its a, b and c (Fig. 4.13) in −, at q2 = −180 deg, "
-        "theta = psi = 0."
+        f"The {CONSTANT_STEP_ERROR['nm']} % follows from its a, b and c (Fig. 4.13), in − with the arm "
+        "hanging, theta = psi = 0."
     ),
     "µrad": (
         "Its quadratic for d (Eq. 6.6), used for every gamma0 from 75 to 115 µrad, is by itself off by up "
-        f"to {QUADRATIC_ERROR} µrad. The {CONSTANT_STEP_ERROR['µrad']} % is joint 2's at gamma0 = 95 µrad, "
-        "psi = 0."
+        f"to {QUADRATIC_ERROR} µrad. The {CONSTANT_STEP_ERROR['µrad']} % follows from joint 2's d (Fig. "
+        "5.6), in + with the arm out and level, theta = psi = 0, gamma0 = 95 µrad, the middle of that span."
     ),
 }
 

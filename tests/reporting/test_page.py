@@ -3,13 +3,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stickslip_fit.strategies.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS
+from tests.thesis.published import value as published
 
 ROOT = Path(__file__).parents[2]
 
@@ -163,20 +163,14 @@ def test_what_a_correct_law_cannot_explain_is_said(campaign, reported, whole):
 
 
 def test_claims_are_the_published_ones():
-    numbers = {
-        entry["name"]: entry["value"]
-        for entry in tomllib.loads((ROOT / "data/published/published.toml").read_text(encoding="utf-8"))[
-            "number"
-        ]
-    }
-    law = [claim.limit for claim in PRISMATIC_CLAIMS if claim.model == "law"]
-    assert law == numbers["claimed_accuracy_prismatic"]
-    law = [claim.limit for claim in ROTARY_CLAIMS if claim.model == "law"]
-    assert law == numbers["claimed_accuracy_rotary"]
-    constant = [
-        c.limit for claims in (PRISMATIC_CLAIMS, ROTARY_CLAIMS) for c in claims if c.model == "constant step"
-    ]
-    assert constant == numbers["claimed_constant_step_error"]
+    law = {(c.limit, c.unit) for c in PRISMATIC_CLAIMS if c.model == "law"}
+    wide, nanometres = published("abstract_accuracy_prismatic")
+    assert law == {(wide, "%"), (published("chapter_accuracy_prismatic"), "%"), (nanometres, "nm")}
+    law = {(c.limit, c.unit) for c in ROTARY_CLAIMS if c.model == "law"}
+    share, microradians = published("abstract_accuracy_rotary")
+    assert law == {(share, "%"), (microradians, "µrad"), (published("conclusion_accuracy_rotary")[1], "µrad")}
+    constant = [c.limit for c in (*PRISMATIC_CLAIMS, *ROTARY_CLAIMS) if c.model == "constant step"]
+    assert constant == [published("constant_step_error_prismatic"), published("constant_step_error_rotary")]
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
