@@ -151,3 +151,18 @@ def test_what_starts_every_command_loads_no_heavy_library(module):
     code = f"import sys, {module}; print([name for name in {HEAVY} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_statistics_that_load_slowly_are_imported_where_they_are_used(module):
+    """`scipy.stats` and its like take longer to load than most commands take to run."""
+    top = [name for node in ast.parse(MODULES[module].read_text()).body for name in imported_names(node)]
+    assert not [name for name in top if name.startswith(("scipy.stats", "statsmodels", "matplotlib.pyplot"))]
+
+
+def imported_names(node: ast.stmt) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        return [f"{node.module}.{alias.name}" for alias in node.names]
+    return []

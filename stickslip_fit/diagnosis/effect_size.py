@@ -207,8 +207,8 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     def cdf(strength: float) -> float:
         """Probability of less than `z`, given detection."""
         # By survival functions: far below the threshold, 1 - cdf would round to 0.
-        detection = max(_noncentral_tail(threshold**2, dimensions, strength**2), 1e-300)
-        return 1.0 - _noncentral_tail(z**2, dimensions, strength**2) / detection
+        detection = max(noncentral_tail(threshold**2, dimensions, strength**2), 1e-300)
+        return 1.0 - noncentral_tail(z**2, dimensions, strength**2) / detection
 
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
@@ -219,7 +219,7 @@ def strength_interval(z: float, dimensions: int, threshold: float) -> Interval:
     return Interval(middle, low, high)
 
 
-def _noncentral_tail(x: float, df: int, noncentrality: float) -> float:
+def noncentral_tail(x: float, df: int, noncentrality: float) -> float:
     """Probability that a noncentral chi-square exceeds `x`: the Poisson mixture of central ones.
 
     All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only.

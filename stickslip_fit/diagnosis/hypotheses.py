@@ -252,7 +252,7 @@ def build_per_session_hypotheses(
     total = variance.sum(axis=(1, 2))
     kept = variance > VARIANCE_TOL * total[:, None, None]
     whole, hypotheses = kept.all(axis=(1, 2)), []
-    for k in np.flatnonzero(total >= EFFECT_TOL**2):
+    for k in np.flatnonzero(total >= EFFECT_TOL**2).tolist():
         blocks = tuple(
             (session.rows, own[k] if whole[k] else own[k][:, inside])
             for session, own, inside in zip(sessions, directions, kept[k], strict=True)

@@ -183,6 +183,8 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
         fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
         operators = prepare_split(basis, Split(rest, rest, held))
+        squares = np.sum(operators.training.subtract(responses) ** 2, axis=0)
+        np.testing.assert_allclose(operators.training.residual_squares(responses), squares)
         found = operators.prediction.subtract(responses) - predict_extension(operators, chosen, responses)
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 

@@ -18,6 +18,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.misfit import StructureRemoved, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers
+from stickslip_fit.diagnosis.separability import compute_cosines
 from stickslip_fit.laws import Prismatic
 
 NOISE, WIDE = 0.003, 2.0
@@ -159,3 +160,29 @@ def test_a_log_too_short_for_periods_has_no_hypothesis_of_one(rows, linearize):
     none = np.zeros((len(rows), 0, 2))
     sessions = list(split_sessions(linearized).values())
     assert build_per_session_hypotheses([], len(rows), sessions, none) == []
+
+
+def test_cosines_are_those_of_the_angles_between_spans(rows, linearize):
+    """By the singular values of the directions written out for all rows."""
+    rng, n = np.random.default_rng(5), len(rows)
+    linearized = linearize(NOISE * rng.standard_normal(n))
+    sessions = list(split_sessions(linearized).values())
+    own = build_per_session_hypotheses(["unknown:waves"], n, sessions, rng.standard_normal((n, 1, 2)))
+    single = [
+        build_session_hypotheses(
+            "jump", None, np.ones((1, 1)), n, one, one.project(rng.standard_normal((len(one), 1)))
+        )[0]
+        for one in sessions
+    ]
+    wide = [
+        make_hypothesis("any", None, None, linearized.project(rng.standard_normal((n, m)))) for m in (1, 3)
+    ]
+    every = [*own, *single, *wide]
+    expected = [
+        [np.linalg.svd(one.directions.T @ other.directions, compute_uv=False)[0] for other in every]
+        for one in every
+    ]
+    memory = AR1("unknown:memory", np.arange(n) - 1, 0.5)
+    cosines = compute_cosines([*every, memory], every)
+    np.testing.assert_allclose(cosines[:-1], np.minimum(expected, 1.0), atol=1e-12)
+    assert not cosines[-1].any()
