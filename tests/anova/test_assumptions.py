@@ -10,7 +10,7 @@ from scipy import stats
 
 from stickslip_fit.anova.factor_test import ASSUMPTION_LEVEL, brown_forsythe, check_assumptions
 
-LOGS = 120
+LOGS = 250
 
 
 def verdicts(values, time, level, block, name):

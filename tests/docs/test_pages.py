@@ -33,6 +33,7 @@ SLOW = (
     "stickslip_fit.strategies.compare_strategies",
     "stickslip_fit.reporting.page.report",
 )
+# The same functions under the names that another module imported them by.
 COPIES = {
     "stickslip_fit.reporting.page.diagnose": "stickslip_fit.diagnosis.diagnose",
     "stickslip_fit.reporting.page.compare_strategies": "stickslip_fit.strategies.compare_strategies",
