@@ -14,7 +14,7 @@ import pytest
 from joblib import parallel_config
 
 HERE = Path(__file__).parent
-OF_A_RUN = {"versions", "command", "seconds"}
+OF_A_RUN = {"versions", "command", "seconds", "checksum"}
 ROUNDING = 1e-11  # a residual is the difference of two logarithms near 10
 
 
