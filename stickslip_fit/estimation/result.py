@@ -167,7 +167,8 @@ class Result(Summarized):
 
         Beside what `load_result` needs, the file holds ``parameters``: a list of name, joint, direction,
         session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint,
-        direction and session are null where a parameter is the same for all of them.
+        direction and session are null where a parameter is the same for all of them. ``schema`` ends in the
+        number of the format, and ``checksum`` shows whether the file is as it was written.
         """
         write_result_json(result_to_json(self), path)
 
@@ -351,13 +352,13 @@ def result_to_json(result: Result) -> dict[str, Any]:
 
 def write_result_json(content: dict[str, Any], path: str | Path) -> None:
     """Write the content of a result's file with its checksum; raises InputError if it cannot be written."""
-    content = content | {"sha256": content_sha256(content)}
+    content = content | {"checksum": compute_checksum(content)}
     write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def content_sha256(content: dict[str, Any]) -> str:
-    """Hash of a file's content, however it is laid out, but for the hash itself."""
-    rest = {key: value for key, value in content.items() if key != "sha256"}
+def compute_checksum(content: dict[str, Any]) -> str:
+    """The sha256 of a file's content, however it is laid out, but for the checksum itself."""
+    rest = {key: value for key, value in content.items() if key != "checksum"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 

@@ -27,7 +27,7 @@ from stickslip_fit.estimation.result import (
     JointFit,
     Provenance,
     Result,
-    content_sha256,
+    compute_checksum,
     parameters_to_json,
 )
 from stickslip_fit.laws import StepLaw
@@ -69,6 +69,7 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
     try:
         text = Path(path).read_text(encoding="utf-8")
         content = json.loads(text, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
+        checksum = compute_checksum(content) if isinstance(content, dict) else ""
     except OSError as error:
         raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
     except (ValueError, RecursionError) as error:
@@ -76,13 +77,13 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
         raise InputError(InputIssue(message, str(path))) from None
     schema = content.get("schema") if isinstance(content, dict) else None
     form, _, version = str(schema).rpartition("/")
-    if form != FORMAT or not version.isdecimal():
+    if form != FORMAT or not version.isdecimal() or version.startswith("0"):
         message = "is no saved result; give a file that `fit --json` wrote"
         raise InputError(InputIssue(message, str(path)))
     if int(version[:9]) > VERSION:
         message = f"was made by a newer version of stickslip-fit (its format is {shorten(version, 9)}, "
         raise InputError(InputIssue(f"{message}here {VERSION} is known); update stickslip-fit", str(path)))
-    if content.get("sha256") != content_sha256(content):
+    if content.get("checksum", checksum) != checksum:
         message = f"is a damaged result: it is not what was saved (its checksum is another); {ADVICE}"
         raise InputError(InputIssue(message, str(path)))
     return dict(content)

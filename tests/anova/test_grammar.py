@@ -5,12 +5,14 @@ from __future__ import annotations
 import random
 import re
 import time
+from pathlib import Path
 
 import pandas as pd
 import patsy
 import pytest
 from typer.testing import CliRunner
 
+import stickslip_fit
 from stickslip_fit.anova import analyze_formula
 from stickslip_fit.anova.formula import model_terms
 from stickslip_fit.anova.grammar import MAX_LENGTH, parse_formula
@@ -170,3 +172,16 @@ def test_columns_that_look_like_code_are_names_and_nothing_else(campaign, tmp_pa
         assert f"C({name})" in str(tables[0])
     with pytest.raises(InputError, match=re.escape("is no column")):
         analyze_formula(log, "step_size ~ x + y")
+
+
+EVALUATES = re.compile(
+    r"(?<![\w.])(eval|exec|compile|__import__)\(|\.(eval|query|from_formula)\(|read_pickle"
+    r"|^\s*(import|from) (pickle|numexpr|patsy|formulaic)\b",
+    re.MULTILINE,
+)
+
+
+def test_no_text_is_evaluated_anywhere_in_the_package():
+    """Nothing runs text or reads pickles: neither formulas nor laws, causes, plans or results."""
+    for path in Path(stickslip_fit.__file__).parent.rglob("*.py"):
+        assert EVALUATES.search(path.read_text("utf-8")) is None, path

@@ -15,7 +15,7 @@ import pytest
 from stickslip_fit.bayes import load_posterior
 from stickslip_fit.bayes.posterior import VERSION
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation.result import content_sha256
+from stickslip_fit.estimation.result import compute_checksum
 
 SAVED = Path(__file__).parent / "saved"
 LATEST = SAVED / f"posterior-{VERSION}.nc"
@@ -41,7 +41,7 @@ def forge(path):
     beside = path.with_suffix(".json")
     content = json.loads(beside.read_text("utf-8"))
     content["draws_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-    content["sha256"] = content_sha256(content)
+    content["checksum"] = compute_checksum(content)
     beside.write_text(json.dumps(content), encoding="utf-8")
 
 

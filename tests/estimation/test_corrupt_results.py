@@ -13,7 +13,7 @@ import pytest
 from stickslip_fit.cli._options import load_fit
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import load_result
-from stickslip_fit.estimation.result import VERSION, content_sha256
+from stickslip_fit.estimation.result import VERSION, compute_checksum
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
@@ -160,7 +160,7 @@ def try_many(count, seed, content, plan, tmp_path):
     for trial in range(count):
         if trial % 4:
             forged = damaged_content(content, rng)
-            forged["sha256"] = content_sha256(forged)
+            forged["checksum"] = compute_checksum(forged)
             path.write_text(json.dumps(forged), encoding="utf-8")
             numbers["forged"] += refused(path, plan)
         else:
@@ -242,12 +242,32 @@ def as_metres_were_nanometres(content):
 def test_what_is_wrong_with_a_forged_result_is_named(content, tmp_path, change, reason):
     forged = copy.deepcopy(content)
     change(forged)
-    forged["sha256"] = content_sha256(forged)
+    forged["checksum"] = compute_checksum(forged)
     (tmp_path / "r.json").write_text(json.dumps(forged), encoding="utf-8")
     with pytest.raises(InputError, match=reason) as caught:
         load_result(tmp_path / "r.json")
     assert len(caught.value.problems) == 1
     assert "r.json" in str(caught.value)
+
+
+@pytest.mark.parametrize("depth", [100, 5_000, 200_000])
+def test_lists_nested_deep_are_refused(content, tmp_path, depth):
+    nested = "[" * depth + "]" * depth
+    text = json.dumps(content | {"remarks": "here"}).replace('"here"', nested)
+    (tmp_path / "r.json").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"r.json: is (no JSON|a damaged result)"):
+        load_result(tmp_path / "r.json")
+
+
+def test_a_result_without_a_checksum_is_still_read(content, tmp_path):
+    """It may come from elsewhere; all else is checked as ever."""
+    del (forged := copy.deepcopy(content))["checksum"]
+    (tmp_path / "r.json").write_text(json.dumps(forged), encoding="utf-8")
+    assert load_result(tmp_path / "r.json").parameters.equals(load_result(LATEST).parameters)
+    forged["joints"][0]["covariance"][0][0][0] = -1.0
+    (tmp_path / "r.json").write_text(json.dumps(forged), encoding="utf-8")
+    with pytest.raises(InputError, match="covariance of joint 1"):
+        load_result(tmp_path / "r.json")
 
 
 def test_a_number_that_was_edited_is_noticed(content, tmp_path):

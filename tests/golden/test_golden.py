@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-OF_A_RUN = {"versions", "command", "seconds"}
+OF_A_RUN = {"versions", "command", "seconds", "checksum"}
 ROUNDING = 1e-11  # a residual is the difference of two logarithms near 10
 
 
