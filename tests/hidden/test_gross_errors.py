@@ -59,7 +59,7 @@ def places(hidden):
     """One row for each kind of place that a doubled count may have."""
     plan, load = hidden.campaign.plan, hidden.campaign.load
     configuration = 2 * plan.configuration() + plan.forward
-    number, first, count = np.unique(configuration, return_index=True, return_counts=True)
+    _, first, count = np.unique(configuration, return_index=True, return_counts=True)
     return {
         "the first": 0,
         "the last": len(load) - 1,

@@ -24,10 +24,10 @@ def log(tmp_path_factory):
 @pytest.mark.parametrize(
     ("column", "value", "rule"),
     [
-        ("steps", np.nan, "finite"),
+        ("steps", np.nan, "finite number"),
         ("steps", 0, "above 0"),
         ("steps", -3, "above 0"),
-        ("theta", np.inf, "finite"),
+        ("theta", np.inf, "finite number"),
         ("joint", 7, "1, 2 or 3"),
         ("direction", "x", r"\+ or -"),
     ],
