@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from stickslip_fit import __version__
+from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.diagnose import anova, diagnose, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
@@ -31,7 +32,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for verb in VERBS:
-    app.command()(verb)
+    app.command()(check_files(verb))
 app.add_typer(capture, name="capture")
 
 
