@@ -106,7 +106,7 @@ class Posterior(Summarized):
             "priors": json.dumps(self.priors.to_json()),
             "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
         }
-        write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+        write_atomically(path, bytes(tree.to_netcdf(engine="h5netcdf")), self.provenance.log_files)
         self.result.save(Path(path).with_suffix(".json"))
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:

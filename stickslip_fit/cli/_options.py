@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stickslip_fit._io import find_write_fault
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.errors import InputError, InputIssue
 
@@ -314,7 +315,10 @@ def default_output(paths: list[Path]) -> Path:
     except OSError as error:
         message = f"cannot be made here ({error.strerror}); name a file with -o"
         raise InputError(InputIssue(message, str(folder))) from None
-    return folder / f"{paths[0].resolve().stem}.html"
+    path = folder / f"{paths[0].resolve().stem}.html"
+    if fault := find_write_fault(path):
+        raise InputError(fault)
+    return path
 
 
 def reference_campaign() -> Path:

@@ -73,7 +73,7 @@ def library_versions() -> dict[str, str]:
 def build_provenance(log: Log, command: str) -> Provenance:
     """Where a fit of `log` comes from."""
     return Provenance(
-        log_files=tuple(name for name, _ in log.sources),
+        log_files=log.files,
         log_sha256=log.sha256,
         machine_name=log.machine.name,
         machine_sha256=log.machine.sha256,
@@ -166,9 +166,14 @@ class Result(Summarized):
         Beside what `load_result` needs, the file holds ``parameters``: a list of name, joint, direction,
         session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint,
         direction and session are null where a parameter is the same for all of them.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or is the log that was fitted.
         """
         text = json.dumps(_to_json(self), indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomically(path, text + "\n")
+        write_atomically(path, text + "\n", self.provenance.log_files)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.
