@@ -145,8 +145,8 @@ def _find_clashes(
 ) -> Iterator[InputIssue]:
     identity = identify_file(path)
     if identity in read:
-        message = f"would be overwritten, which the command reads as {read[identity]}; name another file"
-        yield InputIssue(f"{message} with {option}", str(path))
+        message = f"{option} would overwrite what the command reads as {read[identity]}; name another file"
+        yield InputIssue(message, str(path))
     elif identity in written:
         others = " and ".join(dict.fromkeys([written[identity], option]))
         yield InputIssue(f"would be written twice, by {others}; give two files", str(path))
