@@ -51,6 +51,22 @@ class Commands:
 sys.modules["stickslip_fit.cli"] = Commands
 program.main()
 """
+# Interrupts itself at work, and tidies up.
+WORKING = """
+import os, signal, sys
+from stickslip_fit import __main__ as program
+
+class Commands:
+    @staticmethod
+    def main():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            print("tidied up", file=sys.stderr)
+
+sys.modules["stickslip_fit.cli"] = Commands
+program.main()
+"""
 # Interrupts itself when all is done and Python ends.
 ENDING = """
 import atexit, os, signal, sys
@@ -79,10 +95,11 @@ def run_code(code: str) -> tuple[int, str]:
     [
         (IMPORTING.format(module="typer", arguments=["--help"]), 130, MESSAGE),
         (IMPORTING.format(module="numpy", arguments=["check", "log.csv"]), 130, MESSAGE),
+        (WORKING, 130, "tidied up\n" + MESSAGE),
         (DESTROYING, 130, MESSAGE),
         (ENDING, 2, ""),
     ],
-    ids=["as the program loads", "as a command loads", "in a destructor", "as Python ends"],
+    ids=["as the program loads", "as a command loads", "at work", "in a destructor", "as Python ends"],
 )
 def test_an_interrupt_ends_it_with_one_message(code, status, told):
     assert run_code(code) == (status, told)
