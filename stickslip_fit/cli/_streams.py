@@ -24,13 +24,15 @@ TRANSLITERATION = {
 
 def open_standard_streams() -> None:
     """Make every print possible: closed streams fail when written to, and no character is refused."""
-    for handle, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_RDONLY)):
+    for handle in range(3):
         # Without this, the next file that is opened would take the closed stream's place.
         with suppress(OSError):
             os.fstat(handle)
             continue
-        os.open(os.devnull, mode)
+        os.open(os.devnull, os.O_RDONLY)
     # A device that is open for reading refuses to be written to, as a closed stream does.
+    if sys.stdin is None:
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
     if sys.stdout is None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
     if sys.stderr is None:
