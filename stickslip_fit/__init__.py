@@ -15,10 +15,11 @@ A name is imported from its module when it is first used, so that ``import stick
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+# What type checkers take for true; the module `typing` takes longer than all else here.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from stickslip_fit import causes, laws
     from stickslip_fit._workflow import calibrate, fit
     from stickslip_fit.anova import Anova, analyze_formula, analyze_variance
@@ -58,6 +59,8 @@ __all__ = sorted([*_HOME_OF, *_PACKAGES])
 
 
 def __getattr__(name: str) -> Any:
+    from importlib import import_module
+
     if name in _PACKAGES:
         return import_module(f"{__name__}.{name}")
     if name not in _HOME_OF:

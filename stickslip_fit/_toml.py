@@ -188,8 +188,9 @@ def file_bytes(path: str | Path, kind: str) -> bytes:
     """What is in a file; raises InputError if it cannot be read."""
     try:
         return Path(path).read_bytes()
-    except OSError as error:
-        message = f"cannot be read ({error.strerror}); name an existing {kind}"
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        message = f"cannot be read ({reason}); name an existing {kind}"
         raise InputError(InputIssue(message, str(path))) from None
 
 

@@ -116,3 +116,9 @@ def test_the_json_schema_of_a_file_takes_what_the_model_takes(schemas, name):
     assert complaints(schema, FILES[name]) == []
     assert complaints(schema, f"nonsense = 1\n{FILES[name]}")
     assert complaints(schema, FILES[name].replace("\n[[", "\n[[un"))
+
+
+@pytest.mark.parametrize("name", ["absent.toml", "nul\0byte.toml", "lone\udfff.toml"])
+def test_a_name_that_no_file_can_have_is_a_fault_like_any_other(name):
+    with pytest.raises(InputError, match="cannot be read"):
+        load_machine(name)

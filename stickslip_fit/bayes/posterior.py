@@ -115,10 +115,11 @@ class Posterior(Summarized):
             "priors": json.dumps(self.priors.to_json()),
             "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
         }
+        sources = self.provenance.log_files
         draws = bytes(tree.to_netcdf(engine="h5netcdf"))
-        write_atomically(path, draws)
+        write_atomically(path, draws, sources)
         content = result_to_json(self.result) | {DRAWS_KEY: hashlib.sha256(draws).hexdigest()}
-        write_result_json(content, Path(path).with_suffix(".json"))
+        write_result_json(content, Path(path).with_suffix(".json"), sources)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Draws of a session's parameters, by default the latest session's, in pairs; the prior behind.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import fields, replace
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import pandas as pd
@@ -25,7 +26,8 @@ def library() -> tuple[Cause, ...]:
     """Every cause in the order of the documentation, then those of installed packages.
 
     The toolkit's own are those in ``__all__`` of each family's module. A package adds its own by the entry
-    point ``stickslip_fit.causes``, which names a cause, its class or a function that returns one.
+    point ``stickslip_fit.causes``, which names a cause, its class or a function that returns one. One that
+    cannot be loaded, is no cause or has the name of another is left out with a warning.
 
     Examples
     --------
@@ -35,8 +37,25 @@ def library() -> tuple[Cause, ...]:
     kinds = [getattr(family, name) for family in FAMILIES for name in family.__all__]
     # A covariate has no name before it has a column.
     causes = [kind() for kind in kinds if kind is not Covariate]
-    installed = [point.load() for point in entry_points(group=ENTRY_POINT)]
-    return (*causes, *(cause if isinstance(cause, Cause) else cause() for cause in installed))
+    for point in entry_points(group=ENTRY_POINT):
+        try:
+            causes.append(_load_cause(point, {cause.name for cause in causes}))
+        # Whatever another package's code raises, even where it ends the program, is that package's fault.
+        except (Exception, SystemExit) as error:
+            reason = str(error) or type(error).__name__
+            message = f"the cause {point.value} of an installed package is left out: {reason}"
+            warnings.warn(message, stacklevel=2)
+    return tuple(causes)
+
+
+def _load_cause(point: EntryPoint, names: Set[str]) -> Cause:
+    loaded = point.load()
+    cause = loaded if isinstance(loaded, Cause) else loaded()
+    if not isinstance(cause, Cause):
+        raise TypeError(f"it is no Cause but {type(cause).__name__}")
+    if cause.name in names:
+        raise ValueError(f"there is a cause {cause.name!r} already")
+    return cause
 
 
 def covariates(rows: pd.DataFrame) -> tuple[Covariate, ...]:

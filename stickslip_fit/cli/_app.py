@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import os
-import sys
+import warnings
 from typing import Annotated
 
 import typer
 
 from stickslip_fit import __version__
+from stickslip_fit.cli._files import check_files
+from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.diagnose import anova, diagnose, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
 from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
-from stickslip_fit.errors import InputError
 
 VERBS = (
     *(check, calibrate, fit, predict, anova, diagnose, report, compare, study, simulate, plan, sheet),
     *(plan_move, dead_reckon, demo),
 )
-INTERRUPTED = 130  # typer's status of a run that was interrupted by a person
 
 app = typer.Typer(
     help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
@@ -31,7 +31,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for verb in VERBS:
-    app.command()(verb)
+    app.command()(check_files(verb))
 app.add_typer(capture, name="capture")
 
 
@@ -48,22 +48,18 @@ def _main_options(
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one clear message and status 2."""
+    """Run the command line, and exit with its status.
+
+    2 for bad input, with one message; 1 for output that cannot be written, 141 if its reader has gone; 130 if
+    a person interrupted it.
+    """
     # The matrices are many and small: threads within one product cost more than they gain.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        app()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)
-    except SystemExit as ended:
-        if ended.code == INTERRUPTED:
-            print("interrupted; nothing was left half-written", file=sys.stderr)
-        raise
-    except BrokenPipeError:
-        # The reader of the output has gone; other tools end quietly, too.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+    open_standard_streams()
+    with warnings.catch_warnings():
+        warnings.showwarning = show_warning
+        status = run_with_streams(app)
+    raise SystemExit(status)
 
 
 def _print_version(wanted: bool) -> None:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder
+from stickslip_fit._io import find_write_fault
+from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -28,21 +29,27 @@ if TYPE_CHECKING:
     from stickslip_fit.simulation import LawValues
 
 LogPath = Annotated[
-    list[Path], typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them.")
+    list[Path],
+    typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them."),
+    INPUT,
 ]
 MachinePath = Annotated[
-    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
+    Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it."), INPUT
 ]
 Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
 Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
-Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here."), Output()]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that exist already.")]
 Chart = Annotated[
-    Path | None, typer.Option("--chart", help="Also draw the control chart here: .png, .svg or .pdf.")
+    Path | None,
+    typer.Option("--chart", help="Also draw the control chart here: .png, .svg or .pdf."),
+    Output(),
 ]
-PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")]
+PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML)."), INPUT]
 Calibration = Annotated[
     list[Path],
     typer.Argument(metavar="LOG|RESULT", help="A campaign log to fit, or a result saved with `fit --json`."),
+    INPUT,
 ]
 Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
 Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]
@@ -69,6 +76,7 @@ CausesFrom = Annotated[
         metavar="RESULT",
         help="Closed form: take the causes of this saved result as known, with its uncertainties.",
     ),
+    INPUT,
 ]
 
 
@@ -95,11 +103,10 @@ Ratio = Annotated[float, typer.Option(help="Emulated: signal-to-noise ratio of t
 
 
 def check_chart(path: Path | None) -> None:
-    """Refuse a figure that could not be written, before any work; raises InputError."""
+    """Refuse a kind of picture that cannot be drawn, before any work; raises InputError."""
     if path is not None:
         from stickslip_fit.plotting._style import check_suffix
 
-        check_folder(path)
         check_suffix(path)
 
 
@@ -308,7 +315,10 @@ def default_output(paths: list[Path]) -> Path:
     except OSError as error:
         message = f"cannot be made here ({error.strerror}); name a file with -o"
         raise InputError(InputIssue(message, str(folder))) from None
-    return folder / f"{paths[0].resolve().stem}.html"
+    path = folder / f"{paths[0].resolve().stem}.html"
+    if fault := find_write_fault(path):
+        raise InputError(fault)
+    return path
 
 
 def reference_campaign() -> Path:

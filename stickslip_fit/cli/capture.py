@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from stickslip_fit._io import check_folder
+from stickslip_fit.cli._files import INPUT, Output, check_files
 from stickslip_fit.cli._options import (
     Device,
     Dialect,
     DialectOption,
+    Force,
     MachinePath,
     PlanPath,
     Port,
@@ -42,23 +43,29 @@ StepPeriod = Annotated[float, typer.Option(min=0.1, help="Of the controller, ms.
 
 
 def tune(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Tuning to write, for `--tuning`.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="Tuning to write, for `--tuning`."),
+        Output(permits=("force",)),
+    ],
     port: Port = None,
     dialect: DialectOption = Dialect.new,
     device: Device = None,
     joint: Annotated[int, typer.Option(min=1, max=3, help="Which joint to listen to.")] = 3,
     check_every: CheckEvery = 5,
     step_period: StepPeriod = 10.0,
-    moving: Annotated[Path | None, typer.Option(help="A recording of the moving joint, not a rig.")] = None,
-    at_stop: Annotated[Path | None, typer.Option(help="With --moving: one of it at its stop.")] = None,
+    moving: Annotated[
+        Path | None, typer.Option(help="A recording of the moving joint, not a rig."), INPUT
+    ] = None,
+    at_stop: Annotated[Path | None, typer.Option(help="With --moving: one of it at its stop."), INPUT] = None,
     emulate: Annotated[bool, typer.Option("--emulate", help="Try it without hardware.")] = False,
     snr: Ratio = 12.0,
     chart: Annotated[
-        Path | None, typer.Option(help="Also draw both spectra here: .png, .svg or .pdf.")
+        Path | None, typer.Option(help="Also draw both spectra here: .png, .svg or .pdf."), Output()
     ] = None,
+    force: Force = False,
 ) -> None:
     """Tune the end-stop detector: record a joint moving and at its stop, and choose the band."""
-    check_folder(output)
     check_chart(chart)
 
     from stickslip_fit.capture import rigs
@@ -94,8 +101,8 @@ def tune(
 
 
 def listen(
-    recording: Annotated[Path, typer.Argument(help="WAV file of one traverse.", show_default=False)],
-    tuning: Annotated[Path, typer.Option(help="What `capture tune` wrote.")],
+    recording: Annotated[Path, typer.Argument(help="WAV file of one traverse.", show_default=False), INPUT],
+    tuning: Annotated[Path, typer.Option(help="What `capture tune` wrote."), INPUT],
     check_every: CheckEvery = 5,
     step_period: StepPeriod = 10.0,
 ) -> None:
@@ -143,19 +150,32 @@ app = typer.Typer(
 )
 
 for command in (tune, listen):
-    app.command()(command)
+    app.command()(check_files(command))
+
+
+def _journal_path(log: Path) -> Path:
+    from stickslip_fit.capture.campaign import journal_path
+
+    return journal_path(log)
 
 
 @app.command(DEFAULT_COMMAND)
+@check_files
 def plan(
     plan: PlanPath,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Log to write; the journal goes beside it.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="Log to write; the journal goes beside it."),
+        Output(beside=(_journal_path,)),  # begin_journal refuses a log that exists
+    ],
     port: Port = None,
     dialect: DialectOption = Dialect.new,
     device: Device = None,
-    tuning: Annotated[Path | None, typer.Option(help="What `capture tune` wrote today.")] = None,
+    tuning: Annotated[Path | None, typer.Option(help="What `capture tune` wrote today."), INPUT] = None,
     law: Annotated[
-        Path | None, typer.Option(help="Law file (TOML) or saved result (JSON) that predicts each count.")
+        Path | None,
+        typer.Option(help="Law file (TOML) or saved result (JSON) that predicts each count."),
+        INPUT,
     ] = None,
     by_count: Annotated[
         bool, typer.Option("--by-count", help="Bring joints to where there is no stop by count, not by hand.")
@@ -173,7 +193,9 @@ def plan(
         typer.Option(metavar="CAUSE", help="Emulated: a cause at work, e.g. thermal-warm-up; repeatable."),
     ] = None,
     truth: Annotated[
-        Path | None, typer.Option(help="Emulated: law file by which the joints step, with or without causes.")
+        Path | None,
+        typer.Option(help="Emulated: law file by which the joints step, with or without causes."),
+        INPUT,
     ] = None,
     snr: Ratio = 12.0,
     ideal_detector: Annotated[
@@ -192,7 +214,6 @@ def plan(
         "--unattended": unattended,
     }
     reject_options(of_real if emulate else of_emulated, f"at {'an emulated' if emulate else 'a real'} rig")
-    check_folder(output)
 
     from stickslip_fit.capture import rigs
     from stickslip_fit.capture.emulator import campaign as emulated

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._io import check_folder, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     Json,
     LogPath,
@@ -53,8 +54,6 @@ def anova(
     """Analyse the variance: day, direction, normal force; or the terms of a formula."""
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
-    if json is not None:
-        check_folder(json)
     campaign = load_log(log, machine, since, until)
     if formula is None:
         result = analyze_variance(campaign, joint=joint, session=session)
@@ -73,11 +72,14 @@ def diagnose(
     log: LogPath,
     json: Json = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Also show it as one HTML page here, with figures.")
+        Path | None,
+        typer.Option("--report", help="Also show it as one HTML page here, with figures."),
+        Output(),
     ] = None,
     save_law: Annotated[
         Path | None,
         typer.Option("--save-law", help="Also fit the law extended by the causes found, and save it here."),
+        Output(),
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
@@ -86,7 +88,6 @@ def diagnose(
     until: Until = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
-    check_diagnosis_outputs(json, report, save_law)
     campaign = load_log(log, machine, since, until)
     result = diagnose_with_progress(campaign, alpha, seed)
     # Saved before anything is printed: the reader of the output may close it.
@@ -99,10 +100,12 @@ def plan(
     source: Annotated[
         list[Path],
         typer.Argument(metavar="LOG|PLAN", help="A campaign log, or the plan of a campaign (TOML)."),
+        INPUT,
     ],
     law: Annotated[
         Path | None,
         typer.Option(help="Of a plan: law file (TOML) or saved result; typical values without it."),
+        INPUT,
     ] = None,
     machine: MachinePath = None,
     since: Since = None,
@@ -113,12 +116,11 @@ def plan(
     chart: Annotated[
         Path | None,
         typer.Option("--chart", help="Of a plan: also draw which causes are confused: .png, .svg or .pdf."),
+        Output(),
     ] = None,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
-    if json is not None:
-        check_folder(json)
     check_chart(chart)
     if is_plan(source):
         from stickslip_fit.logs.plan_reader import read_plan
@@ -135,18 +137,6 @@ def plan(
 
 
 CLEAR_LINE = "\r\x1b[K"
-
-
-def check_diagnosis_outputs(json_path: Path | None, report: Path | None, law: Path | None = None) -> None:
-    """Refuse files that could not be written, before any work; raises InputError."""
-    outputs = {"--json": json_path, "--report": report, "--save-law": law}
-    for option, path in outputs.items():
-        if path is None:
-            continue
-        check_folder(path)
-        for other, other_path in outputs.items():
-            if other < option and other_path == path:
-                raise InputError(f"{other} and {option} both name {path}: give two files")
 
 
 def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder
+from stickslip_fit.cli._files import Output
 from stickslip_fit.cli._options import (
     At,
     Calibration,
@@ -95,6 +95,11 @@ class FitOutputs:
     tree: Path | None = None
 
 
+def result_path(tree: Path) -> Path:
+    """The result, beside the draws that it sums up."""
+    return tree.with_suffix(".json")
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """A result, its printed text, and by Bayes the posterior."""
@@ -124,9 +129,6 @@ def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
         raise InputError("the closed form fits no cause; take those of a saved result by --causes-from")
     if options.causes_from is not None and options.method is not Method.closed_form:
         raise InputError("--causes-from belongs to the closed form; fit causes by --cause")
-    for path in (outputs.json, outputs.tree):
-        if path is not None:
-            check_folder(path)
     check_chart(outputs.chart)
     if outputs.tree is not None and outputs.tree.suffix != ".nc":
         message = "is netCDF: end its name in .nc"
@@ -200,7 +202,7 @@ def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
         lines.append(f"saved to {outputs.json}")
     if outputs.tree is not None and estimate.posterior is not None:
         estimate.posterior.save(outputs.tree)
-        lines.append(f"draws saved to {outputs.tree}, their result to {outputs.tree.with_suffix('.json')}")
+        lines.append(f"draws saved to {outputs.tree}, their result to {result_path(outputs.tree)}")
     if outputs.chart is not None:
         from stickslip_fit.plotting._style import write_figure
         from stickslip_fit.plotting.parameters import plot_control
@@ -346,10 +348,14 @@ def fit(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Bayes: seed of the draws.")] = 0,
     chains: Annotated[
-        Path | None, typer.Option(help="Bayes: HDF5 file of the MCMC chains; the same call continues them.")
+        Path | None,
+        typer.Option(help="Bayes: HDF5 file of the MCMC chains; the same call continues them."),
+        Output(),
     ] = None,
     tree: Annotated[
-        Path | None, typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads.")
+        Path | None,
+        typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads."),
+        Output(beside=(result_path,)),
     ] = None,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
@@ -363,7 +369,7 @@ def predict(
     calibration: Calibration,
     plan: PlanPath,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse.")
+        Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse."), Output()
     ] = None,
     session: Session = None,
     condition: Condition = None,
@@ -375,8 +381,6 @@ def predict(
     from stickslip_fit.moves.prediction import predict
     from stickslip_fit.reporting.moves import format_predictions, predictions_csv
 
-    if output is not None:
-        check_folder(output)
     fitted, result = load_fit(calibration, machine)
     planned = read_plan(plan, result.machine)
     conditions = parse_plan_conditions(condition, result)

@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder, show_progress
+from stickslip_fit._io import show_progress
+from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     CauseNames,
+    Force,
     LogPath,
     MachinePath,
     PlanPath,
@@ -34,12 +36,15 @@ def check(log: LogPath, machine: MachinePath = None, since: Since = None, until:
 
 def simulate(
     plan: PlanPath,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Log to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Log to write."), Output(permits=("force",))],
     law: Annotated[
-        Path, typer.Option(help="Law file (TOML), causes and all, or a result saved with `fit --json`.")
+        Path,
+        typer.Option(help="Law file (TOML), causes and all, or a result saved with `fit --json`."),
+        INPUT,
     ],
     machine: MachinePath = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
+    force: Force = False,
 ) -> None:
     """Simulate a plan under a law; the same seed, the same log."""
     from stickslip_fit import simulation
@@ -60,12 +65,20 @@ def simulate(
         print(f"the plan does not say {', '.join(missing)}: the law was taken at its mean")
 
 
+def page_path(sheet: Path) -> Path:
+    """The page to print, beside the CSV to fill in."""
+    return sheet.with_suffix(".html")
+
+
 def sheet(
     plan: PlanPath,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="CSV to fill in; a page to print goes beside it.")
+        Path,
+        typer.Option("-o", "--output", help="CSV to fill in; a page to print goes beside it."),
+        Output(beside=(page_path,), permits=("force",)),
     ],
     machine: MachinePath = None,
+    force: Force = False,
 ) -> None:
     """Write a sheet for counts taken by hand: a CSV, a page to print."""
     from stickslip_fit.logs.plan import write_sheet_csv
@@ -76,7 +89,7 @@ def sheet(
     if output.suffix == ".html":
         raise InputError("-o names the CSV to fill in; the page to print goes beside it as .html")
     chosen = read_plan(plan, load_machine(machine))
-    page = output.with_suffix(".html")
+    page = page_path(output)
     write_sheet_csv(chosen, output)
     write_sheet_page(chosen, page)
     print(f"sheet to fill in: {output}\npage to print: {page}")
@@ -84,7 +97,9 @@ def sheet(
 
 def report(
     log: LogPath,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="HTML file to write.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="HTML file to write."), Output()
+    ] = None,
     diagnosis: Annotated[bool, typer.Option(help="With the diagnosis.")] = True,
     strategies: Annotated[bool, typer.Option(help="With the comparison of strategies.")] = True,
     cause: CauseNames = None,
@@ -96,7 +111,6 @@ def report(
     from stickslip_fit.reporting import report as make_report
 
     wanted = output or default_output(log)
-    check_folder(wanted)
     campaign = load_log(log, machine, since, until)
     causes = select_named_causes(cause or (), campaign)
     sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
@@ -110,7 +124,7 @@ def report(
 
 def demo(
     log: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG", help="The reference campaign without it.")
+        list[Path] | None, typer.Argument(metavar="LOG", help="The reference campaign without it."), INPUT
     ] = None,
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,

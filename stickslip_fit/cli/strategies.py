@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import check_folder
+from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import LogPath, MachinePath, Since, Until, check_chart, command_line, load_log
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
@@ -31,12 +31,17 @@ def compare(
     causes_from: Annotated[
         Path | None,
         typer.Option(metavar="RESULT", help="Also with the causes of this result of another log."),
+        INPUT,
     ] = None,
     numbers: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Save every number there, as CSV and Parquet.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Save every number there, as CSV and Parquet."),
+        Output(folder=True),
     ] = None,
     chart: Annotated[
-        Path | None, typer.Option("--chart", help="Draw time against error here: .png, .svg or .pdf.")
+        Path | None,
+        typer.Option("--chart", help="Draw time against error here: .png, .svg or .pdf."),
+        Output(),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the traverses chosen at random.")] = 0,
     machine: MachinePath = None,
@@ -58,8 +63,6 @@ def compare(
         save_comparison,
     )
 
-    if numbers is not None:
-        check_folder(numbers)
     check_chart(chart)
     if cause and causes_from is not None:
         raise InputError("--cause and --causes-from exclude each other: give one of them")
@@ -85,10 +88,11 @@ def compare(
 
 
 def study(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a study (TOML).")],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a study (TOML)."), INPUT],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Folder that keeps finished campaigns, numbers and charts."),
+        Output(folder=True),
     ] = None,
     campaigns: Annotated[
         int | None, typer.Option(min=1, help="Of each scenario, instead of what the plan says.")

@@ -245,9 +245,10 @@ METRIC = "held-out rms error of the step size, %"
 
 
 def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
-    """Write a diagnosis as JSON; nothing is left half-written."""
+    """Write a diagnosis as JSON; raises InputError if the file is the log, or cannot be written."""
     text = json.dumps(diagnosis_to_json(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomically(path, text + "\n")
+    files = diagnosis.log.files if diagnosis.log is not None else ()
+    write_atomically(path, text + "\n", files)
 
 
 def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -75,7 +76,7 @@ def build_provenance(log: Log, command: str) -> Provenance:
     """Where a fit of `log` comes from."""
     changed = f" ({CHANGED})" if log.is_changed else ""
     return Provenance(
-        log_files=tuple(name + changed for name, _ in log.sources),
+        log_files=tuple(name + changed for name in log.files),
         log_sha256=log.sha256,
         machine_name=log.machine.name,
         machine_sha256=log.machine.sha256,
@@ -169,8 +170,13 @@ class Result(Summarized):
         session, unit, estimate, standard_error, low, high (95 %) and flags, in people's units. Joint,
         direction and session are null where a parameter is the same for all of them. ``schema`` ends in the
         number of the format, and ``checksum`` shows whether the file is as it was written.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or is the log that was fitted.
         """
-        write_result_json(result_to_json(self), path)
+        write_result_json(result_to_json(self), path, self.provenance.log_files)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
         """Normal approximation of a session's parameters, the latest session's unless named, two by two.
@@ -350,10 +356,14 @@ def result_to_json(result: Result) -> dict[str, Any]:
     }
 
 
-def write_result_json(content: dict[str, Any], path: str | Path) -> None:
-    """Write the content of a result's file with its checksum; raises InputError if it cannot be written."""
+def write_result_json(content: dict[str, Any], path: str | Path, sources: Sequence[str] = ()) -> None:
+    """Write the content of a result's file with its checksum.
+
+    Raises InputError if it cannot be written, or is one of the files `sources` that the result is of.
+    """
     content = content | {"checksum": compute_checksum(content)}
-    write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    write_atomically(path, text + "\n", sources)
 
 
 def compute_checksum(content: dict[str, Any]) -> str:

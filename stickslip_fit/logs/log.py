@@ -83,10 +83,10 @@ def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file cannot be written, or is one that the log was read from.
     """
-    rows = log if isinstance(log, pd.DataFrame) else log.rows
-    write_atomically(path, format_csv(rows))
+    rows, files = (log, ()) if isinstance(log, pd.DataFrame) else (log.rows, log.files)
+    write_atomically(path, format_csv(rows), files)
 
 
 def format_csv(rows: pd.DataFrame) -> bytes:
@@ -292,6 +292,11 @@ class Log(Summarized):
         from stickslip_fit.plotting.residuals import plot_readings
 
         return collect_axes(plot_readings(self))
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The files that it was read from, as they were named."""
+        return tuple(name for name, _ in self.sources)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the log in its file format; see `write_log`."""

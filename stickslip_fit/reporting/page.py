@@ -98,10 +98,13 @@ class Report:
     ----------
     title : str
     html : str
+    log_files : tuple of str
+        Files of the log, which `save` does not replace.
     """
 
     title: str
     html: str = field(repr=False)
+    log_files: tuple[str, ...] = ()
 
     def save(self, path: str | Path) -> None:
         """Write the page.
@@ -109,9 +112,9 @@ class Report:
         Raises
         ------
         InputError
-            If the file cannot be written.
+            If the file cannot be written, or is the log.
         """
-        write_atomically(path, self.html)
+        write_atomically(path, self.html, self.log_files)
 
     def _repr_html_(self) -> str:
         page = escape(self.html)
@@ -175,7 +178,7 @@ def report(
     if calibration is None:
         calibration = fit_closed_form(log, causes_from=fit if causes else None, command=command)
     html = _render(log, calibration, fit, anova or analyze_variance(log), found, compared, command)
-    return Report(_write_title(log), html)
+    return Report(_write_title(log), html, log.files)
 
 
 def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:

@@ -289,18 +289,19 @@ def save_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
     InputError
         If the folder cannot be made or written to.
     """
-    return save_tables(
-        {name: convert_units(table) for name, table in make_tables(comparison).items()}, folder
-    )
+    tables = {name: convert_units(table) for name, table in make_tables(comparison).items()}
+    return save_tables(tables, folder, comparison.provenance.log_files)
 
 
-def save_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
+def save_tables(
+    tables: Mapping[str, pd.DataFrame], folder: str | Path, sources: Sequence[str] = ()
+) -> list[Path]:
     """Write each table as CSV and as Parquet under its name; the folder is made if it does not exist.
 
     Raises
     ------
     InputError
-        If the folder cannot be made or written to.
+        If the folder cannot be made or written to, or holds one of the sources under such a name.
     """
     folder = Path(folder)
     make_folder(folder)
@@ -310,7 +311,7 @@ def save_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[
         table.to_parquet(stream, index=False)
         for suffix, content in ((".csv", table.to_csv(index=False)), (".parquet", stream.getvalue())):
             written.append(folder / f"{name}{suffix}")
-            write_atomically(written[-1], content)
+            write_atomically(written[-1], content, sources)
     return written
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -179,16 +180,62 @@ def test_misfires_are_as_frequent_and_as_large_as_their_parameters_say():
     assert (found[hit] > 0).mean() == pytest.approx(0.5, abs=0.03)
 
 
-@pytest.mark.parametrize("named", ["a cause", "its class"])
-def test_an_installed_package_adds_its_causes_by_entry_point(named, monkeypatch):
-    class Point:
-        def load(self):
-            return NAMED["drift"].cause if named == "a cause" else type(NAMED["drift"].cause)
+class Ageing(type(NAMED["drift"].cause)):
+    """A lab's own cause, in a package of its own."""
+
+    name = "ageing"
+
+
+def install(monkeypatch, *loaders):
+    """As if packages were installed whose entry points are loaded by these functions."""
 
     def entry_points(group):
         assert group == "stickslip_fit.causes"
-        return [Point()]
+        return [SimpleNamespace(value=f"lab.causes:{loader.__name__}", load=loader) for loader in loaders]
 
-    own = library()
     monkeypatch.setattr(causes.registry, "entry_points", entry_points)
-    assert [cause.name for cause in library()] == [*(cause.name for cause in own), "drift"]
+
+
+@pytest.mark.parametrize("loaded", [Ageing(), Ageing])
+def test_an_installed_package_adds_its_causes_by_entry_point(loaded, monkeypatch):
+    own = library()
+    install(monkeypatch, lambda: loaded)
+    assert [cause.name for cause in library()] == [*(cause.name for cause in own), "ageing"]
+
+
+def missing():
+    raise ModuleNotFoundError("No module named 'lab'")
+
+
+def ending():
+    raise SystemExit(3)
+
+
+def number():
+    return lambda: 5
+
+
+def duplicate():
+    return NAMED["drift"].cause
+
+
+def incomplete():
+    return causes.Cause
+
+
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (missing, "No module named 'lab'"),
+        (ending, "3"),
+        (number, "it is no Cause but int"),
+        (duplicate, "there is a cause 'drift' already"),
+        (incomplete, "no attribute 'name'"),
+    ],
+)
+def test_a_broken_cause_of_an_installed_package_is_named_and_left_out(broken, reason, monkeypatch):
+    own = library()
+    install(monkeypatch, broken, lambda: Ageing)
+    with pytest.warns(UserWarning, match=f"lab.causes:{broken.__name__} .* left out: .*{reason}"):
+        kept = library()
+    assert [cause.name for cause in kept] == [*(cause.name for cause in own), "ageing"]
