@@ -142,6 +142,8 @@ def power_quantile(alpha: float, df: float) -> float:
 MIN_FREQUENCY, MAX_RELATIVE_FREQUENCY = 500.0, 0.45  # Hz, share of the sample rate
 REFERENCE_GAP, REFERENCE_WIDTH = 500.0, 2000.0  # Hz; between band and reference, and width on either side
 SPECTRUM_FIELDS = ("moving", "at_stop")
+ROUNDING = 1.0001  # of numbers in a file
+MAX_RISE_RATIO = 3.0  # of the rises by the typical spectra and by the median of the checks
 MAX_MISSED_WELL, MAX_MISSED = 1e-3, 5e-2  # share of stops missed at the second check
 
 
@@ -328,12 +330,28 @@ def _is_complete(tuning: Tuning) -> bool:
     if not all(np.isfinite(number) and number > 0 for number in numbers):
         return False
     spectra, bins = (tuning.moving, tuning.at_stop), tuning.samples // 2 + 1
+    if not isinstance(tuning.rate, int):
+        return False
+    if not all(
+        spectrum.shape == (bins,) and np.all(np.isfinite(spectrum) & (spectrum > 0)) for spectrum in spectra
+    ):
+        return False
+    return _agrees_with_spectra(tuning)
+
+
+def _agrees_with_spectra(tuning: Tuning) -> bool:
+    """Whether the numbers by which stops are detected can be those of the band in the spectra."""
+    frequencies, samples = tuning.frequencies, tuning.samples
+    band = select_band(frequencies, tuning.frequency, tuning.width)
+    reference = select_reference(frequencies, tuning.rate, tuning.frequency, tuning.width)
+    if not (band.any() and reference.any()):
+        return False
+    ratio = (tuning.at_stop[band] / tuning.moving[band]).mean() / tuning.rise
+    most, reference_most = (ROUNDING * power_df(int(part.sum()), samples) for part in (band, reference))
+    scatters = max(tuning.df, tuning.stop_df) <= most and tuning.reference_df <= reference_most
     with np.errstate(all="ignore"):
-        return (
-            isinstance(tuning.rate, int)
-            and all(spectrum.shape == (bins,) and np.all(np.isfinite(spectrum)) for spectrum in spectra)
-            and bool(np.isfinite(tuning.missed) and np.isfinite(tuning.false_stops))
-        )
+        rates = tuning.missed, tuning.false_stops
+    return bool(1 / MAX_RISE_RATIO < ratio < MAX_RISE_RATIO) and scatters and bool(np.all(np.isfinite(rates)))
 
 
 def _format_odds(share: float) -> str:

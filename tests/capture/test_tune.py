@@ -99,6 +99,15 @@ def test_a_tuning_comes_back_from_its_file(tuning, tmp_path):
         lambda content: {key: value for key, value in content.items() if key != "rate"},
         lambda content: [content],
         lambda content: content | {"colour": "1.0"},
+        lambda content: content | {"rate": 10**15},
+        lambda content: content | {"rate": 48000.5},
+        lambda content: content | {"seconds": 1e300},
+        lambda content: content | {"df": 1e-300},
+        lambda content: content | {"df": 1e15},
+        lambda content: content | {"reference_df": 1e-9},
+        lambda content: content | {"rise": 1e300},
+        lambda content: content | {"frequency": 1e9},
+        lambda content: content | {"width": 1e-9},
     ],
 )
 def test_a_damaged_tuning_is_refused(tuning, tmp_path, damage):
@@ -109,7 +118,15 @@ def test_a_damaged_tuning_is_refused(tuning, tmp_path, damage):
         load_tuning(path)
 
 
+def test_json_nested_too_deeply_is_no_tuning(tmp_path):
+    (tmp_path / "ear.json").write_text("[" * 200_000)
+    with pytest.raises(InputError, match="is no tuning; tune the detector again"):
+        load_tuning(tmp_path / "ear.json")
+
+
 def test_no_tuning_at_all_is_refused(tmp_path):
+    with pytest.raises(InputError, match="is no file"):
+        load_tuning(tmp_path)
     with pytest.raises(InputError, match="tune the detector first"):
         load_tuning(tmp_path / "none.json")
 
