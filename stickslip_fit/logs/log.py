@@ -28,7 +28,7 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
-from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELDS
+from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELD_BY_NAME
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
 
@@ -58,9 +58,6 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     ]
     counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
     return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
-
-
-_FIELD_BY_NAME = {field.name: field for field in FIELDS}
 
 
 def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
@@ -143,7 +140,7 @@ def _optional_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
 
 def _quantity_column(name: str, values: Array) -> dict[str, list[str]]:
     """One column, in the first unit in which every value has an exact equal."""
-    field = _FIELD_BY_NAME[name]
+    field = FIELD_BY_NAME[name]
     candidates = [
         (spelling, _convert_exactly(values, SUFFIXES[suffix]))
         for spelling, suffix in zip(field.spellings, field.suffixes, strict=True)

@@ -248,7 +248,7 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
             "traverse": lambda: read_traverses(cells, machine, joint, forward),
             "check_every": lambda: _read_check_every(cells, steps),
             "status": lambda: _read_status(cells),
-            **{name: partial(_read_condition, cells, name) for name in CONDITIONS},
+            **{name: partial(cells.numbers, name) for name in CONDITIONS},
             "note": lambda: cells.texts("note").to_pandas(),
         }
     )
@@ -285,13 +285,6 @@ def _read_status(cells: LogCells) -> pd.Series:
     return label_codes(np.where(status == STATUSES.index(""), 0, status), STATUSES)
 
 
-def _read_condition(cells: LogCells, name: str) -> Array:
-    values = cells.numbers(name)
-    if fault := CONDITIONS[name].fault:
-        cells.add_issue(name, values <= 0, fault)
-    return values
-
-
 _LEADING_COLUMNS = ["session", "time", "joint", "direction", "steps"]
 
 
@@ -326,8 +319,11 @@ def read_log(
     machine = machine or load_machine()
     issues = IssueCollector()
     sources = open_sources(source, issues)
-    tables = [source.table for source in sources]
-    layouts = [match_columns(table.names, table.file, table.header_line, issues) for table in tables]
+    tables = [source.table for source in sources.files]
+    layouts = [
+        match_columns(table.names, table.file, table.header_line, issues, table.type_faults)
+        for table in tables
+    ]
     files = [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
     if not files:
         issues.raise_if_any()
@@ -342,10 +338,11 @@ def read_log(
     rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order])
     return Log(
         rows=rows.assign(steps_before=identity.steps_before[chosen[identity.order]]),
-        sources=tuple((file.table.file, file.sha256) for file in sources),
-        sha256=hash_sources(sources),
+        sources=tuple((file.table.file, file.sha256) for file in sources.files),
+        sha256=hash_sources(sources.files),
         machine=machine,
         notes=(
+            *sources.notes,
             *(note for cells in files for note in cells.layout.notes),
             *notes,
             *note_similar_sessions(identity),
