@@ -28,7 +28,7 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
-from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELD_BY_NAME
+from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELD_BY_NAME, check_frame
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
 
@@ -197,6 +197,11 @@ class Log(Summarized):
         Its ranges are the ends of full traverses.
     notes : tuple of str
         On how the files were read.
+
+    Raises
+    ------
+    InputError
+        If `rows` lack a column or hold what no file could have given, such as a count of 0 or NaN.
     """
 
     rows: pd.DataFrame
@@ -204,6 +209,9 @@ class Log(Summarized):
     sha256: str
     machine: Machine
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_frame(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -220,7 +228,11 @@ class Log(Summarized):
 
     @property
     def usable(self) -> pd.DataFrame:
-        """The rows that may be fitted: those whose status is ok."""
+        """The rows that may be fitted: those whose status is ok.
+
+        InputError for rows that no file could have given, since a DataFrame can be changed in place.
+        """
+        check_frame(self.rows)
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:

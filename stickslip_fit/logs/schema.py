@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, pi
+from math import inf, isfinite, pi
 from types import MappingProxyType
 from typing import Any
 
@@ -20,7 +20,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._table import (
     MAX_COLUMNS,
     FileTable,
@@ -33,7 +33,7 @@ from stickslip_fit.logs._table import (
     parse_times,
     to_text,
 )
-from stickslip_fit.units import SUFFIXES, from_si, to_si
+from stickslip_fit.units import JOINTS, SUFFIXES, from_si, to_si
 
 ANGLE_SUFFIXES = ("deg", "rad")
 LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
@@ -455,3 +455,63 @@ def _text_column(cells: LogCells, name: str) -> pa.Array:
 def _raw_column(cells: LogCells, name: str) -> pa.Array:
     missing = pa.nulls(cells.table.count, pa.large_string())
     return cells.table.column(name) if name in cells.layout.unknown else missing
+
+
+_MAY_BE_EMPTY = ("q1", "q2", "q3", *CONDITIONS)
+_ROW_NUMBERS = ("joint", "steps", "check_every", "theta", "psi", "start", "stop", *_MAY_BE_EMPTY)
+_ROW_TEXTS = {"direction": ("+", "-"), "status": ("ok", "interrupted", "excluded")}
+
+
+def check_frame(rows: pd.DataFrame) -> None:
+    """Refuse rows of a Log that no file could have given, such as a count of 0 or NaN.
+
+    InputError has an issue for each column, with the labels of its first rows.
+    """
+    needed = {*_ROW_NUMBERS, *_ROW_TEXTS, "session", "time"}
+    if missing := sorted(needed - set(rows)):
+        raise InputError(f"the rows of a log need the columns {', '.join(missing)}; see Log.rows")
+    own = [name for name in rows if str(name).startswith(COVARIATE_PREFIX)]
+    faults = {"time": _wrong_times(rows["time"]), "session": rows["session"].isna().to_numpy()}
+    faults |= {name: ~rows[name].isin(choices).to_numpy() for name, choices in _ROW_TEXTS.items()}
+    faults |= {name: _wrong_numbers(rows, name) for name in (*_ROW_NUMBERS, *own)}
+    issues = []
+    for name, wrong in faults.items():
+        if wrong.any():
+            labels = ", ".join(map(str, rows.index[wrong][:MAX_LABELS]))
+            more = f" and {wrong.sum() - MAX_LABELS:,} more" if wrong.sum() > MAX_LABELS else ""
+            message = f"of rows {labels}{more} is no value of a log ({_describe_values(name)}); correct it"
+            issues.append(InputIssue(message, column=name, value=str(rows[name].to_numpy()[wrong][0])))
+    if issues:
+        raise InputError(issues)
+
+
+MAX_LABELS = 5  # of rows with one fault
+
+
+def _wrong_times(time: pd.Series) -> BoolArray:
+    return np.full(len(time), not pd.api.types.is_datetime64_any_dtype(time)) | time.isna().to_numpy()
+
+
+def _wrong_numbers(rows: pd.DataFrame, name: str) -> BoolArray:
+    if not pd.api.types.is_numeric_dtype(rows[name]) or pd.api.types.is_bool_dtype(rows[name]):
+        return np.ones(len(rows), np.bool_)
+    values = rows[name].to_numpy(dtype=np.float64, na_value=np.nan)
+    needed = name not in CONDITIONS and name in _ROW_NUMBERS
+    if name in ("q1", "q2", "q3"):
+        needed = rows["joint"].isin({*JOINTS} - {int(name[1])}).to_numpy()
+    return np.isinf(values) | (np.isnan(values) & needed) | is_outside(values, _row_limits(name))
+
+
+def _row_limits(name: str) -> tuple[float, float]:
+    if name in ("start", "stop"):
+        return (-inf, inf)
+    return FIELD_BY_NAME[name].limits if name in FIELD_BY_NAME else OWN_LIMITS
+
+
+def _describe_values(name: str) -> str:
+    if name in _ROW_TEXTS:
+        return " or ".join(_ROW_TEXTS[name])
+    if name in ("session", "time"):
+        return {"session": "a label", "time": "datetime64"}[name]
+    low, high = _row_limits(name)
+    return f"a number, {low:g} to {high:g}, SI" if isfinite(low) else "a finite number, SI"
