@@ -27,8 +27,19 @@ if TYPE_CHECKING:
     from stickslip_fit.moves import CalibratedArm, DriveCommand
     from stickslip_fit.simulation import LawValues
 
+
+def parse_path(text: str) -> Path:
+    """A path; InputError for an empty one, which would be the current folder."""
+    if not text:
+        raise InputError("a file was named by an empty text, perhaps a variable that is not set; name a file")
+    return Path(text)
+
+
 LogPath = Annotated[
-    list[Path], typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them.")
+    list[Path],
+    typer.Argument(
+        metavar="LOG", parser=parse_path, help="Campaign log: CSV or Parquet files, or a folder of them."
+    ),
 ]
 MachinePath = Annotated[
     Path | None, typer.Option("--machine", help="Machine file (TOML); the nominal MM3A without it.")
@@ -42,7 +53,11 @@ Chart = Annotated[
 PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML).")]
 Calibration = Annotated[
     list[Path],
-    typer.Argument(metavar="LOG|RESULT", help="A campaign log to fit, or a result saved with `fit --json`."),
+    typer.Argument(
+        metavar="LOG|RESULT",
+        parser=parse_path,
+        help="A campaign log to fit, or a result saved with `fit --json`.",
+    ),
 ]
 Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]
 Theta = Annotated[float, typer.Option(help="Base turned about x, degrees.")]

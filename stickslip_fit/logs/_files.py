@@ -259,7 +259,9 @@ class Listing:
                 status = os.stat(path)
             except (OSError, ValueError) as error:
                 link = (
-                    f"it is a link to {os.readlink(path)!r}: mend or delete it" if path.is_symlink() else ""
+                    f"it is a link to {os.readlink(path)!r}: mend or delete it"
+                    if os.path.islink(path)
+                    else ""
                 )
                 advice = link or "name an existing log"
                 issues.add(format_path(path), f"cannot be read ({explain_os_error(error)}); {advice}")

@@ -267,8 +267,9 @@ def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: 
 def _read_check_every(cells: LogCells, steps: Int64Array) -> Int64Array:
     given = cells.counts("check_every", "is no positive integer; write 5, or 1 where the count is exact")
     check_every = np.where(given > 0, given, CHECK_EVERY)
-    # Not checked where the cell is bad.
-    known = (given > 0) | ~cells.is_filled("check_every")
+    # Not checked where the cell or the whole column is bad.
+    readable = cells.has("check_every") or "check_every" not in cells.table.names
+    known = (given > 0) | (~cells.is_filled("check_every") & readable)
 
     def message(row: int, value: str) -> str:
         return f"is no multiple of check_every, {check_every[row]}; correct the one or the other"
@@ -285,6 +286,7 @@ def _read_status(cells: LogCells) -> pd.Series:
     return label_codes(np.where(status == STATUSES.index(""), 0, status), STATUSES)
 
 
+_MAX_LOOSE_COLUMNS = 80
 _LEADING_COLUMNS = ["session", "time", "joint", "direction", "steps"]
 
 
@@ -379,6 +381,8 @@ def _build_columns(
 def _order_columns(columns: dict[str, pd.Series], order: Int64Array) -> pd.DataFrame:
     names = _LEADING_COLUMNS + [name for name in columns if name not in _LEADING_COLUMNS]
     rows = pd.DataFrame({name: columns[name] for name in names}, copy=False)
+    if len(names) > _MAX_LOOSE_COLUMNS:
+        rows = rows.copy()  # in one block: pandas warns of more pieces
     if np.all(order[1:] > order[:-1]):
         return rows
     return rows.take(order).reset_index(drop=True)
