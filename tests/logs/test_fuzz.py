@@ -325,8 +325,8 @@ def swap_columns(table: Table, rng: np.random.Generator) -> None:
         row[one], row[other] = row[other], row[one]
 
 
-def repeat_shuffle_or_cut_rows(table: Table, rng: np.random.Generator) -> None:
-    table[1:] = [table[place] for place in rng.integers(1, len(table), rng.integers(0, len(table)))]
+def shuffle_and_cut_rows(table: Table, rng: np.random.Generator) -> None:
+    table[1:] = [table[place] for place in rng.permutation(range(1, len(table)))[: rng.integers(len(table))]]
 
 
 def scale_a_column(table: Table, rng: np.random.Generator) -> None:
@@ -342,20 +342,20 @@ def change_nothing(table: Table, rng: np.random.Generator) -> None:
 
 TABLE_MUTATIONS = (
     *(change_cells, change_a_column, drop_or_repeat_a_column, swap_columns),
-    *(repeat_shuffle_or_cut_rows, scale_a_column, change_nothing),
+    *(shuffle_and_cut_rows, shuffle_and_cut_rows, scale_a_column, change_nothing, change_nothing),
 )
 
 
 def as_csv(table: Table, rng: np.random.Generator) -> bytes:
     """A table in a dialect of any kind, with or without damaged bytes."""
     with io.StringIO(newline="") as stream:
-        end, mark = str(rng.choice(["\n", "\r\n", "\r"])), str(rng.choice([",", ",", ",", ",", ";", "\t"]))
+        end, mark = str(rng.choice(["\n", "\r\n", "\r"])), str(rng.choice([*"," * 12, ";", "\t"]))
         writer = csv.writer(stream, lineterminator=end, delimiter=mark, quoting=int(rng.choice([0, 0, 1])))
         writer.writerows(table)
         text = stream.getvalue()
-    encoding = str(rng.choice(["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"]))
+    encoding = str(rng.choice(["utf-8", "utf-8-sig", "latin-1"] * 5 + ["utf-16", "utf-16-le"]))
     raw = bytearray(text.encode(encoding, "replace"))
-    for _ in range(rng.choice([0, 0, 1, 4])):
+    for _ in range(rng.choice([0, 0, 0, 0, 1, 4])):
         place, length = rng.integers(len(raw) + 1), rng.integers(0, 40)
         raw[place : place + length] = rng.choice(
             [b"", b'"', b",", b"\n", b"\r", b"\0\0", b"\xff", bytes(raw[:90])]
@@ -401,7 +401,7 @@ def as_parquet(table: Table, rng: np.random.Generator) -> bytes:
                 columns[place] = pc.if_else(pc.equal(columns[place], ""), None, columns[place]).cast(
                     pa.float64()
                 )
-    if rng.random() < 0.6:
+    if rng.random() < 0.3:
         kind = ANY_TYPE[rng.integers(len(ANY_TYPE))]
         columns[rng.integers(width)] = any_array(len(table) - 1, kind, rng)
     with io.BytesIO() as sink:
@@ -454,4 +454,4 @@ def test_mutated_logs_are_refused_or_read_whole_and_fitted(folder):
 @pytest.mark.parametrize("block", range(10))
 def test_a_thousand_mutated_logs_are_refused_or_read_whole_and_fitted(folder, block):
     outcome = [try_mutated_log(seed, folder) for seed in range(100 * block, 100 * (block + 1))]
-    assert 10 < sum(outcome) < 90
+    assert 15 < sum(outcome) < 85
