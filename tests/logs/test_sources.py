@@ -113,9 +113,14 @@ def test_a_subfolder_that_cannot_be_read_is_an_error(folder, monkeypatch):
 def test_an_empty_name_is_no_folder(folder, monkeypatch, source):
     monkeypatch.chdir(folder)
     assert refusal(source) == "no log was named; name a file or a folder"
-    result = CliRunner().invoke(app, ["check", ""])
-    assert "empty text" in str(result.exception)
+
+
+@pytest.mark.parametrize("command", ["check", "fit", "predict", "diagnose", "plan", "report", "demo"])
+def test_an_empty_argument_is_no_folder(folder, monkeypatch, command):
+    monkeypatch.chdir(folder)
+    result = CliRunner().invoke(app, [command, ""])
     assert isinstance(result.exception, InputError)
+    assert "empty text" in str(result.exception)
 
 
 @pytest.mark.parametrize("source", ["day\0.csv", "x" * 5000, "nowhere.csv"])
