@@ -115,7 +115,7 @@ def test_an_empty_name_is_no_folder(folder, monkeypatch, source):
     assert refusal(source) == "no log was named; name a file or a folder"
 
 
-@pytest.mark.parametrize("command", ["check", "fit", "predict", "diagnose", "plan", "report", "demo"])
+@pytest.mark.parametrize("command", ["check", "fit", "anova", "diagnose", "plan", "report", "demo"])
 def test_an_empty_argument_is_no_folder(folder, monkeypatch, command):
     monkeypatch.chdir(folder)
     result = CliRunner().invoke(app, [command, ""])
