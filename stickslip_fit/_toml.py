@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError, Valida
 from pydantic.functional_validators import WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
+from stickslip_fit._input import format_path, read_file
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.units import SUFFIXES, from_si, to_si
 
@@ -35,6 +36,9 @@ Count = Annotated[int, Interval(ge=1, le=10_000)]
 SLACK = 1e-9  # share of a range; less is rounding
 SUFFIX_OF = {symbol: suffix for suffix, symbol in SUFFIXES.items()}
 FAULT = "fault"
+MAX_BYTES = 2**19  # of a file; a plan of a year has some kB
+MAX_ISSUES = 100  # shown; the others are counted
+_DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){32}""")
 
 
 @dataclass(frozen=True)
@@ -180,24 +184,16 @@ class TomlTable(BaseModel):
 def read_toml[Model: TomlTable](
     path: str | Path, model: type[Model], kind: str, context: Any = None
 ) -> Model:
-    """Read a file that `kind` names; see `file_bytes` and `parse_toml`."""
-    return parse_toml(file_bytes(path, kind), str(path), model, context)
-
-
-def file_bytes(path: str | Path, kind: str) -> bytes:
-    """What is in a file; raises InputError if it cannot be read."""
-    try:
-        return Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        message = f"cannot be read ({reason}); name an existing {kind}"
-        raise InputError(InputIssue(message, str(path))) from None
+    """Read a file that `kind` names; see `read_file` and `parse_toml`."""
+    return parse_toml(read_file(path, kind, MAX_BYTES), format_path(path), model, context)
 
 
 def parse_toml[Model: TomlTable](raw: bytes, file: str, model: type[Model], context: Any = None) -> Model:
     """A TOML text as a model; InputError with every issue: file, line, key, value, and what to do."""
     try:
         text = raw.decode("utf-8-sig")
+        if _DEEP_KEY.search(text):  # which takes tomllib forever
+            raise ValueError("a key has more than 32 parts")
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(InputIssue(f"is no TOML file ({error}); correct it there", file)) from None
@@ -210,6 +206,9 @@ def parse_toml[Model: TomlTable](raw: bytes, file: str, model: type[Model], cont
             line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), None)
             issue = InputIssue(detail["msg"], file, line, _format_place(place), value)
             issues += detail["ctx"]["issues"] or [issue]
+        if len(issues) > MAX_ISSUES:
+            rest = InputIssue(f"... and {len(issues) - MAX_ISSUES:,} more", file)
+            issues = [*issues[:MAX_ISSUES], rest]
         raise InputError(issues) from None
 
 

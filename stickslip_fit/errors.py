@@ -28,7 +28,7 @@ class InputIssue:
         if self.line is not None:
             place += f"{', ' if place else ''}line {self.line}"
         if self.column is not None:
-            place += f"{', ' if place else ''}column {self.column}"
+            place += f"{', ' if place else ''}column {shorten(self.column, 100)}"
         if self.value is not None:
             place += f"{', ' if place else ''}value {shorten(self.value)!r}"
         return f"{place}: {self.message}" if place else self.message

@@ -8,7 +8,7 @@ import tomllib
 
 import pytest
 
-from stickslip_fit._toml import parse_toml
+from stickslip_fit._toml import MAX_ISSUES, parse_toml
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine import load_machine
@@ -81,6 +81,43 @@ def test_a_missing_key_is_told_at_the_line_of_its_table():
     lines = text.splitlines()
     places = [(problem.column, lines[problem.line - 1]) for problem in caught.value.problems]
     assert places == [("law 1 c_um", "c_um = 0.376"), ("law 2 a_nm", "[[law]]")]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 200_000 + "]" * 200_000, "is no TOML file"),
+        ("a = " + "{a = " * 60_000 + "1" + "}" * 60_000, "is no TOML file"),
+        (".".join("a" * 100_000) + " = 1", "more than 32 parts"),
+        ("[" + " . ".join(["'a'"] * 100_000) + "]", "more than 32 parts"),
+        ("seed = " + "9" * 100_000, "is no TOML file"),
+        ("a" * 500_000 + " = 1", "is no key of this table"),
+        ("a = 1\na = 2", "is no TOML file"),
+        ("\0", "is no TOML file"),
+    ],
+)
+def test_deep_and_huge_values_are_refused_with_one_short_message(kind, text, said):
+    model, context = MODELS[kind]
+    with pytest.raises(InputError, match=said) as caught:
+        parse_toml(text.encode(), "plan.toml", model, context)
+    assert len(str(caught.value)) < 5_000
+
+
+def test_a_thousand_faults_are_counted():
+    text = "".join(f"key{number} = 1\n" for number in range(1_000))
+    with pytest.raises(InputError) as caught:
+        parse_toml(text.encode(), "mm3a.toml", MachineFile)
+    assert len(caught.value.problems) == MAX_ISSUES + 1
+    assert str(caught.value.problems[-1]) == "mm3a.toml: ... and 906 more"  # and six missing ones
+
+
+def test_a_plan_of_more_traverses_than_a_session_has_is_refused(tmp_path):
+    text = "[sessions]\ndates = [2012-03-05]\n" + 600 * (
+        "[[sweep]]\njoint = 3\nq2_deg = -90\nreplicates = 1000\n"
+    )
+    with pytest.raises(InputError, match="list has 1,200,000 traverses; keep it to 500,000"):
+        parse_toml(text.encode(), "plan.toml", PlanFile, load_machine())
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -28,9 +28,19 @@ if TYPE_CHECKING:
     from stickslip_fit.moves import CalibratedArm, DriveCommand
     from stickslip_fit.simulation import LawValues
 
+
+def parse_path(text: str) -> Path:
+    """A path; InputError for an empty one, which would be the current folder."""
+    if not text:
+        raise InputError("a file was named by an empty text, perhaps a variable that is not set; name a file")
+    return Path(text)
+
+
 LogPath = Annotated[
     list[Path],
-    typer.Argument(metavar="LOG", help="Campaign log: CSV or Parquet files, or a folder of them."),
+    typer.Argument(
+        metavar="LOG", parser=parse_path, help="Campaign log: CSV or Parquet files, or a folder of them."
+    ),
     INPUT,
 ]
 MachinePath = Annotated[
@@ -48,7 +58,11 @@ Chart = Annotated[
 PlanPath = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a campaign (TOML)."), INPUT]
 Calibration = Annotated[
     list[Path],
-    typer.Argument(metavar="LOG|RESULT", help="A campaign log to fit, or a result saved with `fit --json`."),
+    typer.Argument(
+        metavar="LOG|RESULT",
+        parser=parse_path,
+        help="A campaign log to fit, or a result saved with `fit --json`.",
+    ),
     INPUT,
 ]
 Session = Annotated[str | None, typer.Option(help="Whose calibration to use; the latest without it.")]

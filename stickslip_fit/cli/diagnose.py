@@ -21,6 +21,7 @@ from stickslip_fit.cli._options import (
     command_line,
     load_law_values,
     load_log,
+    parse_path,
     reference_law,
 )
 from stickslip_fit.errors import InputError
@@ -99,7 +100,11 @@ def diagnose(
 def plan(
     source: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG|PLAN", help="A campaign log, or the plan of a campaign (TOML)."),
+        typer.Argument(
+            metavar="LOG|PLAN",
+            parser=parse_path,
+            help="A campaign log, or the plan of a campaign (TOML).",
+        ),
         INPUT,
     ],
     law: Annotated[

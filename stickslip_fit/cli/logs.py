@@ -23,6 +23,7 @@ from stickslip_fit.cli._options import (
     has_browser,
     load_law_values,
     load_log,
+    parse_path,
     reference_campaign,
 )
 from stickslip_fit.cli.fit import select_named_causes
@@ -124,7 +125,9 @@ def report(
 
 def demo(
     log: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG", help="The reference campaign without it."), INPUT
+        list[Path] | None,
+        typer.Argument(metavar="LOG", parser=parse_path, help="The reference campaign without it."),
+        INPUT,
     ] = None,
     machine: MachinePath = None,
     browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,

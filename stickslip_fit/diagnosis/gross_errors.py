@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtr, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.influence import OUTLYING_SD
@@ -25,7 +25,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, Selection, predict_departures
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
-UNIT_MEDIAN = float(student_t.ppf(0.75, TAIL_DF))  # of its absolute value, in units of its scale
+UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale
 MAX_PASSES, WEIGHT_TOL = 25, 0.05
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE = 0.05  # of the rows; more are an effect
@@ -40,7 +40,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
     z, _ = fit_robustly(problem)
-    p_values = np.minimum(1.0, 2.0 * len(problem) * student_t.sf(np.abs(z), TAIL_DF))
+    p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))
     rows = np.flatnonzero(p_values < level)
     rows = rows[~_have_company(z, rows, problem)]
     if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), 1.0):

@@ -17,13 +17,22 @@ import pyarrow as pa
 from pyarrow import csv
 
 from stickslip_fit._typing import Int64Array
-from stickslip_fit.logs._table import FileTable, IssueCollector, combine_chunks
+from stickslip_fit.logs._table import (
+    MAX_COLUMNS,
+    MAX_ROWS,
+    MAX_SHOWN,
+    FileTable,
+    IssueCollector,
+    combine_chunks,
+    report_excess,
+)
 from stickslip_fit.logs.schema import holds_numbers, is_known
 
 _CELL_PATTERN = rb'(?>"(?:[^"]++|"")*+(?:"|\Z)[^,\r\n]*+|[^,"\r\n][^,\r\n]*+|)'
 _END_PATTERN = rb"(?:\r\n|\r|\n|\Z)"
 _RECORD_PATTERN = re.compile(_CELL_PATTERN + rb"(?:," + _CELL_PATTERN + rb")*+" + _END_PATTERN)
 _ONE_CELL_PATTERN = re.compile(_CELL_PATTERN)
+_NOT_EMPTY_PATTERN = re.compile(rb"[^\r\n]")
 _UNCLOSED_PATTERN = re.compile(rb'"(?:[^"]++|"")*+\Z')
 
 
@@ -32,8 +41,7 @@ class RaggedRecord:
     """A record with too many or too few cells."""
 
     line: int
-    cells: int
-    text: str
+    text: bytes
 
 
 class CsvScan(NamedTuple):
@@ -52,7 +60,7 @@ class CsvRecords:
     --------
     >>> records = CsvRecords(b'1,"two\nlines"\n3\n4,5\n', start=0, first_line=1, width=2)
     >>> records.scan.lines, records.scan.ragged
-    (array([1, 4]), [RaggedRecord(line=3, cells=1, text='3')])
+    (array([1, 4]), [RaggedRecord(line=3, text=b'3')])
     """
 
     raw: bytes
@@ -74,15 +82,17 @@ class CsvRecords:
         ragged: list[RaggedRecord] = []
         unclosed = None
         position, line = self.start, self.first_line
-        while position < len(self.raw):
+        while found := _NOT_EMPTY_PATTERN.search(self.raw, position):
+            line += count_lines(self.raw[position : found.start()])
+            position = found.start()
             match = full_width.match(self.raw, position)
             end = (match or next_record(self.raw, position)).end()
             record = self.raw[position:end]
             text = record.rstrip(b"\r\n")
-            if match and text:
+            if match:
                 lines.append(line)
-            elif text:
-                ragged.append(RaggedRecord(line, len(split_cells(text)), text.decode("utf-8", "replace")))
+            else:
+                ragged.append(RaggedRecord(line, text))
             if end == len(self.raw) and any(map(_UNCLOSED_PATTERN.fullmatch, split_cells(record))):
                 unclosed = line
             position, line = end, line + count_lines(record)
@@ -178,10 +188,11 @@ def report_invalid_bytes(raw: bytes, names: tuple[str, ...], file: str, issues: 
 
 _BLOCK_SIZE = 2 << 20
 _MAX_BLOCK_SIZE = 2**31 - 1
+_MAX_LINE = 2**24  # bytes
+_MAX_RAGGED = 10_000
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NUMBER_PATTERN = re.compile(rb"[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 _UNCLOSED_MESSAGE = "has a quotation mark that opens a cell and is never closed; close it, or write it twice"
-_NOT_EMPTY_PATTERN = re.compile(rb"[^\r\n]")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
@@ -246,8 +257,13 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     if first is None:
         issues.add(file, "is empty; it needs a header and one line for each traverse")
         return None
+    if _report_long_line(text, file, issues):
+        return None
     header = next_record(text, first.start())
     header_line = 1 + count_lines(text[start : header.start()])
+    columns = len(split_cells(header[0])) if b'"' in header[0] else 1 + header[0].count(b",")
+    if report_excess(file, columns, MAX_COLUMNS, "columns", issues):
+        return None
     names = tuple(unquote(cell) for cell in split_cells(header[0]))
     if text is not raw:
         report_invalid_bytes(raw, names, file, issues)
@@ -256,19 +272,38 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     records = CsvRecords(text, header.end(), header_line + count_lines(header[0]), len(names))
     first_row = _NOT_EMPTY_PATTERN.search(text, records.start)
     if first_row is None:
-        if CsvRecords(text, header.start(), header_line, len(names)).scan.unclosed:
+        if records.quoted and CsvRecords(text, header.start(), header_line, len(names)).scan.unclosed:
             issues.add(file, _UNCLOSED_MESSAGE, line=header_line, value='"')
         else:
             issues.add(file, "has a header and no rows; add one line for each traverse")
         return None
     first_cells = split_cells(next_record(text, first_row.start())[0])
-    read, any_ragged = _read_columns(records, _numeric_columns(names, first_cells))
+    try:
+        read, any_ragged = _read_columns(records, _numeric_columns(names, first_cells))
+    except pa.ArrowInvalid:
+        message = f"more than {_MAX_RAGGED:,} rows have another number of cells than the header; correct that"
+        issues.add(file, message, line=header_line)
+        return None
+    if report_excess(file, read.num_rows, MAX_ROWS, "rows", issues):
+        return None
     if any_ragged:
-        located = [(r.line, None, r.text, _width_message(r.cells, len(names))) for r in records.scan.ragged]
-        issues.add_lines(file, located)
+        _report_ragged(records.scan.ragged, len(names), file, issues)
     if _may_be_unclosed(records, read) and records.scan.unclosed is not None:
         issues.add(file, _UNCLOSED_MESSAGE, line=records.scan.unclosed, value='"')
     return CsvTable(file, names, header_line, CsvCells(records, read))
+
+
+def _report_long_line(text: bytes, file: str, issues: IssueCollector) -> bool:
+    """Whether a line is longer than any that is read."""
+    end = 0
+    while end + _MAX_LINE < len(text):
+        start = end
+        end = 1 + max(text.rfind(mark, start, start + _MAX_LINE) for mark in (b"\n", b"\r"))
+        if not end:
+            message = f"has more than {_MAX_LINE >> 20} MiB, so the file is damaged, or no table"
+            issues.add(file, message, line=1 + count_lines(text[:start]))
+            return True
+    return False
 
 
 def _report_other_separator(
@@ -307,7 +342,7 @@ def _parse_block(records: CsvRecords, numeric: list[int], block: int) -> tuple[p
 
     def skip(row: csv.InvalidRow) -> str:
         ragged.append(row)
-        return "skip"
+        return "skip" if len(ragged) <= _MAX_RAGGED else "error"
 
     names = [str(position) for position in range(records.width)]
     kinds = dict.fromkeys(names, pa.large_string()) | {str(position): pa.float64() for position in numeric}
@@ -335,10 +370,13 @@ def _may_be_unclosed(records: CsvRecords, cells: pa.Table) -> bool:
     return "\n" in last or "\r" in last or not records.raw.endswith((b"\n", b"\r"))
 
 
-def _width_message(count: int, expected: int) -> str:
-    if count < expected:
-        return f"has {count} cells where the header has {expected}; fill in what is missing, or add commas"
-    return (
-        f"has {count} cells where the header has {expected}; "
-        "write decimals with a point, and quote text that holds a comma"
-    )
+def _report_ragged(ragged: list[RaggedRecord], width: int, file: str, issues: IssueCollector) -> None:
+    located = []
+    for record in ragged[:MAX_SHOWN]:
+        count = len(split_cells(record.text)) if b'"' in record.text else 1 + record.text.count(b",")
+        advice = "write decimals with a point, and quote text that holds a comma"
+        if count < width:
+            advice = "fill in what is missing, or add commas"
+        message = f"has {count} cells where the header has {width}; {advice}"
+        located.append((record.line, None, record.text.decode("utf-8", "replace"), message))
+    issues.add_lines(file, located, more=len(ragged) - len(located))

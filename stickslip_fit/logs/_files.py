@@ -1,13 +1,18 @@
-"""Opens the files and folders of a log, CSV or Parquet, and hashes their content.
+"""Finds and opens the files of a log, CSV or Parquet, and hashes their content.
 
-A Parquet file is read column by column, and only those row groups that are asked for.
+A Parquet file is read column by column, and only those row groups that are asked for. Of a folder everything
+is read or named in a note or an issue, but for hidden entries, editors' backups (``day.csv~``, ``#day.csv#``)
+and spreadsheets' lock files (``~$day.xlsx``).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +20,22 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import parquet
 
+from stickslip_fit._format import join_words, pluralize
+from stickslip_fit._input import explain_os_error, format_path, read_file
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._csv import parse_csv
-from stickslip_fit.logs._table import FileTable, IssueCollector, combine_chunks, run_in_threads, to_text
+from stickslip_fit.logs._table import (
+    MAX_COLUMNS,
+    MAX_ROWS,
+    FileTable,
+    IssueCollector,
+    combine_chunks,
+    report_excess,
+    run_in_threads,
+    to_text,
+)
+from stickslip_fit.logs.schema import holds_numbers
 
 # What pyarrow raises on a damaged file, which may have names or text that are no UTF-8.
 _READ_ERRORS = (pa.ArrowException, OSError, UnicodeDecodeError)
@@ -30,6 +47,7 @@ class ParquetTable(FileTable):
 
     file: str
     names: tuple[str, ...]
+    kinds: tuple[pa.DataType, ...]
     raw: bytes
     metadata: parquet.FileMetaData
     rows: Int64Array | None = None
@@ -39,6 +57,12 @@ class ParquetTable(FileTable):
     def n_in_file(self) -> int:
         """See `FileTable`."""
         return self.metadata.num_rows
+
+    @cached_property
+    def type_faults(self) -> Mapping[str, str]:
+        """See `FileTable`."""
+        faults = zip(self.names, map(_explain_type, self.names, self.kinds), strict=True)
+        return {name: message for name, message in faults if message}
 
     def column(self, name: str) -> pa.Array:
         """See `FileTable`; InputError for a column that is damaged or holds lists or the like."""
@@ -92,7 +116,48 @@ def open_parquet(raw: bytes, file: str, issues: IssueCollector) -> ParquetTable 
     if not source.metadata.num_rows:
         issues.add(file, "has no rows; add one for each traverse")
         return None
-    return ParquetTable(file, tuple(source.schema_arrow.names), raw, source.metadata)
+    if report_excess(file, source.metadata.num_rows, MAX_ROWS, "rows", issues):
+        return None
+    if report_excess(file, source.metadata.num_columns, MAX_COLUMNS, "columns", issues):
+        return None
+    schema = source.schema_arrow
+    return ParquetTable(file, tuple(schema.names), tuple(schema.types), raw, source.metadata)
+
+
+_NUMBER_TYPES = (
+    pa.types.is_integer,
+    pa.types.is_floating,
+    pa.types.is_decimal,
+    pa.types.is_null,
+)
+_TEXT_TYPES = (
+    pa.types.is_string,
+    pa.types.is_large_string,
+    pa.types.is_string_view,
+    pa.types.is_binary,
+    pa.types.is_large_binary,
+    pa.types.is_binary_view,
+    pa.types.is_fixed_size_binary,
+)
+_MOMENT_TYPES = (pa.types.is_boolean, pa.types.is_timestamp, pa.types.is_date, pa.types.is_time)
+
+
+def _explain_type(name: str, kind: pa.DataType) -> str | None:
+    """What is wrong with the type of a column, if anything.
+
+    Examples
+    --------
+    >>> _explain_type("steps", pa.duration("us")), _explain_type("steps", pa.decimal128(9))
+    ('holds duration[us]; save it as numbers', None)
+    """
+    stored = kind.value_type if pa.types.is_dictionary(kind) else kind
+    if any(is_type(stored) for is_type in (*_NUMBER_TYPES, *_TEXT_TYPES)):
+        return None
+    if holds_numbers(name):
+        return f"holds {kind}; save it as numbers"
+    if any(is_type(stored) for is_type in _MOMENT_TYPES):
+        return None
+    return f"holds {kind}; save it as numbers or text, or leave it out"
 
 
 def _check_column(column: pa.ChunkedArray) -> pa.Array:
@@ -114,6 +179,25 @@ def to_cells(column: pa.Array) -> pa.Array:
 
 
 SourcePath = str | Path
+MAX_BYTES = 2**29  # of all files; as CSV some eight million traverses
+MAX_NAMES = 10  # of files in a note
+_LOG_SUFFIXES = (".csv", ".parquet")
+_LEFT_OUT = re.compile(r"[.#]|~\$|.*~$")
+# What a file begins with that is neither CSV nor Parquet.
+_FOREIGN_CONTENT = {
+    rb"\x1f\x8b": "is packed with gzip; unpack it, and name the file inside",
+    rb"BZh\d1AY&SY|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!": "is packed; unpack it, name what is inside",
+    rb"PK\x03\x04(?s:.{0,60})opendocument": "is an OpenDocument file; save its sheet as 'CSV UTF-8'",
+    rb"PK\x03\x04(?s:.{0,4000})(\[Content_Types\]|xl/)": "is an Excel workbook; save it as 'CSV UTF-8'",
+    rb"PK\x03\x04": "is a zip archive; unpack it, and name the file or folder inside",
+    rb"\xd0\xcf\x11\xe0": "is an Excel workbook, old or protected; save its sheet as 'CSV UTF-8'",
+    rb"%PDF-": "is a PDF; give the table that it was printed from, as CSV",
+    rb"(?i)(\xef\xbb\xbf)?\s*<(!doctype html|html)": "is a web page; download the file itself",
+    rb"(\xef\xbb\xbf)?\s*<\?xml": "is XML; save the table in it as CSV",
+    rb"\s*(\{\s*[\"}]|\[\s*[\[{\"\]])": "is JSON, such as a saved result; name the log itself",
+    rb"ARROW1": "is an Arrow file; save it as Parquet or CSV",
+    rb"\x89HDF": "is an HDF5 file; save the table in it as Parquet or CSV",
+}
 
 
 @dataclass(frozen=True)
@@ -124,8 +208,83 @@ class SourceFile:
     sha256: str
 
 
-def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollector) -> list[SourceFile]:
-    """Open files, and the ``*.csv`` and ``*.parquet`` in folders, hidden ones left out.
+@dataclass(frozen=True)
+class Listing:
+    """The files of a log, each once, whatever links lead to it, and notes on what is not read."""
+
+    files: list[Path] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    first_path: dict[tuple[int, int], Path] = field(default_factory=dict)
+
+    def add(self, path: Path, issues: IssueCollector) -> None:
+        """Add a file, or the logs in a folder; InputError for a folder without."""
+        if not os.path.isdir(path):
+            self.files.extend(self._new([path], issues))
+            return
+        entries = list(self._walk(path, issues))
+        logs = [entry for entry in entries if entry.suffix.lower() in _LOG_SUFFIXES]
+        others = [format_path(entry.relative_to(path)) for entry in entries if entry not in set(logs)]
+        named = join_words(
+            others[:MAX_NAMES] + [f"{len(others) - MAX_NAMES} more"] * (len(others) > MAX_NAMES)
+        )
+        if not logs:
+            hint = f"; neither is {named}" if others else ""
+            message = f"is a folder without logs{hint}; put .csv or .parquet files there, or name another"
+            issues.add(format_path(path), message)
+        elif others:
+            self.notes.append(
+                f"{format_path(path)}: {pluralize(len(others), 'other file')} not read: {named}"
+            )
+        self.files.extend(logs)
+
+    def _walk(self, folder: Path, issues: IssueCollector) -> Iterator[Path]:
+        """All files below a folder, in the order of their names."""
+        try:
+            names = sorted(os.listdir(folder))
+        except OSError as error:
+            message = f"cannot be read ({explain_os_error(error)}); make it readable, or name another"
+            issues.add(format_path(folder), message)
+            return
+        paths = [folder / name for name in names if not _LEFT_OUT.match(name)]
+        for path in self._new(paths, issues):
+            if path.is_dir():
+                yield from self._walk(path, issues)
+            else:
+                yield path
+
+    def _new(self, paths: list[Path], issues: IssueCollector) -> Iterator[Path]:
+        """Those paths that lead to a file or folder for the first time."""
+        for path in paths:
+            try:
+                status = os.stat(path)
+            except (OSError, ValueError) as error:
+                link = (
+                    f"it is a link to {os.readlink(path)!r}: mend or delete it"
+                    if os.path.islink(path)
+                    else ""
+                )
+                advice = link or "name an existing log"
+                issues.add(format_path(path), f"cannot be read ({explain_os_error(error)}); {advice}")
+                continue
+            first = self.first_path.setdefault((status.st_dev, status.st_ino), path)
+            if first is path:
+                yield path
+            else:
+                self.notes.append(
+                    f"{format_path(path)} is {format_path(first)} under another name: read once"
+                )
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The files that were read, and notes on what was not."""
+
+    files: list[SourceFile]
+    notes: tuple[str, ...]
+
+
+def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollector) -> Sources:
+    """Open files, and the ``*.csv`` and ``*.parquet`` in folders and their subfolders.
 
     Raises
     ------
@@ -133,10 +292,17 @@ def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollect
         If no path is given; issues of a file are added to `issues`.
     """
     paths = [source] if isinstance(source, str | Path) else list(source)
-    if not paths:
+    if not paths or "" in paths:
         raise InputError("no log was named; name a file or a folder")
-    files = [_open_file(file, issues) for path in paths for file in _list_files(Path(path), issues)]
-    return [file for file in files if file is not None]
+    listing = Listing()
+    for path in paths:
+        listing.add(Path(path), issues)
+    size = sum(map(os.path.getsize, listing.files))
+    if len(listing.files) > 1 and size > MAX_BYTES:
+        most = f"{MAX_BYTES / 2**20:,.0f} MiB"
+        raise InputError(f"the files have {size / 2**20:,.0f} MiB together; name fewer, {most} at most")
+    files = [_open_file(file, issues) for file in listing.files]
+    return Sources([file for file in files if file is not None], tuple(listing.notes))
 
 
 def hash_sources(sources: Sequence[SourceFile]) -> str:
@@ -145,29 +311,17 @@ def hash_sources(sources: Sequence[SourceFile]) -> str:
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
-def _list_files(path: Path, issues: IssueCollector) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = [
-        file
-        for file in sorted(path.rglob("*"))
-        if file.suffix.lower() in (".csv", ".parquet")
-        and file.is_file()
-        and not any(part.startswith(".") for part in file.relative_to(path).parts)
-    ]
-    if not files:
-        issues.add(str(path), "is a folder without logs; put .csv or .parquet files there, or name another")
-    return files
-
-
 def _open_file(path: Path, issues: IssueCollector) -> SourceFile | None:
-    file = str(path)
+    file = format_path(path)
     try:
-        raw = path.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        issues.add(file, f"cannot be read ({reason}); name an existing log")
+        raw = read_file(path, "log", MAX_BYTES)
+    except InputError as error:
+        issues.add_error(error)
         return None
+    for beginning, message in _FOREIGN_CONTENT.items():
+        if re.match(beginning, raw):
+            issues.add(file, message)
+            return None
     parquet = path.suffix.lower() == ".parquet" or raw.startswith(b"PAR1")
     parse = open_parquet if parquet else parse_csv
     source = run_in_threads(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -33,6 +33,11 @@ class FileTable(ABC):
     names: tuple[str, ...]
     header_line: int | None
     rows: Int64Array | None
+
+    @property
+    def type_faults(self) -> Mapping[str, str]:
+        """What is wrong with whole columns, by name: Parquet has types that are neither number nor text."""
+        return {}
 
     @property
     @abstractmethod
@@ -68,6 +73,17 @@ class FileTable(ABC):
     def index_in_file(self, rows: Int64Array) -> Int64Array:
         """Indices in the whole file."""
         return rows if self.rows is None else self.rows[rows]
+
+
+MAX_ROWS = 5_000_000  # a traverse of one minute each, day and night for nine years
+MAX_COLUMNS = 2_000
+
+
+def report_excess(file: str, count: int, maximum: int, things: str, issues: IssueCollector) -> bool:
+    """Whether a file has more of something than is read, which becomes an issue."""
+    if count > maximum:
+        issues.add(file, f"has {count:,} {things}, and no more than {maximum:,} are read; split it")
+    return count > maximum
 
 
 def combine_chunks(column: pa.ChunkedArray) -> pa.Array:
@@ -113,13 +129,19 @@ class IssueCollector:
         """Add one issue."""
         self._located.append((file, line or 0, 0, InputIssue(message, file, line, column, value)))
 
-    def add_lines(self, file: str, issues: Iterable[IssueLocation]) -> None:
-        """Add issues of one kind, each given as (line, column, value, message)."""
+    def add_error(self, error: InputError) -> None:
+        """Add the issues of an error."""
+        for issue in error.problems:
+            self._located.append((issue.file or "", issue.line or 0, 0, issue))
+
+    def add_lines(self, file: str, issues: Iterable[IssueLocation], more: int = 0) -> None:
+        """Add issues of one kind, each given as (line, column, value, message), and `more` only counted."""
         located = list(issues)
         for line, column, value, message in located[:MAX_SHOWN]:
             self.add(file, message, line, column, value)
-        if len(located) > MAX_SHOWN:
-            rest = InputIssue(f"... and {len(located) - MAX_SHOWN:,} more like these", file)
+        more += len(located[MAX_SHOWN:])
+        if more:
+            rest = InputIssue(f"... and {more:,} more like these", file)
             self._located.append((file, math.inf, 0, rest))
 
     def add_cells(self, table: FileTable, wrong: BoolArray, column: str, message: IssueMessage) -> None:

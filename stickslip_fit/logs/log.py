@@ -29,8 +29,7 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
-from stickslip_fit.logs._rows import check_rows
-from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELDS
+from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELD_BY_NAME, check_frame
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
 
@@ -61,9 +60,6 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     ]
     counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
     return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
-
-
-_FIELD_BY_NAME = {field.name: field for field in FIELDS}
 
 
 def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
@@ -146,7 +142,7 @@ def _optional_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
 
 def _quantity_column(name: str, values: Array) -> dict[str, list[str]]:
     """One column, in the first unit in which every value has an exact equal."""
-    field = _FIELD_BY_NAME[name]
+    field = FIELD_BY_NAME[name]
     candidates = [
         (spelling, _convert_exactly(values, SUFFIXES[suffix]))
         for spelling, suffix in zip(field.spellings, field.suffixes, strict=True)
@@ -211,7 +207,7 @@ class Log(Summarized):
     Raises
     ------
     InputError
-        For rows that cannot be computed with: see `check_rows`.
+        If `rows` lack a column or hold what no file could have given, such as a count of 0 or NaN.
     """
 
     rows: pd.DataFrame
@@ -222,7 +218,7 @@ class Log(Summarized):
     rows_as_read: pd.DataFrame | None = None
 
     def __post_init__(self) -> None:
-        check_rows(self.rows)
+        check_frame(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -261,9 +257,9 @@ class Log(Summarized):
     def usable(self) -> pd.DataFrame:
         """The rows that may be fitted: those whose status is ok.
 
-        They are checked again, since a frame can be changed after the log was made.
+        InputError for rows that no file could have given, since a DataFrame can be changed in place.
         """
-        check_rows(self.rows)
+        check_frame(self.rows)
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:

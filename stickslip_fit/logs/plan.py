@@ -67,8 +67,8 @@ class Plan:
         In order of time.
     traverses : DataFrame
         One pass through the list, in order: visit (int; equal for consecutive traverses of one
-        configuration), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI, status (``ok``
-        or ``excluded``); the moving joint's own position is NaN.
+        configuration), sweep (text), joint, direction, q1, q2, q3, theta, psi, start, stop, SI, status
+        (``ok`` or ``excluded``); the moving joint's own position is NaN.
     replicates : int
         Passes through the list in a session.
     order : {'as-written', 'random'}

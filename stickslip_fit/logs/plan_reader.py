@@ -150,6 +150,7 @@ def _number_visits(table: pd.DataFrame) -> pd.Series:
 
 ALLOWED_YEARS = range(1900, 2200)  # within the range of nanosecond times
 MAX_TRAVERSES = 5_000_000
+MAX_LISTED = 500_000
 MAX_REPEATABILITY_PERCENT = 20.0  # %; beyond, the spread of log(steps) is no relative error any more
 DRIVES = {f"{joint}{direction}": (joint, direction) for joint in JOINTS for direction in DIRECTIONS}
 DATES = "give dates, such as [2012-03-05, 2012-03-06]; or first_date and count"
@@ -277,6 +278,9 @@ class PlanFile(TomlTable):
     @model_validator(mode="after")
     def _check_size(self) -> Self:
         counts = [sweep.configurations() * sweep.traverses_per_configuration() for sweep in self.sweep]
+        if sum(counts) > MAX_LISTED:
+            message = f"a session's list has {sum(counts):,} traverses; keep it to {MAX_LISTED:,}"
+            self.refuse((message, ("sweep",)))
         total = sum(counts) * self.replicates * len(self.sessions.sessions())
         if total > MAX_TRAVERSES:
             message = f"the plan makes {total:,} traverses; keep it to {MAX_TRAVERSES:,}"

@@ -248,7 +248,7 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
             "traverse": lambda: read_traverses(cells, machine, joint, forward),
             "check_every": lambda: _read_check_every(cells, steps),
             "status": lambda: _read_status(cells),
-            **{name: partial(_read_condition, cells, name) for name in CONDITIONS},
+            **{name: partial(cells.numbers, name) for name in CONDITIONS},
             "note": lambda: cells.texts("note").to_pandas(),
         }
     )
@@ -267,8 +267,9 @@ def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: 
 def _read_check_every(cells: LogCells, steps: Int64Array) -> Int64Array:
     given = cells.counts("check_every", "is no positive integer; write 5, or 1 where the count is exact")
     check_every = np.where(given > 0, given, CHECK_EVERY)
-    # Not checked where the cell is bad.
-    known = (given > 0) | ~cells.is_filled("check_every")
+    # Not checked where the cell or the whole column is bad.
+    readable = cells.has("check_every") or "check_every" not in cells.table.names
+    known = (given > 0) | (~cells.is_filled("check_every") & readable)
 
     def message(row: int, value: str) -> str:
         return f"is no multiple of check_every, {check_every[row]}; correct the one or the other"
@@ -285,13 +286,7 @@ def _read_status(cells: LogCells) -> pd.Series:
     return label_codes(np.where(status == STATUSES.index(""), 0, status), STATUSES)
 
 
-def _read_condition(cells: LogCells, name: str) -> Array:
-    values = cells.numbers(name)
-    if fault := CONDITIONS[name].fault:
-        cells.add_issue(name, values <= 0, fault)
-    return values
-
-
+_MAX_LOOSE_COLUMNS = 80
 _LEADING_COLUMNS = ["session", "time", "joint", "direction", "steps"]
 
 
@@ -326,8 +321,11 @@ def read_log(
     machine = machine or load_machine()
     issues = IssueCollector()
     sources = open_sources(source, issues)
-    tables = [source.table for source in sources]
-    layouts = [match_columns(table.names, table.file, table.header_line, issues) for table in tables]
+    tables = [source.table for source in sources.files]
+    layouts = [
+        match_columns(table.names, table.file, table.header_line, issues, table.type_faults)
+        for table in tables
+    ]
     files = [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
     if not files:
         issues.raise_if_any()
@@ -343,10 +341,11 @@ def read_log(
     rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
     return Log(
         rows=rows,
-        sources=tuple((file.table.file, file.sha256) for file in sources),
-        file_sha256=hash_sources(sources),
+        sources=tuple((file.table.file, file.sha256) for file in sources.files),
+        file_sha256=hash_sources(sources.files),
         machine=machine,
         notes=(
+            *sources.notes,
             *(note for cells in files for note in cells.layout.notes),
             *notes,
             *note_similar_sessions(identity),
@@ -384,6 +383,8 @@ def _build_columns(
 def _order_columns(columns: dict[str, pd.Series], order: Int64Array) -> pd.DataFrame:
     names = _LEADING_COLUMNS + [name for name in columns if name not in _LEADING_COLUMNS]
     rows = pd.DataFrame({name: columns[name] for name in names}, copy=False)
+    if len(names) > _MAX_LOOSE_COLUMNS:
+        rows = rows.copy()  # in one block: pandas warns of more pieces
     if np.all(order[1:] > order[:-1]):
         return rows
     return rows.take(order).reset_index(drop=True)

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf, isfinite, pi
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,9 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._table import (
+    MAX_COLUMNS,
     FileTable,
     IssueCollector,
     IssueMessage,
@@ -28,7 +33,7 @@ from stickslip_fit.logs._table import (
     parse_times,
     to_text,
 )
-from stickslip_fit.units import SUFFIXES, to_si
+from stickslip_fit.units import JOINTS, SUFFIXES, from_si, to_si
 
 ANGLE_SUFFIXES = ("deg", "rad")
 LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
@@ -38,13 +43,15 @@ LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
 class Field:
     """A quantity of the format: its name in the package, and the stem of its column with the unit suffixes.
 
-    The usual suffix is the first; text and counts have none.
+    The usual suffix is the first; text and counts have none. `limits` are lowest and highest value, SI, far
+    beyond what any lab has; positions have the machine's ranges instead.
     """
 
     name: str
     stem: str
     suffixes: tuple[str, ...] = ()
     required: bool = False
+    limits: tuple[float, float] = (-inf, inf)
 
     @property
     def spellings(self) -> tuple[str, ...]:
@@ -62,13 +69,10 @@ class Condition(Field):
         In a sentence.
     beyond : float
         How far beyond a log in which it is constant it may vary, SI.
-    fault : str
-        Message for a value that is not above 0 in SI; empty where any is possible.
     """
 
     label: str = ""
     beyond: float = 0.0
-    fault: str = ""
 
     @property
     def unit(self) -> str:
@@ -81,37 +85,46 @@ class Condition(Field):
         return f"{self.stem.replace('_', ' ')} ({self.unit})"
 
 
-_TOO_COLD = "is at or below absolute zero; correct it, or the column's unit"
-_BAD_PERIOD = "is no period; write a time above 0"
+MAX_STEPS = 10**12  # more than a drive steps in thirty years; sums over any log stay within 64 bits
+_TURNS = (-20 * pi, 20 * pi)
 FIELDS = (
     Field("session", "session", required=True),
     Field("time", "time", required=True),
-    Field("joint", "joint", required=True),
+    Field("joint", "joint", required=True, limits=(1, 3)),
     Field("direction", "direction", required=True),
-    Field("steps", "steps", required=True),
+    Field("steps", "steps", required=True, limits=(1, MAX_STEPS)),
     Field("q1", "q1", ANGLE_SUFFIXES, required=True),
     Field("q2", "q2", ANGLE_SUFFIXES, required=True),
     Field("q3", "q3", LENGTH_SUFFIXES, required=True),
-    Field("theta", "theta", ANGLE_SUFFIXES, required=True),
-    Field("psi", "psi", ANGLE_SUFFIXES, required=True),
+    Field("theta", "theta", ANGLE_SUFFIXES, required=True, limits=_TURNS),
+    Field("psi", "psi", ANGLE_SUFFIXES, required=True, limits=_TURNS),
     Field("from_angle", "from", ANGLE_SUFFIXES),
     Field("to_angle", "to", ANGLE_SUFFIXES),
     Field("from_length", "from", LENGTH_SUFFIXES),
     Field("to_length", "to", LENGTH_SUFFIXES),
-    Field("check_every", "check_every"),
+    Field("check_every", "check_every", limits=(1, MAX_STEPS)),
     Field("status", "status"),
     Condition(
-        "temperature", "temperature", ("C", "K"), label="ambient temperature", beyond=5.0, fault=_TOO_COLD
+        "temperature",
+        "temperature",
+        ("C", "K"),
+        limits=(0.001, 1000.0),
+        label="ambient temperature",
+        beyond=5.0,
     ),
-    Condition("humidity", "humidity", ("pct",), label="relative humidity", beyond=0.2),
-    Condition("supply", "supply", ("V",), label="supply voltage", beyond=2.0),
+    # Sensors read a little below 0 and above 100 %.
+    Condition("humidity", "humidity", ("pct",), limits=(-0.1, 1.2), label="relative humidity", beyond=0.2),
+    Condition("supply", "supply", ("V",), limits=(-1e4, 1e4), label="supply voltage", beyond=2.0),
     Condition(
-        "step_period", "step_period", ("ms", "s"), label="step period", beyond=0.005, fault=_BAD_PERIOD
+        "step_period", "step_period", ("ms", "s"), limits=(1e-9, 3600.0), label="step period", beyond=0.005
     ),
-    Condition("payload", "payload", ("g", "kg"), label="payload", beyond=0.02),
+    Condition("payload", "payload", ("g", "kg"), limits=(0.0, 100.0), label="payload", beyond=0.02),
     Field("note", "note"),
 )
+# Of the lab's own columns; squares of larger numbers overflow.
+OWN_LIMITS = (-1e100, 1e100)
 CHECK_EVERY = 5  # where the cell is empty
+FIELD_BY_NAME = {field.name: field for field in FIELDS}
 CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
 COVARIATE_PREFIX = "covariate:"  # begins the names of the lab's own columns that hold numbers
 
@@ -146,11 +159,16 @@ class ColumnLayout:
 
 
 def match_columns(
-    names: tuple[str, ...], file: str, line: int | None, issues: IssueCollector
+    names: tuple[str, ...],
+    file: str,
+    line: int | None,
+    issues: IssueCollector,
+    type_faults: Mapping[str, str] = MappingProxyType({}),
 ) -> ColumnLayout:
     """Match the header `names` of a file, in line `line`, to the format.
 
-    Missing, repeated and unnamed columns and those without a unit are added to `issues`.
+    Missing, repeated and unnamed columns, those without a unit and those with a fault of their type are added
+    to `issues`.
 
     Examples
     --------
@@ -165,7 +183,7 @@ def match_columns(
     for name, count in Counter(name for name in names if name.strip()).items():
         field = _FIELD_BY_SPELLING.get(name)
         repeated = f"stands {count} times in the header; rename or delete all but one" if count > 1 else None
-        message = repeated or explain_bad_unit(name)
+        message = repeated or explain_bad_unit(name) or type_faults.get(name)
         if message:
             issues.add(file, message, line, name)
             intended |= _intended_fields(name)
@@ -250,9 +268,7 @@ def _note_lookalikes(file: str, known: dict[str, SourceColumn], unknown: list[st
 
 
 def _guess_field(name: str) -> Field | None:
-    normalized, fields = _normalize_name(name), _FIELD_BY_SPELLING.items()
-    similar = (field for spelling, field in fields if normalized in (_normalize_name(spelling), field.stem))
-    return next(similar, None)
+    return _FIELD_BY_NORMALIZED.get(_normalize_name(name))
 
 
 def _closest_spelling(name: str, field: Field) -> str:
@@ -264,8 +280,9 @@ def _normalize_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
-# More than a drive steps in thirty years; sums over any log stay within 64 bits.
-MAX_STEPS = 10**12
+_FIELD_BY_NORMALIZED = {field.stem: field for field in reversed(FIELDS)} | {
+    _normalize_name(spelling): field for spelling, field in _FIELD_BY_SPELLING.items()
+}
 
 
 @dataclass(frozen=True)
@@ -297,7 +314,7 @@ class LogCells:
     def numbers(
         self, field: str, *, needed: BoolArray | bool = False, ignored: BoolArray | bool = False
     ) -> Array:
-        """Read finite numbers in SI, NaN where empty or ignored."""
+        """Read finite numbers within the quantity's limits in SI, NaN where empty or ignored."""
         if not self.has(field):
             return np.full(self.table.count, np.nan)
         parsed = parse_numbers(self._column(field))
@@ -305,6 +322,9 @@ class LogCells:
             values = to_si(parsed.values, self.layout.known[field].unit)
         usable = np.isfinite(values) & np.logical_not(ignored)
         bad = ~(usable | ignored)
+        outside = usable & is_outside(values, FIELD_BY_NAME[field].limits)
+        self.add_issue(field, outside, self._limits_message(field))
+        usable &= ~outside
         self.add_issue(field, bad & ~parsed.empty, _bad_number_message)
         self.add_issue(field, bad & parsed.empty & needed, "is empty; write the number")
         np.copyto(values, np.nan, where=~usable)
@@ -346,11 +366,22 @@ class LogCells:
             return pa.repeat(pa.scalar("", pa.large_string()), self.table.count)
         return self.table.text(self.layout.known[field].name)
 
+    def _limits_message(self, field: str) -> str:
+        unit = self.layout.known[field].unit
+        low, high = (from_si(limit, unit) for limit in FIELD_BY_NAME[field].limits)
+        return f"is outside the limits, {low:g} to {high:g} {unit}; correct it, or the column's unit"
+
     def _column(self, field: str) -> pa.Array:
         return self.table.column(self.layout.known[field].name)
 
     def _none(self) -> BoolArray:
         return np.zeros(self.table.count, np.bool_)
+
+
+def is_outside(values: Array, limits: tuple[float, float]) -> BoolArray:
+    """Where a number is beyond the limits by more than rounding; NaN is not."""
+    low, high = limits
+    return (values < low - 1e-12 * abs(low)) | (values > high + 1e-12 * abs(high))
 
 
 def split_by_file(files: list[LogCells], rows: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
@@ -376,6 +407,11 @@ def _bad_number_message(row: int, value: str) -> str:
     return "is no number; write digits and a decimal point, such as 12.5"
 
 
+_OWN_LIMITS_MESSAGE = "is outside the limits, {:g} to {:g}; correct it, or leave the cell empty".format(
+    *OWN_LIMITS
+)
+
+
 def read_covariates(files: list[LogCells]) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
     """Read the columns that are not of the format, over all files, and note those that are text by few cells.
 
@@ -384,13 +420,22 @@ def read_covariates(files: list[LogCells]) -> tuple[dict[str, pd.Series], tuple[
     """
     columns: dict[str, pd.Series] = {}
     notes: list[str] = []
-    for name in dict.fromkeys(name for cells in files for name in cells.layout.unknown):
+    names = dict.fromkeys(name for cells in files for name in cells.layout.unknown)
+    if len(names) > MAX_COLUMNS:
+        message = (
+            f"the files have {len(names):,} columns of their own, and no more than {MAX_COLUMNS:,} are read"
+        )
+        raise InputError(message)
+    for name in names:
         parts = [_raw_column(cells, name) for cells in files]
         numbers = [parse_numbers(part) for part in parts]
         empty = np.concatenate([part.empty for part in numbers])
         bad = np.concatenate([part.bad for part in numbers])
         if not bad.any() and not empty.all():
             values = np.concatenate([part.values for part in numbers])
+            outside = split_by_file(files, is_outside(values, OWN_LIMITS))
+            for cells, outside_here in zip(files, outside, strict=True):
+                cells.issues.add_cells(cells.table, outside_here, name, _OWN_LIMITS_MESSAGE)
             columns[COVARIATE_PREFIX + name] = pd.Series(values, copy=False)
             continue
         text = pa.concat_arrays([_text_column(cells, name) for cells in files]).to_pandas()
@@ -410,3 +455,63 @@ def _text_column(cells: LogCells, name: str) -> pa.Array:
 def _raw_column(cells: LogCells, name: str) -> pa.Array:
     missing = pa.nulls(cells.table.count, pa.large_string())
     return cells.table.column(name) if name in cells.layout.unknown else missing
+
+
+_MAY_BE_EMPTY = ("q1", "q2", "q3", *CONDITIONS)
+_ROW_NUMBERS = ("joint", "steps", "check_every", "theta", "psi", "start", "stop", *_MAY_BE_EMPTY)
+_ROW_TEXTS = {"direction": ("+", "-"), "status": ("ok", "interrupted", "excluded")}
+
+
+def check_frame(rows: pd.DataFrame) -> None:
+    """Refuse rows of a Log that no file could have given, such as a count of 0 or NaN.
+
+    InputError has an issue for each column, with the labels of its first rows.
+    """
+    needed = {*_ROW_NUMBERS, *_ROW_TEXTS, "session", "time"}
+    if missing := sorted(needed - set(rows)):
+        raise InputError(f"the rows of a log need the columns {', '.join(missing)}; see Log.rows")
+    own = [name for name in rows if str(name).startswith(COVARIATE_PREFIX)]
+    faults = {"time": _wrong_times(rows["time"]), "session": rows["session"].isna().to_numpy()}
+    faults |= {name: ~rows[name].isin(choices).to_numpy() for name, choices in _ROW_TEXTS.items()}
+    faults |= {name: _wrong_numbers(rows, name) for name in (*_ROW_NUMBERS, *own)}
+    issues = []
+    for name, wrong in faults.items():
+        if wrong.any():
+            labels = ", ".join(map(str, rows.index[wrong][:MAX_LABELS]))
+            more = f" and {wrong.sum() - MAX_LABELS:,} more" if wrong.sum() > MAX_LABELS else ""
+            message = f"of rows {labels}{more} is no value of a log ({_describe_values(name)}); correct it"
+            issues.append(InputIssue(message, column=name, value=str(rows[name].to_numpy()[wrong][0])))
+    if issues:
+        raise InputError(issues)
+
+
+MAX_LABELS = 5  # of rows with one fault
+
+
+def _wrong_times(time: pd.Series) -> BoolArray:
+    return np.full(len(time), not pd.api.types.is_datetime64_any_dtype(time)) | time.isna().to_numpy()
+
+
+def _wrong_numbers(rows: pd.DataFrame, name: str) -> BoolArray:
+    if not pd.api.types.is_numeric_dtype(rows[name]) or pd.api.types.is_bool_dtype(rows[name]):
+        return np.ones(len(rows), np.bool_)
+    values = rows[name].to_numpy(dtype=np.float64, na_value=np.nan)
+    needed = name not in CONDITIONS and name in _ROW_NUMBERS
+    if name in ("q1", "q2", "q3"):
+        needed = rows["joint"].isin({*JOINTS} - {int(name[1])}).to_numpy()
+    return np.isinf(values) | (np.isnan(values) & needed) | is_outside(values, _row_limits(name))
+
+
+def _row_limits(name: str) -> tuple[float, float]:
+    if name in ("start", "stop"):
+        return (-inf, inf)
+    return FIELD_BY_NAME[name].limits if name in FIELD_BY_NAME else OWN_LIMITS
+
+
+def _describe_values(name: str) -> str:
+    if name in _ROW_TEXTS:
+        return " or ".join(_ROW_TEXTS[name])
+    if name in ("session", "time"):
+        return {"session": "a label", "time": "datetime64"}[name]
+    low, high = _row_limits(name)
+    return f"a number, {low:g} to {high:g}, SI" if isfinite(low) else "a finite number, SI"

@@ -62,12 +62,13 @@ def load_machine(path: str | Path | None = None) -> Machine:
     >>> load_machine().ranges[3]
     (0.0, 0.012)
     """
-    from stickslip_fit._toml import file_bytes, parse_toml
+    from stickslip_fit._input import format_path, read_file
+    from stickslip_fit._toml import MAX_BYTES, parse_toml
     from stickslip_fit.machine.machine_file import MachineFile
 
     nominal = resources.files("stickslip_fit.machine").joinpath("mm3a.toml")
-    raw = nominal.read_bytes() if path is None else file_bytes(path, "machine file")
-    file = nominal.name if path is None else str(path)
+    raw = nominal.read_bytes() if path is None else read_file(path, "machine file", MAX_BYTES)
+    file = nominal.name if path is None else format_path(path)
     content = parse_toml(raw, file, MachineFile)
     ranges = content.range.q1, content.range.q2, content.range.q3
     base, middle, tip = (Link(link.mass, link.com, (*link.inertia,)) for link in content.link)  # type: ignore[arg-type]

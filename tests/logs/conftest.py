@@ -134,9 +134,9 @@ text = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])
 
 @st.composite
 def good_drafts(draw) -> Draft:
-    """Good logs of one to eight traverses."""
+    """Good logs of one to five traverses."""
     rows = []
-    times = draw(st.lists(st.integers(0, 10**6), min_size=1, max_size=8, unique=True))
+    times = draw(st.lists(st.integers(0, 10**6), min_size=1, max_size=5, unique=True))
     for seconds in times:
         joint = draw(st.sampled_from([1, 2, 3]))
         every = draw(st.sampled_from(["", "1", "5", "8"]))
@@ -180,5 +180,5 @@ def good_drafts(draw) -> Draft:
 
 @pytest.fixture(scope="module")
 def drafts() -> st.SearchStrategy[Draft]:
-    """Good logs of one to eight traverses, to draw from."""
+    """Good logs of one to five traverses, to draw from."""
     return good_drafts()

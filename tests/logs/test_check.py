@@ -71,11 +71,15 @@ FAULTS = [
     (0, "to_deg", "oops", "prismatic"),
     (1, "status", "done", "interrupted"),
     (1, "status", "OK", "interrupted"),
-    (0, "temperature_C", "-273.15", "absolute zero"),
+    (0, "theta_deg", "1e9", "-3600 to 3600 deg"),
+    (0, "psi_deg", "-3601", "-3600 to 3600 deg"),
+    (0, "temperature_C", "-273.15", "-273.149 to 726.85 °C"),
+    (0, "temperature_C", "1e4", "-273.149 to 726.85 °C"),
     (0, "temperature_C", "warm", "decimal point"),
     (0, "temperature_C", "NA", "decimal point"),
-    (0, "step_period_ms", "0", "above 0"),
-    (0, "step_period_ms", "-10", "above 0"),
+    (0, "step_period_ms", "0", "1e-06 to 3.6e+06 ms"),
+    (0, "step_period_ms", "-10", "1e-06 to 3.6e+06 ms"),
+    (0, "pressure_hPa", "1e308", "-1e+100 to 1e+100"),
 ]
 
 

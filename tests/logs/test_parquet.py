@@ -150,7 +150,7 @@ def test_the_row_labels_that_pandas_leaves_behind_are_no_covariate(sheet, write)
 def test_a_column_of_lists_is_told(sheet, write):
     frame = typed(sheet)
     frame["trace"] = [[1.0, 2.0]] * 6
-    with pytest.raises(InputError, match="column trace: cannot be read"):
+    with pytest.raises(InputError, match="column trace: holds list"):
         read_log(write(frame))
 
 
