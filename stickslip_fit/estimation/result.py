@@ -307,13 +307,15 @@ class Result(Summarized):
         reach = pd.Series({sign: t_quantile(level.df) for sign, level in levels}).loc[directions].to_numpy()
         total = reach * np.hypot(spread, noise)
         steps = np.exp(response)
+        with np.errstate(over="ignore"):  # next to nothing known: the interval has no end
+            low, high = np.exp(response - total), np.exp(response + total)
         return pd.DataFrame(
             {
                 "steps": steps,
                 "step_size": traverse_length(rows) / steps,
                 "relative_error": spread,
-                "low": np.exp(response - total),
-                "high": np.exp(response + total),
+                "low": low,
+                "high": high,
             },
             index=rows.index,
         )
