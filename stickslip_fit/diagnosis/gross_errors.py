@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(student_t.ppf(0.75, TAIL_DF))  # of its absolute value, in units of its scale
 MAX_PASSES, WEIGHT_TOL = 25, 0.05
+SUSPECT_Z, NO_WEIGHT = 10.0, 1e-6  # in the fit of the whole campaign; weight in that of each session
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE = 0.05  # of the rows; more are an effect
 NEIGHBOURS = 2  # traverses before and after in time
@@ -51,7 +52,10 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
 def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:
     """The baseline's robust fit: residuals in units of the scale of Student's t noise, (n,), and the laws."""
     campaign = tuple(_merge_sessions(part, problem.noise_group) for part in problem.parts)
-    _, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    z, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    # In a session with few traverses a gross error may draw the fit to itself: there it has no weight.
+    suspect = np.abs(z) > SUSPECT_Z
+    weight = np.where(suspect & (suspect.mean() <= MAX_SHARE), NO_WEIGHT, weight)
     # Not from the least-squares values: a gross error may have driven those of its session anywhere.
     sessions = [replace(part, block=own.block) for part, own in zip(campaign, problem.parts, strict=True)]
     z, _, parts = _iterate_weights(problem, sessions, weight)
@@ -109,14 +113,18 @@ def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: fl
 def _iterate_weights(
     problem: DiagnosisProblem, parts: Sequence[LawBlock], weight: Array
 ) -> tuple[Array, Array, tuple[LawBlock, ...]]:
-    """Residuals in units of their scale, relative weights, and the laws, after convergence."""
+    """Residuals in units of their scale, relative weights, and the laws, after convergence.
+
+    Rows of `NO_WEIGHT` keep it.
+    """
     scale = problem.scale
     for _ in range(MAX_PASSES):
         fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))
         parts = fit.parts
         scale = _robust_scale(fit.residual, problem.noise_group)
         z = fit.residual / scale
-        before, weight = weight, (TAIL_DF + 1.0) / (TAIL_DF + z**2)
+        held, before = weight == NO_WEIGHT, weight
+        weight = np.where(held, NO_WEIGHT, (TAIL_DF + 1.0) / (TAIL_DF + z**2))
         if np.max(np.abs(np.log(weight / before))) < WEIGHT_TOL:
             break
     return z, weight, tuple(parts)
