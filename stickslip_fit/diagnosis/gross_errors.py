@@ -22,7 +22,14 @@ from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, Selection, predict_departures
+from stickslip_fit.diagnosis.selection import (
+    MIN_DF,
+    MISFIRE,
+    CauseSet,
+    SelectedCause,
+    Selection,
+    predict_departures,
+)
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(student_t.ppf(0.75, TAIL_DF))  # of its absolute value, in units of its scale
@@ -37,9 +44,12 @@ SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it to
 def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     """Rows that Student's t noise gives with a probability below `level` in the whole log, and their p-value.
 
-    None where so many rows depart that it is an effect.
+    None where so many rows depart that it is an effect, or where there are too few rows to tell.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
+    parameters = sum(len(np.unique(part.block)) * part.values.shape[1] for part in problem.parts)
+    if len(problem) - parameters < MIN_DF:
+        return nothing
     z, _ = fit_robustly(problem)
     p_values = np.minimum(1.0, 2.0 * len(problem) * student_t.sf(np.abs(z), TAIL_DF))
     rows = np.flatnonzero(p_values < level)
