@@ -22,11 +22,19 @@ from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import MISFIRE, CauseSet, SelectedCause, Selection, predict_departures
+from stickslip_fit.diagnosis.selection import (
+    MIN_DF,
+    MISFIRE,
+    CauseSet,
+    SelectedCause,
+    Selection,
+    predict_departures,
+)
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale
 MAX_PASSES, WEIGHT_TOL = 25, 0.05
+SUSPECT_Z, NO_WEIGHT = 10.0, 1e-6  # in the fit of the whole campaign; weight in that of each session
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE = 0.05  # of the rows; more are an effect
 NEIGHBOURS = 2  # traverses before and after in time
@@ -36,9 +44,12 @@ SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it to
 def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     """Rows that Student's t noise gives with a probability below `level` in the whole log, and their p-value.
 
-    None where so many rows depart that it is an effect.
+    None where so many rows depart that it is an effect, or where there are too few rows to tell.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
+    parameters = sum(len(np.unique(part.block)) * part.values.shape[1] for part in problem.parts)
+    if len(problem) - parameters < MIN_DF:
+        return nothing
     z, _ = fit_robustly(problem)
     p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))
     rows = np.flatnonzero(p_values < level)
@@ -51,7 +62,10 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
 def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:
     """The baseline's robust fit: residuals in units of the scale of Student's t noise, (n,), and the laws."""
     campaign = tuple(_merge_sessions(part, problem.noise_group) for part in problem.parts)
-    _, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    z, weight, campaign = _iterate_weights(problem, campaign, np.ones(len(problem)))
+    # In a session with few traverses a gross error may draw the fit to itself: there it has no weight.
+    suspect = np.abs(z) > SUSPECT_Z
+    weight = np.where(suspect & (suspect.mean() <= MAX_SHARE), NO_WEIGHT, weight)
     # Not from the least-squares values: a gross error may have driven those of its session anywhere.
     sessions = [replace(part, block=own.block) for part, own in zip(campaign, problem.parts, strict=True)]
     z, _, parts = _iterate_weights(problem, sessions, weight)
@@ -109,14 +123,18 @@ def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: fl
 def _iterate_weights(
     problem: DiagnosisProblem, parts: Sequence[LawBlock], weight: Array
 ) -> tuple[Array, Array, tuple[LawBlock, ...]]:
-    """Residuals in units of their scale, relative weights, and the laws, after convergence."""
+    """Residuals in units of their scale, relative weights, and the laws, after convergence.
+
+    Rows of `NO_WEIGHT` keep it.
+    """
     scale = problem.scale
     for _ in range(MAX_PASSES):
         fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))
         parts = fit.parts
         scale = _robust_scale(fit.residual, problem.noise_group)
         z = fit.residual / scale
-        before, weight = weight, (TAIL_DF + 1.0) / (TAIL_DF + z**2)
+        held, before = weight == NO_WEIGHT, weight
+        weight = np.where(held, NO_WEIGHT, (TAIL_DF + 1.0) / (TAIL_DF + z**2))
         if np.max(np.abs(np.log(weight / before))) < WEIGHT_TOL:
             break
     return z, weight, tuple(parts)

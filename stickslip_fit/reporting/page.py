@@ -187,6 +187,8 @@ def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
         return make()
     except InputError as error:
         return error
+    except np.linalg.LinAlgError as error:
+        return InputError(f"its numbers did not converge ({error}); look for gross errors in the log")
 
 
 def _compare_strategies(log: Log, causes: Sequence[Cause], command: str) -> Comparison:
