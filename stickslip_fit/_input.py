@@ -56,4 +56,8 @@ def explain_os_error(error: Exception) -> str:
 
 def format_path(path: str | Path) -> str:
     r"""A path as text that can be written anywhere: bytes that are no text become ``\xNN``."""
-    return os.fsencode(path).decode("utf-8", "backslashreplace")
+    try:
+        raw = os.fsencode(path)
+    except UnicodeEncodeError:  # half a surrogate pair, which no file name can have
+        raw = str(path).encode("utf-8", "backslashreplace")
+    return raw.decode("utf-8", "backslashreplace")

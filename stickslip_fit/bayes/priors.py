@@ -147,7 +147,7 @@ class CausePriors:
         --------
         >>> numbers = np.array([[0.0, 0.0], [0.1, 1.0], [-np.inf, 60.0], [np.inf, 6000.0]])
         >>> priors = CausePriors(("A", "tau"), ("%", "min"), *numbers)
-        >>> priors.values(np.array([1.0, 0.0])).tolist()
+        >>> priors.unstandardize(np.array([1.0, 0.0])).tolist()
         [0.1, 600.0]
         """
         values = np.zeros(eta.shape)

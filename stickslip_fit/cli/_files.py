@@ -19,7 +19,6 @@ from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_
 from stickslip_fit.errors import InputError, InputIssue
 
 LOG_SUFFIXES = (".csv", ".parquet")
-TABLE_SUFFIXES = (*LOG_SUFFIXES, ".png")
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ def _find_issues(named: list[NamedPath], arguments: Mapping[str, Any]) -> Iterat
     written = _printed_files()
     for output, role in outputs:
         if role.folder:
-            yield from _find_folder_issues(output, read, folders)
+            yield from _find_folder_issues(output, folders)
             continue
         for path in role.paths(output.path):
             if fault := find_write_fault(path):
@@ -162,20 +161,12 @@ def _find_stray_log(path: Path, folders: list[Path]) -> Iterator[InputIssue]:
                 yield InputIssue(message, str(path))
 
 
-def _find_folder_issues(
-    output: NamedPath, read: Mapping[Hashable, Path], folders: list[Path]
-) -> Iterator[InputIssue]:
+def _find_folder_issues(output: NamedPath, folders: list[Path]) -> Iterator[InputIssue]:
     path = output.path
     if path.exists() and not path.is_dir():
         yield InputIssue(f"is a file; name a folder with {output.option}", str(path))
-    elif not path.exists():
-        if fault := find_write_fault(path):
-            yield fault
-    else:
-        for inside in sorted(path.iterdir()):
-            if inside.suffix.lower() in TABLE_SUFFIXES and identify_file(inside) in read:
-                message = f"holds {inside.name}, which the command reads; name a folder of its own"
-                yield InputIssue(f"{message} with {output.option}", str(path))
+    elif not path.exists() and (fault := find_write_fault(path)):
+        yield fault
     for folder in folders:
         if path.resolve().is_relative_to(folder.resolve()):
             yield InputIssue(

@@ -479,7 +479,8 @@ def check_frame(rows: pd.DataFrame) -> None:
         if wrong.any():
             labels = ", ".join(map(str, rows.index[wrong][:MAX_LABELS]))
             more = f" and {wrong.sum() - MAX_LABELS:,} more" if wrong.sum() > MAX_LABELS else ""
-            message = f"of rows {labels}{more} is no value of a log ({_describe_values(name)}); correct it"
+            where = f"{'row' if wrong.sum() == 1 else 'rows'} {labels}{more}"
+            message = f"not allowed in {where}; give {_describe_values(name)}"
             issues.append(InputIssue(message, column=name, value=str(rows[name].to_numpy()[wrong][0])))
     if issues:
         raise InputError(issues)

@@ -52,7 +52,7 @@ def test_a_formula_prints_and_saves_its_table(run, tmp_path):
     ("options", "told"),
     [
         (["--session", "never"], "no usable traverse of session 'never'"),
-        (["--formula", "step_size ~ nothing"], "'nothing' is not defined"),
+        (["--formula", "step_size ~ nothing"], "'nothing' is no column"),
         (["--json", "absent/anova.json"], "absent/anova.json"),
     ],
 )

@@ -48,7 +48,7 @@ def test_what_no_file_could_give_is_refused_with_column_and_row(sheet, read, col
         replace(log, rows=rows)
     (issue,) = refused.value.problems
     assert issue.column == column
-    assert "of rows 0, 1, 2" in issue.message if value == "many" else "of rows 2 is" in issue.message
+    assert ("in rows 0, 1, 2" if value == "many" else "in row 2;") in issue.message
 
 
 def test_every_fault_is_told_at_once_and_a_missing_column_by_name(sheet, read):
@@ -56,7 +56,7 @@ def test_every_fault_is_told_at_once_and_a_missing_column_by_name(sheet, read):
     with pytest.raises(InputError) as refused:
         replace(log, rows=log.rows.assign(steps=0, psi=np.nan))
     assert [issue.column for issue in refused.value.problems] == ["steps", "psi"]
-    assert "of rows 0, 1, 2, 3, 4 and 1 more" in str(refused.value)
+    assert "in rows 0, 1, 2, 3, 4 and 1 more" in str(refused.value)
     with pytest.raises(InputError, match="need the columns direction, steps"):
         replace(log, rows=log.rows.drop(columns=["steps", "direction"]))
 
@@ -64,5 +64,5 @@ def test_every_fault_is_told_at_once_and_a_missing_column_by_name(sheet, read):
 def test_rows_changed_in_place_do_not_reach_a_fit(sheet, read):
     log = read(sheet)
     log.rows.loc[0, "theta"] = np.nan
-    with pytest.raises(InputError, match="column theta, value 'nan': of rows 0 is no value"):
+    with pytest.raises(InputError, match="column theta, value 'nan': not allowed in row 0;"):
         fit_closed_form(log)

@@ -132,7 +132,7 @@ def test_causes_may_not_be_judged_by_the_traverses_they_were_fitted_to(warm):
     with pytest.raises(InputError, match="fitted to the traverses that they would be judged by"):
         causes_from_result(warm, fitted)
     half = warm.rows["session"] == "2012-03-05"
-    elsewhere = replace(warm.select(half), sha256="another")
+    elsewhere = replace(warm.select(half), file_sha256="another")
     known = causes_from_result(warm, fit.fit_least_squares(elsewhere, causes=[cause]))
     assert list(known) == list(warm.sessions)
 
