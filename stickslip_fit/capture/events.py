@@ -86,6 +86,7 @@ _ROW = {
     "direction": _Kind("+ or -", lambda value: value in ("+", "-")),
     **dict.fromkeys(POSITION_COLUMNS, _NUMBER),
     **{f"q{joint}": _POSITION for joint in JOINTS},
+    "status": _Kind("ok or excluded", lambda value: value in ("ok", "excluded")),
     "check_every": _COUNT_FROM_1,
     "step_period": _Kind("a number above 0", lambda value: _is_number(value) and value > 0),
 }

@@ -408,13 +408,13 @@ def _began(row: Mapping[str, Any]) -> datetime:
 
 
 def _make_row(drive: DriveRecord) -> dict[str, Any]:
-    """A row of the log; the count of a drive that was not ended by its stop is exact."""
+    """A row of the log, excluded where the plan says so; a count that no stop ended is exact."""
     ended_by_stop = drive.steps % drive.row["check_every"] == 0 and drive.status != "interrupted"
     return {
         **dict.fromkeys(CONDITIONS, math.nan),
         **drive.row,
         "steps": drive.steps,
-        "status": drive.status,
+        "status": drive.row["status"] if drive.status == "ok" else drive.status,
         "check_every": drive.row["check_every"] if ended_by_stop else 1,
         "note": "; ".join(drive.notes),
     }

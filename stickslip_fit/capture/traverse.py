@@ -362,6 +362,7 @@ class Driver:
             "joint": int(row["joint"]),
             "direction": str(row["direction"]),
             **positions,
+            "status": str(row.get("status", "ok")),
             "check_every": int(row["check_every"]),
             "step_period": float(row["step_period"]),
         }

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stickslip_fit._format import join_words
 from stickslip_fit._io import write_atomically
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
+    Force,
     Json,
     LogPath,
     MachinePath,
@@ -97,16 +100,24 @@ def diagnose(
     print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
 
 
+class ThesisPlan(StrEnum):
+    """Procedures of the thesis, as plans that can be run."""
+
+    calibration = "calibration"
+    prismatic = "prismatic"
+    rotary = "rotary"
+
+
 def plan(
     source: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="LOG|PLAN",
             parser=parse_path,
             help="A campaign log, or the plan of a campaign (TOML).",
         ),
         INPUT,
-    ],
+    ] = None,
     law: Annotated[
         Path | None,
         typer.Option(help="Of a plan: law file (TOML) or saved result; typical values without it."),
@@ -123,8 +134,31 @@ def plan(
         typer.Option("--chart", help="Of a plan: also draw which causes are confused: .png, .svg or .pdf."),
         Output(),
     ] = None,
+    thesis: Annotated[
+        ThesisPlan | None,
+        typer.Option(
+            help="Instead: a plan that follows the thesis, of its calibration (6.1, 6.2) or of its "
+            "experiments on joint 3 (prismatic, 4.3) or joint 2 (rotary, 5.3, 5.4)."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Of --thesis: plan to write; printed without it."),
+        Output(permits=("force",)),
+    ] = None,
+    force: Force = False,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
+    if thesis is not None:
+        given = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
+        if others := [name for name, value in given.items() if value]:
+            raise InputError(f"--thesis makes a plan, and takes no {join_words(others)}")
+        write_thesis_plan(thesis, output)
+        return
+    if not source:
+        raise InputError("name a LOG or a PLAN, or a procedure of the thesis with --thesis")
+    if output is not None:
+        raise InputError("--output is for --thesis; save proposed traverses with --json")
     check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
     check_chart(chart)
     if is_plan(source):
@@ -141,7 +175,17 @@ def plan(
     print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
 
 
-CLEAR_LINE = "\r\x1b[K"
+def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
+    """Write a plan of the thesis, or print it."""
+    from importlib.resources import files
+
+    template = files("stickslip_fit").joinpath("templates", f"plan_{procedure}.toml")
+    text = template.read_text("utf-8")
+    if output is None:
+        print(text, end="")
+    else:
+        write_atomically(output, text)
+        print(f"plan written to {output}")
 
 
 def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:

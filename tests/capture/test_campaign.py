@@ -235,6 +235,20 @@ def test_without_a_law_a_drive_is_limited_by_the_readings_before_it(short):
     assert short.rows["steps"].max() <= 6 * reading + 100
 
 
+def test_a_planned_warm_up_drive_is_made_once_and_logged_as_excluded(folder):
+    warm_up = (
+        HAND.replace("replicates = 3", 'replicates = 1\nstatus = "excluded"')
+        + "[[sweep]]"
+        + (HAND.partition("[[sweep]]")[2])
+    )
+    capture = Capture(folder, plan_of(folder, warm_up))
+    assert capture.run()
+    planned = capture.plan.rows()
+    assert (capture.rows["status"] == "ok").sum() == (planned["status"] == "ok").sum() == 12
+    logged = capture.rows[capture.rows["status"] == "excluded"]
+    assert (abs(logged["stop"] - logged["start"]) > 1.0).sum() >= 4
+
+
 def test_a_joint_that_was_set_by_hand_is_driven_as_far_as_it_may_stand_away(folder):
     class Misplaced(Player):
         def bring_joint(self, joint, position):
