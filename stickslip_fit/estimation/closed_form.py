@@ -228,11 +228,13 @@ def _propagate_covariance(
         groups = np.flatnonzero(pattern_of == index)
         names, traverses = (np.flatnonzero(half) for half in np.split(pattern, 2))
         taken = picked[np.ix_(groups, traverses)]
-        # The traverses made do not depend on unknown parameters, so that any value serves for those.
+        # A traverse that depends on an unknown parameter, 0 here, tells nothing of the others.
         filled = np.repeat(np.nan_to_num(values[groups]), len(traverses), axis=0)
-        slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(*taken.shape, values.shape[1])
-        inverse = np.linalg.pinv(slopes[:, :, names])
-        block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken], inverse)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes = law.jacobian(rows.iloc[taken.ravel()], filled).reshape(*taken.shape, values.shape[1])
+        finite = np.isfinite(slopes).all(axis=(0, 2))
+        inverse = np.linalg.pinv(slopes[:, finite][:, :, names])
+        block = np.einsum("gik,gk,gjk->gij", inverse, variance[taken[:, finite]], inverse)
         covariance[np.ix_(groups, names, names)] = block
     return covariance
 

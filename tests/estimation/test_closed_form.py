@@ -82,6 +82,17 @@ def test_a_missing_traverse_is_named_and_spoils_no_other_parameter(campaign, tmp
     assert "q2 = 0°, theta = 0°" in message
 
 
+def test_of_many_missing_traverses_what_is_left_keeps_its_error_bars():
+    """Every eighth row of a campaign: some loaded traverses stand without their unloaded ones."""
+    log = read_log("data/reference/campaign.csv")
+    thin = log.select(np.arange(len(log)) % 8 == 0)
+    result = fit_closed_form(thin)
+    a = result.parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
+    truth = fit_closed_form(log).parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
+    assert np.all(a["standard_error"] > 0)
+    assert np.all(abs(a["estimate"].to_numpy() - truth["estimate"].to_numpy()) < 4 * a["standard_error"])
+
+
 def test_a_gravity_effect_beyond_any_law_is_refused_with_a_reason(campaign, tmp_path):
     table = campaign(("2012-03-05",))
     odd = (table.joint == 2) & (table.theta_deg == 0.0) & (table.q3_mm == 0.0) & (table.psi_deg == 0.0)
