@@ -13,8 +13,8 @@ demo: $(VENV)/.ready
 test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
+	@echo "$(BIN)/mypy beside pytest"; $(BIN)/mypy & types=$$!; \
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal; tests=$$?; wait $$types && exit $$tests
 
 nightly: $(VENV)/.ready-nightly
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m ""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._format import join_words
 from stickslip_fit._io import write_atomically
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
@@ -152,7 +151,7 @@ def plan(
     if thesis is not None:
         given = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
         if others := [name for name, value in given.items() if value]:
-            raise InputError(f"--thesis makes a plan, and takes no {join_words(others)}")
+            raise InputError(f"--thesis makes a plan, and takes no {', '.join(others)}")
         write_thesis_plan(thesis, output)
         return
     if not source:
