@@ -101,6 +101,7 @@ def check_agreement(found, theirs):
     assert np.abs((sd - their_sd) / np.hypot(sd_error, their_sd_error)).max() < 4.0
 
 
+@pytest.mark.nightly
 def test_constant_step_agrees_with_nested_sampling(traverses_of, fitted):
     law = ConstantStep(3, Configuration("anywhere"))
     rows = traverses_of(TRUTHS, 0.003, np.random.default_rng(1), replicates=4).rows

@@ -96,7 +96,7 @@ def test_unplugged_in_mid_traverse_it_loses_nothing_and_goes_on_later(tmp_path):
     made = rows[rows["status"] == "ok"]
     assert made["direction"].tolist() == ["+", "-"]
     assert made["steps"].iloc[0] == first["steps"].iloc[0]
-    # 0.4 mm in steps of 976 and 903 nm, within what days differ by, the stop heard a few checks late.
+    # 0.4 mm in steps of 972 and 899 nm, within what days differ by, the stop heard a few checks late.
     assert 395 <= made["steps"].iloc[0] <= 460
     assert 425 <= made["steps"].iloc[1] <= 500
 

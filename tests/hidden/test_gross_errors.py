@@ -70,7 +70,7 @@ def places(hidden):
     }
 
 
-@pytest.mark.parametrize("kind", ["session", "thesis", "many"])
+@pytest.mark.parametrize("kind", ["session", "thesis", pytest.param("many", marks=pytest.mark.nightly)])
 def test_one_doubled_count_is_found_wherever_it_is(kind, load):
     hidden = hide(kind, noise="t5", seed=11)
     for place, row in places(hidden).items():

@@ -9,7 +9,8 @@ from stickslip_fit.reporting import report
 MOST = 4_500_000
 
 
-@pytest.mark.parametrize("days", [22, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("days", [22, 100])
 def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path, days):
     """Years of sessions: shown are the latest, and of too many points a sample; the page says so."""
     once = campaign(("2012-03-05",))

@@ -40,6 +40,7 @@ def cluster():
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no signal that kills a worker")
+@pytest.mark.nightly
 def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):
     monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 10)
     plan = study(campaigns=80)
