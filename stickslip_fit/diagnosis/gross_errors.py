@@ -172,11 +172,10 @@ def _have_company(z: Array, rows: IntArray, problem: DiagnosisProblem) -> BoolAr
     for k, row in enumerate(rows):
         series = in_time[group[row]]
         place = int(np.searchsorted(series, row))
-        near = np.r_[series[max(place - NEIGHBOURS, 0) : place], series[place + 1 : place + 1 + NEIGHBOURS]]
         before, after = series[max(place - NEIGHBOURS, 0) : place], series[place + 1 : place + 1 + NEIGHBOURS]
         same = replicates[cell[row]]
         company[k] = any(
             len(others) > 0 and np.mean(z[others] / z[row] > SHARED_DEPARTURE) > 0.5
-            for others in (before, after, near, same[same != row])
+            for others in (before, after, np.r_[before, after], same[same != row])
         )
     return company

@@ -129,17 +129,18 @@ def diagnose_problem(
     progress("searching for causes", 0.05)
     rng = np.random.default_rng(seed)
     gross = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha)
-    aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
+    next_aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
     for _ in range(MAX_SEARCHES):
+        aside = next_aside  # the rows that the last search was made without, also if it asks for one more
         search = _search(set_aside(problem, aside), missing, alpha, rng)
         found = search.selection
         kept = np.setdiff1d(np.arange(len(problem)), aside)
         if len(found.influential):
             kept = np.delete(kept, found.outliers)
-            aside = np.union1d(aside, kept[found.influential])
+            next_aside = np.union1d(aside, kept[found.influential])
             p_value = min(p_value, found.p_value)
         elif len(back := restore_rows(found, problem, aside)):
-            aside = np.setdiff1d(aside, back)
+            next_aside = np.setdiff1d(aside, back)
         else:
             break
     selection = with_gross_errors(found, len(problem), aside, p_value)
