@@ -217,11 +217,11 @@ def format_configuration(row: pd.Series, machine: JointKinds) -> str:
     published arm q1 = 0.
     """
     joint = int(row["joint"])
-    hidden = {f"q{joint}", *(["q1"] if machine.has_published_geometry and abs(row["q1"]) <= ANGLE_TOL else [])}
-    names = [name for name in (*(f"q{other}" for other in machine.joints), "theta", "psi") if name not in hidden]
-    parts = [
-        f"{name} {format_position(row[name], _joint_of(name), machine)}" for name in names if isfinite(row[name])
-    ]
+    names = [*(f"q{other}" for other in machine.joints if other != joint), "theta", "psi"]
+    if machine.has_published_geometry and abs(row["q1"]) <= ANGLE_TOL:
+        names.remove("q1")
+    known = [name for name in names if isfinite(row[name])]
+    parts = [f"{name} {format_position(row[name], _joint_of(name), machine)}" for name in known]
     span = machine.span(joint)
     if abs(abs(row["stop"] - row["start"]) - span) > SAME_SHARE * span:
         parts.append(" to ".join(format_position(row[end], joint, machine) for end in ("start", "stop")))
@@ -247,6 +247,12 @@ def format_time(moment: pd.Timestamp) -> str:
 def position_unit(joint: int, machine: JointKinds) -> str:
     """Display unit of a joint's position."""
     return "mm" if machine.is_prismatic(joint) else "deg"
+
+
+def coordinate_unit(name: str, machine: JointKinds) -> str:
+    """Display unit of a column q1 to qn, theta or psi."""
+    joint = _joint_of(name)
+    return "deg" if joint is None else position_unit(joint, machine)
 
 
 def step_unit(joint: int, machine: JointKinds) -> str:

@@ -40,9 +40,8 @@ def add_session_history(
     """Add the history within sessions, which `session`, shape (n,), numbers; rows of whole sessions only.
 
     ``before_direction`` ('+', '-', or '' for a joint's first in its session), ``before_load`` (the published
-    load of that traverse, averaged over its positions; 0 for the first, NaN on a machine without the published
-    geometry) and ``session_seconds`` (since the
-    session's first traverse of any joint).
+    load of that traverse, averaged over its positions; 0 for the first, NaN on a machine without the
+    published geometry) and ``session_seconds`` (since the session's first traverse of any joint).
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)

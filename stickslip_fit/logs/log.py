@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from stickslip_fit._format import (
     MISSING,
+    coordinate_unit,
     format_configuration,
     format_direction,
     format_plain,
@@ -26,7 +27,6 @@ from stickslip_fit._format import (
     join_words,
     joint_name,
     pluralize,
-    position_unit,
 )
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
@@ -36,7 +36,6 @@ from stickslip_fit.logs.schema import (
     CHECK_EVERY,
     CONDITIONS,
     COVARIATE_PREFIX,
-    ORIENTATION,
     Field,
     has_times,
     log_format,
@@ -67,9 +66,7 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     # Adding zero makes -0.0 and 0.0 one configuration.
     with np.errstate(over="ignore"):
         table[positions] = table[positions].round(_KEY_DECIMALS) + 0.0
-    counts = table.groupby(["session", "joint", *positions], dropna=False, sort=True)[
-        ["forward", "backward"]
-    ]
+    counts = table.groupby(["session", "joint", *positions], dropna=False, sort=True)[["forward", "backward"]]
     counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
     return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
 
@@ -139,7 +136,9 @@ def _cell_columns(rows: pd.DataFrame, machine: Machine) -> dict[str, list[str]]:
     for kind, subset in (("angle", ~slides), ("length", slides)):
         for end, inside in (("from", "start"), ("to", "stop")):
             if subset.any():
-                columns |= _quantity_column(form.by_name[f"{end}_{kind}"], rows[inside].where(subset).to_numpy())
+                columns |= _quantity_column(
+                    form.by_name[f"{end}_{kind}"], rows[inside].where(subset).to_numpy()
+                )
     return columns | _optional_columns(rows)
 
 
@@ -210,10 +209,10 @@ class Log(Summarized):
     rows : DataFrame
         One row per traverse, sorted by time and joint, SI throughout. ``session``, ``time`` (NaT in a log
         without times), ``joint``, ``direction`` ('+', '-'), ``steps``; ``q1`` to ``qn`` (the moving joint's
-        own is NaN), ``theta``, ``psi`` (NaN where not given); ``start``, ``stop`` (rad or m); ``check_every``; ``status`` ('ok',
-        'interrupted', 'excluded'); ``temperature``, ``humidity``, ``supply``, ``step_period``,
-        ``payload`` (NaN where not given); ``note``; the lab's own columns as ``covariate:<column>``
-        and ``text:<column>``; and history, see `add_history`.
+        own is NaN), ``theta``, ``psi`` (NaN where not given); ``start``, ``stop`` (rad or m);
+        ``check_every``; ``status`` ('ok', 'interrupted', 'excluded'); ``temperature``, ``humidity``,
+        ``supply``, ``step_period``, ``payload`` (NaN where not given); ``note``; the lab's own
+        columns as ``covariate:<column>`` and ``text:<column>``; and history, see `add_history`.
     sources : tuple of (str, str)
         Name and sha256 of each file.
     file_sha256 : str
@@ -421,7 +420,7 @@ def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
         "replicates": f"{configurations['replicates'].sum():,}",
     }
     for name in position_columns(rows):
-        unit = "deg" if name in ORIENTATION else position_unit(int(name[1:]), log.machine)
+        unit = coordinate_unit(name, log.machine)
         values = "moves" if name == f"q{joint}" else _format_values(rows[name], unit)
         covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
     return covered

@@ -191,9 +191,10 @@ def _read_end(cells: LogCells, machine: Machine, joint: Int64Array, stem: str, d
 
 def _wrong_kind_message(machine: Machine, joint: Int64Array, stem: str) -> IssueMessage:
     def message(row: int, value: str) -> str:
-        if machine.is_prismatic(int(joint[row])):
-            return f"is an angle, but joint {joint[row]} is prismatic; write {stem}_mm, and leave this cell empty"
-        return f"is a length, but joint {joint[row]} is rotary; write {stem}_deg, and leave this cell empty"
+        number = int(joint[row])
+        if machine.is_prismatic(number):
+            return f"is an angle, but joint {number} is prismatic; write {stem}_mm, and leave this cell empty"
+        return f"is a length, but joint {number} is rotary; write {stem}_deg, and leave this cell empty"
 
     return message
 

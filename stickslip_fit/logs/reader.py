@@ -278,7 +278,9 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
     columns = run_in_threads(
         {
             "direction": lambda: label_codes(direction, DIRECTIONS),
-            **{f"q{other}": partial(_read_position, cells, machine, joint, other) for other in machine.joints},
+            **{
+                f"q{other}": partial(_read_position, cells, machine, joint, other) for other in machine.joints
+            },
             **{name: partial(cells.numbers, name, needed=True) for name in ORIENTATION},
             "traverse": lambda: read_traverses(cells, machine, joint, forward),
             "check_every": lambda: _read_check_every(cells, steps),

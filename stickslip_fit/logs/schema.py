@@ -185,7 +185,7 @@ def log_format(machine: Machine) -> LogFormat:
         Field(f"q{joint}", f"q{joint}", suffixes)
         for joint, (_, suffixes) in zip(machine.joints, _unit_suffixes(machine), strict=True)
     )
-    fields = []
+    fields: list[Field] = []
     for field in FIELDS:
         if field.name == "q1":
             fields += positions

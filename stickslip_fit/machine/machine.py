@@ -143,7 +143,9 @@ def load_machine(path: str | Path | None = None) -> Machine:
 def _build_joints(content: JointsFile, file: str, raw: bytes) -> Machine:
     return Machine(
         name=content.name or Path(file).stem,
-        ranges={number: (joint.range[0], joint.range[1]) for number, joint in enumerate(content.joint, start=1)},
+        ranges={
+            number: (joint.range[0], joint.range[1]) for number, joint in enumerate(content.joint, start=1)
+        },
         sha256=hashlib.sha256(raw).hexdigest(),
         kinds=tuple(joint.kind for joint in content.joint),
         joint_names=tuple(joint.name for joint in content.joint),

@@ -85,6 +85,7 @@ class JointTable(TomlTable, extra="ignore"):
     kind: Annotated[Literal["rotary", "prismatic"], KIND]
     name: Annotated[str, Give("give the joint's name in quotes")] = ""
     """Your own name of the joint."""
+    range: Ends
 
 
 class RotaryTable(JointTable, extra="forbid"):
