@@ -54,7 +54,7 @@ def fit_closed_form(
     ----------
     log : Log
     laws : mapping of int to law, optional
-        Laws of your own by joint, see `choose_laws`; the published law for other joints.
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes_from : Result, optional
         Of another log: its causes are taken as known, and their uncertainty goes into the error bars.
     command : str, optional

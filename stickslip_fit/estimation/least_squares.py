@@ -71,7 +71,7 @@ def fit_least_squares(
     ----------
     log : Log
     laws : mapping of int to law, optional
-        Laws of your own by joint, see `choose_laws`; the published law for other joints.
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : sequence of Cause, optional
         Departures from the laws to fit with them: one set of parameters for the whole campaign,
         the same for all joints, directions and sessions.

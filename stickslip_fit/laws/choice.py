@@ -13,6 +13,7 @@ import pandas as pd
 
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws.base import Rows, StepLaw
+from stickslip_fit.laws.checks import call_own, check_law
 from stickslip_fit.laws.published import published_law
 from stickslip_fit.machine import Machine
 
@@ -50,15 +51,16 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
     Raises
     ------
     InputError
-        For a joint that the machine does not have, and for what is no law of its joint.
+        For a joint that the machine does not have, what is no law of its joint, and a law that cannot be
+        fitted to these rows; see `check_law`.
 
     Examples
     --------
     >>> import pandas as pd
     >>> from stickslip_fit.laws import ConstantStep
     >>> from stickslip_fit.machine import load_machine
-    >>> rows = pd.DataFrame({"joint": [3, 2], "q2": [0.0, 0.0], "q3": [0.0, 0.0]})
-    >>> chosen = choose_laws(rows, load_machine(), {3: ConstantStep(3)})
+    >>> rows = pd.DataFrame({"joint": [3, 2], "start": 0.0, "stop": [0.012, 3.0], "steps": 12_300})
+    >>> chosen = choose_laws(rows.assign(check_every=1), load_machine(), {3: ConstantStep(3)})
     >>> {joint: law.name for joint, law in chosen.items()}
     {2: 'rotary-elbow', 3: 'constant'}
     """
@@ -79,17 +81,19 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
     return chosen
 
 
-def _given_law(given: object, joint: int, rows: Rows, machine: Machine) -> StepLaw:
-    law = given
+def _given_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
+    law, what = given, f"the law of joint {joint}"
     if isinstance(given, LawSource):
-        law = given.step_law(joint, rows, machine)
+        law = call_own(what, lambda: given.step_law(joint, rows, machine))
     elif not isinstance(given, StepLaw) and callable(given):
-        law = given(joint, rows, machine)
+        law = call_own(what, lambda: given(joint, rows, machine))
     if not isinstance(law, StepLaw):
         raise InputError(
-            f"the law of joint {joint} is no StepLaw but {type(law).__name__}; give a StepLaw, a formula, or "
+            f"{what} is no StepLaw but {type(law).__name__}; give a StepLaw, a formula, or "
             "a function (joint, rows, machine) that returns a StepLaw"
         )
     if law.joint != joint:
         raise InputError(f"the law {law.name!r} is of joint {law.joint}, but is given for joint {joint}")
+    if len(rows):
+        check_law(law, rows)
     return law
