@@ -36,7 +36,7 @@ from stickslip_fit.estimation.with_causes import (
     release_causes,
     solve_with_fixed_causes,
 )
-from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, traverse_length
+from stickslip_fit.laws import ConstantStep, Laws, Prismatic, Rotary, StepLaw, choose_laws, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 
@@ -45,12 +45,16 @@ POSITION_TOL = 1e-9  # of the range
 MIN_DF = 4  # degrees of freedom; with fewer an interval is several times too wide to be of use
 
 
-def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str = "") -> Result:
+def fit_closed_form(
+    log: Log, *, laws: Laws | None = None, causes_from: Result | None = None, command: str = ""
+) -> Result:
     """Calibrate every session and direction from the first traverse of each calibration configuration.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes_from : Result, optional
         Of another log: its causes are taken as known, and their uncertainty goes into the error bars.
     command : str, optional
@@ -67,19 +71,14 @@ def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str
     InputError
         If the log has no usable traverse, or `causes_from` is of another machine or knows no causes.
     """
-    rows = usable_rows(log)
-    laws: dict[int, StepLaw] = {
-        joint: published_law(joint, rows[rows["joint"] == joint], log.machine)
-        for joint in log.joints
-        if (rows["joint"] == joint).any()
-    }
+    chosen = choose_laws(usable_rows(log), log.machine, laws)
     known = None
     if causes_from is not None:
         if causes_from.machine.sha256 != log.machine.sha256:
             raise InputError("the causes were fitted for another machine; read the log with that one")
         known = fixed_causes(causes_from)
-        laws = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in laws.items()}
-    return flag_outliers(solve_calibration(log, laws, "closed-form", known=known, command=command), log)
+        chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
+    return flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
 
 
 def solve_calibration(

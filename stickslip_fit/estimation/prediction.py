@@ -16,11 +16,11 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 from stickslip_fit._format import format_direction
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.result import JointFit, Result, choose_repeatability
+from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import (
     StepLaw,
     constant_law,
     expected_steps,
-    published_law,
     rounding_variance,
     traverse_length,
 )
@@ -101,10 +101,7 @@ def fit_constant_step(log: Log, result: Result) -> Result:
     It is that of the first full traverse in the law's first calibration configuration, without gravity and
     recoil; NaN for a session without such a traverse.
     """
-    rows = log.usable
-    companions = {
-        joint: published_law(joint, rows[rows["joint"] == joint], log.machine) for joint in result.joints
-    }
+    companions = {joint: law_without_causes(fit.law) for joint, fit in result.joints.items()}
     laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in companions.items()}
     return solve_calibration(
         log, laws, "constant-step", companion_laws=companions, command=result.provenance.command

@@ -37,7 +37,8 @@ from stickslip_fit.estimation.noise import (
     row_variance,
 )
 from stickslip_fit.estimation.result import Result
-from stickslip_fit.laws import StepLaw, published_law
+from stickslip_fit.estimation.with_causes import law_without_causes
+from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import Log
 
 MAX_PASSES = 100
@@ -148,11 +149,11 @@ def flag_outliers(result: Result, log: Log) -> Result:
     Where all its residuals are small, no Student-t fit is made.
     """
     flags = []
-    for joint in result.joints:
+    for joint, fit in result.joints.items():
         rows = log.usable[log.usable["joint"] == joint]
         residual = result.residuals.loc[rows.index, "residual"].to_numpy()
         if not np.all(np.abs(residual) < SUSPICIOUS_Z * TYPICAL_SIGMA):
-            flags += outliers(published_law(joint, rows, log.machine), rows)
+            flags += outliers(law_without_causes(fit.law), rows)
     return replace(result, flags=(*result.flags, *flags))
 
 

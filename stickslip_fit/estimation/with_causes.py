@@ -319,6 +319,11 @@ class FixedCauseLaw(StepLaw):
         return self.law.calibration()
 
 
+def law_without_causes(law: StepLaw) -> StepLaw:
+    """The law that causes extend; any other as it is."""
+    return law.law if isinstance(law, ExtendedLaw | FixedCauseLaw) else law
+
+
 def solve_with_fixed_causes(
     law: FixedCauseLaw,
     rows: pd.DataFrame,

@@ -11,6 +11,7 @@ from stickslip_fit.laws.base import (
     rounding_variance,
     traverse_length,
 )
+from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -31,12 +32,15 @@ __all__ = [
     "Configuration",
     "ConstantStep",
     "Elbow",
+    "LawSource",
+    "Laws",
     "Parameter",
     "Prismatic",
     "Rotary",
     "Rows",
     "State",
     "StepLaw",
+    "choose_laws",
     "constant_law",
     "describe_law",
     "expected_steps",

@@ -296,11 +296,14 @@ class BaseAtOneReach(Base):
 
 
 class ConstantStep(StepLaw):
-    """One step size for every configuration, calibrated in the configuration `measured_in` (thesis Ch. 7)."""
+    """One step size for every configuration (thesis Ch. 7).
+
+    It is calibrated in the configuration `measured_in`, or by any traverse.
+    """
 
     name = "constant"
 
-    def __init__(self, joint: int, measured_in: Configuration) -> None:
+    def __init__(self, joint: int, measured_in: Configuration | None = None) -> None:
         self.joint = joint
         self.measured_in = measured_in
         unit = "nm" if joint == PRISMATIC else "µrad"
@@ -328,7 +331,7 @@ class ConstantStep(StepLaw):
 
     def calibration(self) -> tuple[Configuration, ...]:
         """See `StepLaw.calibration`."""
-        return (self.measured_in,)
+        return () if self.measured_in is None else (self.measured_in,)
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`."""
@@ -391,4 +394,4 @@ def restore_law(description: dict[str, str | int | float], machine: Machine) -> 
 
 def constant_law(law: StepLaw) -> ConstantStep:
     """The constant step of thesis Ch. 7 for the joint of `law`, from its first calibration configuration."""
-    return ConstantStep(law.joint, law.calibration()[0])
+    return ConstantStep(law.joint, next(iter(law.calibration()), None))

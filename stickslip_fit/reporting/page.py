@@ -44,6 +44,7 @@ from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
 from stickslip_fit.estimation.prediction import POSITION_COLUMNS, collect_traverses
 from stickslip_fit.estimation.result import choose_repeatability
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._style import select_recent, thin_rows
@@ -133,6 +134,7 @@ def report(
     anova: Anova | None = None,
     diagnosis: Diagnosis | None = None,
     comparison: Comparison | None = None,
+    laws: Laws | None = None,
     causes: Sequence[Cause] = (),
     sections: Collection[str] = SLOW_SECTIONS,
     command: str = "",
@@ -151,6 +153,8 @@ def report(
     diagnosis : Diagnosis, optional
     comparison : Comparison, optional
         Of strategies; made of the default ones on the latest 12 sessions.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : sequence of Cause, optional
         Extend the laws of what is made.
     sections : collection of {"diagnosis", "strategies"}, optional
@@ -170,15 +174,17 @@ def report(
     found: Diagnosis | InputError | None = diagnosis
     compared: Comparison | InputError | None = comparison
     if diagnosis is None and "diagnosis" in sections:
-        found = _try_section(lambda: diagnose(log, progress=lambda step, done: progress(step, 0.7 * done)))
+        found = _try_section(
+            lambda: diagnose(log, laws=laws, progress=lambda step, done: progress(step, 0.7 * done))
+        )
     if comparison is None and "strategies" in sections:
         progress("comparing strategies", 0.7)
-        compared = _try_section(lambda: _compare_strategies(log, causes, command))
+        compared = _try_section(lambda: _compare_strategies(log, laws, causes, command))
     progress("fitting and drawing", 0.9)
     if fit is None:
-        fit = fit_least_squares(log, causes=causes, command=command)
+        fit = fit_least_squares(log, laws=laws, causes=causes, command=command)
     if calibration is None:
-        calibration = fit_closed_form(log, causes_from=fit if causes else None, command=command)
+        calibration = fit_closed_form(log, laws=laws, causes_from=fit if causes else None, command=command)
     html = _render(log, calibration, fit, anova or analyze_variance(log), found, compared, command)
     return Report(_write_title(log), html, log.files)
 
@@ -193,12 +199,12 @@ def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
         return InputError(f"its numbers did not converge ({error}); look for gross errors in the log")
 
 
-def _compare_strategies(log: Log, causes: Sequence[Cause], command: str) -> Comparison:
+def _compare_strategies(log: Log, laws: Laws | None, causes: Sequence[Cause], command: str) -> Comparison:
     log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
     strategies = default_strategies()
     if causes:
-        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes))
-    return compare_strategies(log, strategies, command=command)
+        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes, laws=laws))
+    return compare_strategies(log, strategies, laws=laws, command=command)
 
 
 def _render(
