@@ -14,7 +14,7 @@ import pandas as pd
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws.base import Rows, StepLaw
 from stickslip_fit.laws.checks import call_own, check_law
-from stickslip_fit.laws.published import published_law
+from stickslip_fit.laws.published import ConstantStep, published_law
 from stickslip_fit.machine import Machine
 
 
@@ -46,7 +46,8 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
     Returns
     -------
     dict of int to StepLaw
-        In order of the joints: the law in `laws`, else the published law.
+        In order of the joints: the law in `laws`, else the published law; on a machine without the published
+        geometry, a constant step of each session and direction.
 
     Raises
     ------
@@ -76,9 +77,15 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
         chosen[joint] = (
             _given_law(given[joint], joint, own, machine)
             if joint in given
-            else published_law(joint, own, machine)
+            else _default_law(joint, own, machine)
         )
     return chosen
+
+
+def _default_law(joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
+    if machine.has_published_geometry:
+        return published_law(joint, rows, machine)
+    return ConstantStep(joint, prismatic=machine.is_prismatic(joint))
 
 
 def _given_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
