@@ -217,8 +217,8 @@ def control_chart(result: Result) -> pd.DataFrame:
         name, joint, direction, session, unit, estimate, low, high (its 95 %), expected_low, expected_high
         (SI) and surprising. The range holds all parameters of a drive that changes from session to session
         as it did so far in 99 of 100 sessions (Student's t, Bonferroni over the session's parameters that
-        have a range); it is NaN with fewer than three earlier sessions, and in a log without times. Parameters that are not known, and
-        those that all sessions share, are not listed.
+        have a range); it is NaN with fewer than three earlier sessions, and in a log without times.
+        Parameters that are not known, and those that all sessions share, are not listed.
     """
     table = result.parameters.dropna(subset=["estimate", "session"])
     chart = table[["name", "joint", "direction", "session", "unit", "estimate", "low", "high"]]

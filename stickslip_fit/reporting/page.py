@@ -46,7 +46,7 @@ from stickslip_fit.estimation.prediction import collect_traverses
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
-from stickslip_fit.logs.schema import position_columns
+from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting._svg import Picture
