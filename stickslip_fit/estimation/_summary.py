@@ -99,7 +99,7 @@ def _parameters(result: Result, joint: int) -> Table:
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
-    return Table(f"Parameters of {joint_name(joint)}", columns, rows, stubs=2, note=note)
+    return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
 
 
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
