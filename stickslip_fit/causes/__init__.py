@@ -56,11 +56,13 @@ from stickslip_fit.causes.base import (
     extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
+from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.geometry import *  # noqa: F403
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.registry import FAMILIES, covariates, describe, library, restore
+from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause
 from stickslip_fit.causes.temporal import *  # noqa: F403
 
 __all__ = [
@@ -68,9 +70,12 @@ __all__ = [
     "CauseParameter",
     "CountCause",
     "ExtendedLaw",
+    "ExtendedTableLaw",
     "FactorCause",
+    "FormulaCause",
     "SizedParameter",
     "StateCause",
+    "TableCause",
     "TermCause",
     "covariates",
     "describe",
@@ -78,5 +83,6 @@ __all__ = [
     "extend",
     "library",
     "restore",
+    "restore_formula_cause",
 ]
 __all__ += [name for family in FAMILIES for name in family.__all__]

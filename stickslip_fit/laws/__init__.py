@@ -12,6 +12,7 @@ from stickslip_fit.laws.base import (
     traverse_length,
 )
 from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
+from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -25,6 +26,7 @@ from stickslip_fit.laws.published import (
     published_law,
     restore_law,
 )
+from stickslip_fit.laws.table import TableLaw
 
 __all__ = [
     "Base",
@@ -32,6 +34,7 @@ __all__ = [
     "Configuration",
     "ConstantStep",
     "Elbow",
+    "Law",
     "LawSource",
     "Laws",
     "Parameter",
@@ -40,6 +43,7 @@ __all__ = [
     "Rows",
     "State",
     "StepLaw",
+    "TableLaw",
     "choose_laws",
     "constant_law",
     "describe_law",
@@ -47,6 +51,7 @@ __all__ = [
     "float_column",
     "observed_count",
     "published_law",
+    "restore_formula_law",
     "restore_law",
     "rounding_variance",
     "state_at",

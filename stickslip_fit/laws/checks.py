@@ -129,6 +129,7 @@ def _check_columns(law: StepLaw, rows: Rows) -> None:
 def _check_finite(law: StepLaw, rows: pd.DataFrame, response: Array, start: Array) -> None:
     bad = np.flatnonzero(~np.isfinite(response))
     if len(bad):
+        where = f"joint {law.joint}, law {law.name!r}"
         at = ", ".join(
             f"{parameter.name} = {value:.4g}" for parameter, value in zip(law.parameters, start, strict=True)
         )
@@ -136,8 +137,8 @@ def _check_finite(law: StepLaw, rows: pd.DataFrame, response: Array, start: Arra
         names = dict.fromkeys([*law.columns, "start", "stop"])
         place = ", ".join(f"{name} = {row[name]}" for name in names)
         raise InputError(
-            f"joint {law.joint}, law {law.name!r}: at its start values ({at}; SI) it gives no step size above 0 "
-            f"in {pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; change start_values"
+            f"{where}: at its start values ({at}; SI) it gives no step size above 0 in "
+            f"{pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; change start_values"
         )
 
 
