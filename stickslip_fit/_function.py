@@ -133,9 +133,7 @@ class NumericFunction:
             raise
         except Exception as error:
             reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-            raise InputError(
-                f"the function {self.text} raised {reason}{_line_of(error, self.python)}"
-            ) from error
+            raise InputError(f"the function {self.text} raised {reason}{_line_of(error, self.python)}") from error
         shape = _shape(arguments)
         if value.shape not in (shape, ()):
             raise InputError(

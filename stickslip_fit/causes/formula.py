@@ -38,9 +38,7 @@ _NAME = r"""(?:[^\W\d]\w*|Q\(\s*"[^"\n]+"\s*\))"""
 _REPLACES = re.compile(rf"\s*({_NAME})\s*=(?!=)")
 _STEPS = re.compile(r"\s*steps\s*(?=[+-])")
 _PARAMETER = re.compile(r"\s*([^\W\d]\w*)\s*(?:\bin\s+(\S(?:[^,]*\S)?))?\s*$")
-HOW_TO_BEGIN = (
-    "it begins with + (adds), * (multiplies), 'name =' (in place of a column) or 'steps +' (of a log)"
-)
+HOW_TO_BEGIN = "it begins with + (adds), * (multiplies), 'name =' (in place of a column) or 'steps +' (of a log)"
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,7 @@ class FormulaTableCause(TableCause):
     @property
     def phrase(self) -> str:  # type: ignore[override]
         """See `Cause`."""
-        return self.source.phrase or _PHRASES[self.source.kind].format(
-            self.source.effect.text.strip(), self.target
-        )
+        return self.source.phrase or _PHRASES[self.source.kind].format(self.source.effect.text.strip(), self.target)
 
     @property
     def physics(self) -> str:  # type: ignore[override]
@@ -122,12 +120,8 @@ class FormulaTableCause(TableCause):
         versions = []
         for place, amplitudes in self.sizes:
             null = (*np.zeros(len(amplitudes)), *np.repeat(place, len(self.levels)))
-            trials = np.column_stack(
-                [np.diag(amplitudes), np.tile(null[len(amplitudes) :], (len(amplitudes), 1))]
-            )
-            versions.append(
-                (replace(self, null_values=tuple(map(float, null)), sizes=((place, amplitudes),)), trials)
-            )
+            trials = np.column_stack([np.diag(amplitudes), np.tile(null[len(amplitudes) :], (len(amplitudes), 1))])
+            versions.append((replace(self, null_values=tuple(map(float, null)), sizes=((place, amplitudes),)), trials))
         return versions
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
@@ -187,11 +181,7 @@ def _find_faults(cause: FormulaCause, law: TableLaw, frame: pd.DataFrame) -> lis
     own = [one.name for one in cause.declared]
     columns = [str(name) for name in frame.columns]
     known = [*columns, *law.parameter_names, law.response_name]
-    faults = [
-        f"{name} is also a column or a parameter of the law; name it otherwise"
-        for name in own
-        if name in known
-    ]
+    faults = [f"{name} is also a column or a parameter of the law; name it otherwise" for name in own if name in known]
     for name in (*cause.names, *([cause.by] if cause.by else [])):
         if name not in own and name not in known:
             similar = get_close_matches(shorten(name), known, 1, 0.5)
@@ -232,9 +222,7 @@ class _Binding:
                 f"bounds={{{unbounded[0]!r}: (low, high)}}"
             )
         if len(others) not in NUMBER_OF_PLACES:
-            self._refuse(
-                f"it is not linear in {', '.join(others)}; at most {max(NUMBER_OF_PLACES)} can be searched"
-            )
+            self._refuse(f"it is not linear in {', '.join(others)}; at most {max(NUMBER_OF_PLACES)} can be searched")
         if not amplitudes and len(self.levels) > 1:
             self._refuse(f"by={self.cause.by!r} needs a parameter in which it is linear, such as a factor A")
         bound = self._with_order((*amplitudes, *others), len(amplitudes))
@@ -260,38 +248,23 @@ class _Binding:
         """The effect and its derivatives in every row, all levels alike."""
         n = len(self.frame)
         one = self._with_order(tuple(names), 0, (None,))
-        state = {
-            name: np.full(n, value) for name, value in zip(self.law.parameter_names, self.values, strict=True)
-        }
+        state = {name: np.full(n, value) for name, value in zip(self.law.parameter_names, self.values, strict=True)}
         state |= {self.law.response_name: self.law.predict(self.frame, self.values)}
-        known = {
-            **state,
-            **(
-                {self.cause.target: number_column(self.frame, self.cause.target)} if self.cause.target else {}
-            ),
-        }
-        value, slopes, _ = one.effect(self.frame, tuple(known))(
-            known, np.tile(np.asarray(values, float), (n, 1))
-        )
+        known = {**state, **({self.cause.target: number_column(self.frame, self.cause.target)} if self.cause.target else {})}
+        value, slopes, _ = one.effect(self.frame, tuple(known))(known, np.tile(np.asarray(values, float), (n, 1)))
         return np.broadcast_to(value, (n,)), slopes
 
     def _choose_amplitudes(self, names: Sequence[str]) -> tuple[str, ...]:
         """The largest set in which the effect is linear and without which there is none."""
         sets = [some for size in range(len(names), -1, -1) for some in combinations(names, size)]
-        sets.sort(
-            key=lambda some: -len(some) + 0.5 * (not all(self._is_bounded(n) for n in names if n not in some))
-        )
+        sets.sort(key=lambda some: -len(some) + 0.5 * (not all(self._is_bounded(n) for n in names if n not in some)))
         for some in sets:
             others = [name for name in names if name not in some]
-            absent = np.array(
-                [*np.zeros(len(some)), *(self._middle(name) if some else 0.0 for name in others)]
-            )
+            absent = np.array([*np.zeros(len(some)), *(self._middle(name) if some else 0.0 for name in others)])
             order = (*some, *others)
             without = self._evaluate(order, absent)[0]
             if self._vanishes(without) and find_linear(
-                lambda values, order=order: self._evaluate(order, values),
-                absent,
-                range(len(some)),  # type: ignore[misc]
+                lambda values, order=order: self._evaluate(order, values), absent, range(len(some))  # type: ignore[misc]
             ) == list(range(len(some))):
                 return some
         self._refuse(

@@ -113,9 +113,7 @@ class ExtendedTableLaw:
     @property
     def columns(self) -> tuple[str, ...]:
         """All that it uses."""
-        return tuple(
-            dict.fromkeys([*self.law.columns, *(name for one in self.causes for name in one.columns)])
-        )
+        return tuple(dict.fromkeys([*self.law.columns, *(name for one in self.causes for name in one.columns)]))
 
     @property
     def name(self) -> str:

@@ -219,9 +219,7 @@ def _quote(name: str) -> Expression:
     return parse_expression(name if "(" in name else f'Q("{name}")')
 
 
-def _check_numbers(
-    key: str, values: Mapping[str, Any] | None, is_good: Callable[[Any], bool]
-) -> list[InputIssue]:
+def _check_numbers(key: str, values: Mapping[str, Any] | None, is_good: Callable[[Any], bool]) -> list[InputIssue]:
     return [
         InputIssue(f"{key} of {name} must be a finite number, not {shorten(repr(value))}")
         for name, value in (values or {}).items()
@@ -262,9 +260,7 @@ class _Names:
                 issues.append(self._unused(name))
             elif name in self.columns and name in (*(law.bounds or {}), *(law.start or {}), *listed):
                 issues.append(
-                    InputIssue(
-                        f"{name} is a column of the table and so no parameter; name the parameter otherwise"
-                    )
+                    InputIssue(f"{name} is a column of the table and so no parameter; name the parameter otherwise")
                 )
         issues += [
             InputIssue(f"{name} cancels out of the formula {law.text!r}: it has no effect. Leave it out")

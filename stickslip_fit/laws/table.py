@@ -124,9 +124,7 @@ class TableLaw:
         return best if isfinite(least) else first
 
 
-def check_table_law(
-    law: TableLaw, frame: pd.DataFrame, session: str | None, start: Mapping[str, float]
-) -> None:
+def check_table_law(law: TableLaw, frame: pd.DataFrame, session: str | None, start: Mapping[str, float]) -> None:
     """Refuse what no fit can use."""
 
 
