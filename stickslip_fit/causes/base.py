@@ -201,7 +201,7 @@ def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str |
             return f"the log has no traverse of {of}"
         rows = rows.assign(joint=cause.joints[0])  # the numbers of its joints are the published arm's
     if cause.needs_geometry and not machine.has_published_geometry:
-        return "it needs the geometry of the published arm, and the machine has another"
+        return "the geometry of the published arm is needed, and the machine has another"
     return cause.explain_missing(rows)
 
 
