@@ -2,8 +2,17 @@
 
 from stickslip_fit.diagnosis import _summary as _summary  # registers how results are summarized
 from stickslip_fit.diagnosis.experiments import next_experiment
-from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.pipeline import diagnose
 from stickslip_fit.diagnosis.result import Diagnosis, save_diagnosis
 
-__all__ = ["Diagnosis", "Finding", "Gain", "NextTraverse", "diagnose", "next_experiment", "save_diagnosis"]
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "Gain",
+    "NextTraverse",
+    "TableInfo",
+    "diagnose",
+    "next_experiment",
+    "save_diagnosis",
+]

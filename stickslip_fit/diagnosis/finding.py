@@ -1,8 +1,9 @@
-"""Finding, Gain and NextTraverse: what a diagnosis consists of."""
+"""Finding, Gain, NextTraverse and TableInfo: what a diagnosis consists of."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import pandas as pd
@@ -114,3 +115,49 @@ class NextTraverse:
     repeats: int
     tells_apart: tuple[str, ...]
     note: str = ""
+
+
+@dataclass(frozen=True)
+class TableInfo:
+    """The table that a diagnosis is of, where that is no log; effects are in the unit of the response.
+
+    Attributes
+    ----------
+    response, unit : str
+        Name of the response, and its unit; "" where none was given.
+    response_sd : float
+        Standard deviation of the response: what the per cent of the JSON are of.
+    rows : int
+        That have a response; those that are set aside later included.
+    independent : float
+        How many independent values carry as much as they do; `rows` without autocorrelation.
+    correlation_rows : float
+        Autocorrelation time in rows: `rows` over `independent`; 1 without autocorrelation.
+    correlation_time : float
+        The same in the unit of the time; NaN without a time.
+    time_unit : str
+    roles : mapping of str to str
+        Column of each role that was given or found: session, time, position, direction, group.
+    file, sha256 : str
+        Empty for a table that was never in a file; the hash is then that of its values.
+    files : tuple of str
+        Files that no output may replace: the table's, and that of its law.
+    """
+
+    response: str
+    unit: str
+    response_sd: float
+    rows: int
+    independent: float
+    correlation_rows: float = 1.0
+    correlation_time: float = float("nan")
+    time_unit: str = "s"
+    roles: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
+    sha256: str = ""
+    files: tuple[str, ...] = ()
+
+    @property
+    def is_correlated(self) -> bool:
+        """Whether a value says something of the next one."""
+        return self.correlation_rows > 1.0

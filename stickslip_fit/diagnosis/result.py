@@ -19,7 +19,7 @@ import pandas as pd
 from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit.causes import SizedParameter
-from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
@@ -72,6 +72,8 @@ class Diagnosis(Summarized):
     next_experiment : tuple of NextTraverse
     log : Log or None
         None where the data were no log.
+    table : TableInfo or None
+        The table, where the data were one; sizes are then in the unit of its response.
     """
 
     verdict: Verdict
@@ -90,6 +92,7 @@ class Diagnosis(Summarized):
     gain_new_session: Gain | None = None
     next_experiment: tuple[NextTraverse, ...] = ()
     log: Log | None = None
+    table: TableInfo | None = None
 
     @property
     def log_file(self) -> str:
