@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csc_array, csr_array, hstack
+from scipy.sparse.linalg import SuperLU, splu
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
@@ -112,6 +113,11 @@ class LinearizedFit:
         """Changes of the responses in units of independent noise of variance 1, shape (n,) or (n, m)."""
         return whiten(changes, self.scale, self.noise_filter)
 
+    def unwhiten(self, columns: Array) -> Array:
+        """The inverse of `whiten`, shape (n,) or (n, m)."""
+        scaled = columns if self._solver is None else self._solver.solve(columns)
+        return np.asarray(scaled * (self.scale if columns.ndim == 1 else self.scale[:, None]))
+
     def project(self, columns: Array) -> Array:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
@@ -120,6 +126,12 @@ class LinearizedFit:
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""
         return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
+
+    @cached_property
+    def _solver(self) -> SuperLU | None:
+        if self.noise_filter is None:
+            return None
+        return splu(csc_array(self.noise_filter), permc_spec="NATURAL", diag_pivot_thresh=0.0)
 
     @cached_property
     def _basis_transposed(self) -> csr_array:
