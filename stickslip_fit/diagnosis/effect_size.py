@@ -141,7 +141,7 @@ def estimate_effect(
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
     changes = compute_changes(linearized, selected.version, trials)
-    whitened = linearized.project(changes / linearized.scale[:, None])
+    whitened = linearized.project(linearized.whiten(changes))
     form = whitened[:, 0]
     length = max(float(np.linalg.norm(form)), MIN_LENGTH)
     slopes = (whitened[:, 1:] - form[:, None]) / steps
@@ -152,7 +152,7 @@ def estimate_effect(
     unweighted = linearize_fit(
         linearized.rows, linearized.parts, selection.problem.responses, np.ones(len(linearized))
     )
-    rms = _rms(unweighted.project(changes[:, 0] + beyond * linearized.scale))
+    rms = _rms(unweighted.project(changes[:, 0] + linearized.unwhiten(beyond)))
     return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)
 
 
@@ -241,7 +241,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         effect = estimate_ar1_effect(linearized, best).times(_rms(linearized.scale))
     else:
         strength = _estimate_strength(selected, np.sqrt(squares + 1.0), 1.0, 1, linearized, alpha)
-        effect = strength.times(_rms(shape * linearized.scale) / max(length, MIN_LENGTH))
+        effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
     closest = max(known, key=lambda cause: known[cause]) if known else ""
     share = 0.0

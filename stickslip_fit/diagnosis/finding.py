@@ -16,6 +16,8 @@ from stickslip_fit.units import Interval
 class Gain:
     """Rms error of the step size (relative) on held-out traverses, before and after extending the law.
 
+    Of a table: of its response, in its unit, on held-out rows.
+
     Attributes
     ----------
     baseline, extended : float
@@ -24,7 +26,9 @@ class Gain:
     low, high : float
         95 % interval of `baseline` less `extended` for a replicate of the campaign.
     by_session : DataFrame
-        session, baseline, extended, traverses.
+        session, baseline, extended, traverses (of a table: rows).
+    held_out : str
+        What was held out together, where that is not a log's configurations.
     """
 
     baseline: float
@@ -33,6 +37,7 @@ class Gain:
     low: float
     high: float
     by_session: pd.DataFrame
+    held_out: str = ""
 
 
 @dataclass(frozen=True)

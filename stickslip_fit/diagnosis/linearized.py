@@ -104,6 +104,14 @@ class LinearizedFit:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
 
+    def whiten(self, changes: Array) -> Array:
+        """Changes of the responses in units of independent noise, shape (n,) or (n, m)."""
+        return changes / _per_row(self.scale, changes)
+
+    def unwhiten(self, columns: Array) -> Array:
+        """The inverse of `whiten`."""
+        return columns * _per_row(self.scale, columns)
+
     @cached_property
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""
@@ -157,6 +165,10 @@ def linearize_fit(
         basis = csr_array(hstack([basis, csr_array(border)]))
     linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks))
     return replace(linearized, residual=linearized.project(residual))
+
+
+def _per_row(values: Array, columns: Array) -> Array:
+    return values if columns.ndim == 1 else values[:, None]
 
 
 def split_positions(kinds: npt.NDArray[np.integer[Any]]) -> list[IntArray]:

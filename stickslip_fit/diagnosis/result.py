@@ -23,6 +23,7 @@ from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableIn
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
@@ -131,10 +132,15 @@ class Diagnosis(Summarized):
         """
         check_workers(workers)
         began, selection, findings = time.perf_counter(), self.selection, self.findings
-        machine, inclusion = self.log.machine if self.log is not None else None, dict(self.inclusion)
+        inclusion = dict(self.inclusion)
         options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
         while True:
-            gain, new_session, findings = measure_gain(selection, findings, machine, **options)
+            if self.table is not None:
+                measured = measure_table_gain(selection, findings, self.table, **options)
+            else:
+                machine = self.log.machine if self.log is not None else None
+                measured = measure_gain(selection, findings, machine, **options)
+            gain, new_session, findings = measured
             unsupported = find_unsupported(findings)
             if not unsupported:
                 break
@@ -195,7 +201,7 @@ class Diagnosis(Summarized):
         """
         first, last = self.selection.problem.linearize(), self.selection.linearized
         return self.selection.problem.rows.assign(
-            before=first.residual * first.scale, after=last.residual * last.scale
+            before=first.unwhiten(first.residual), after=last.unwhiten(last.residual)
         )
 
     @property
