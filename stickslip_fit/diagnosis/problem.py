@@ -7,7 +7,7 @@ the baseline fit, re-estimates the noise, refits the laws with causes in them, a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,8 @@ class DiagnosisProblem:
     alternatives: Callable[[LinearizedFit], list[Hypothesis | AR1]]
     configuration: IntArray
     noise_ratio: Array
+    correlation: Array = field(default_factory=lambda: np.zeros(0))
+    n_shared: int = 0
 
     def __len__(self) -> int:
         return len(self.responses)
