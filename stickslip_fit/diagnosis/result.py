@@ -97,13 +97,24 @@ class Diagnosis(Summarized):
 
     @property
     def log_file(self) -> str:
-        """The first file of the log; empty where there is none."""
+        """The first file of the log, or that of the table; empty where there is none."""
+        if self.table is not None:
+            return self.table.file
         return self.log.sources[0][0] if self.log is not None and self.log.sources else ""
 
     @property
     def log_sha256(self) -> str:
-        """Hash of the log; empty where there is none."""
+        """Hash of the log or table; empty where there is none."""
+        if self.table is not None:
+            return self.table.sha256
         return self.log.sha256 if self.log is not None else ""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """What was read, which no output replaces."""
+        if self.table is not None:
+            return self.table.files
+        return self.log.files if self.log is not None else ()
 
     def require_log(self) -> Log:
         """The log, for what needs its machine and its laws.
@@ -256,7 +267,7 @@ METRIC = "held-out rms error of the step size, %"
 def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
     """Write a diagnosis as JSON; raises InputError if the file is the log, or cannot be written."""
     text = json.dumps(diagnosis_to_json(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
-    files = diagnosis.log.files if diagnosis.log is not None else ()
+    files = diagnosis.files
     write_atomically(path, text + "\n", files)
 
 
