@@ -30,7 +30,7 @@ from stickslip_fit.diagnosis._summary import (
     ranking_tables,
     summarize_log_diagnosis,
 )
-from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
+from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.selection import MISFIRE
@@ -162,7 +162,7 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
-    sizes = [f"{one.name} = {format_measured(one.size, one.unit)}" for one in finding.parameters]
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"
     return f"{phrase}, by {format_size(finding.effect.estimate, table)} rms"
@@ -311,8 +311,8 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
         (
             finding.cause,
             parameter.name,
-            format_measured(parameter.size, parameter.unit),
-            format_measured_range(parameter.size),
+            format_measured(shown_size(parameter), parameter.unit),
+            format_measured_range(shown_size(parameter)),
             f"session {parameter.session}" if parameter.session else "",
         )
         for finding in findings

@@ -314,6 +314,7 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
         float(betaincinv(len(rows) + 1, n - len(rows), 0.975)),
     )
     low, middle, high = np.quantile(sizes, QUANTILES_95)
+    unit = getattr(problem.parts[0].law, "response_unit", "%")  # a table's response has one of its own
     return Finding(
         MISFIRE,
         None,
@@ -321,7 +322,7 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
         selected.p_value,
         _joints_of_laws(part.law for part in problem.parts if np.isin(part.rows, rows).any()),
         Interval(rms, max(rms - error, 0.0), rms + error),
-        (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
+        (SizedParameter("share", "%", share), SizedParameter("size", unit, Interval(middle, low, high))),
         traverses=problem.rows.iloc[rows].assign(departure=departure),
     )
 
