@@ -33,7 +33,6 @@ from stickslip_fit.diagnosis._summary import (
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.diagnosis.selection import MISFIRE
 from stickslip_fit.units import Interval
 
 MAX_UNTESTABLE_NAMED, MAX_PARAMETERS_NAMED = 4, 4
@@ -157,8 +156,7 @@ def _describe_untestable(diagnosis: Diagnosis) -> str:
 
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:
     """What a named cause does, without a full stop."""
-    if finding.cause == MISFIRE:
-        assert finding.traverses is not None
+    if finding.traverses is not None:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
@@ -261,11 +259,6 @@ def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
     return f"Besides that: {_lower_first(describe_table_effect(finding, table))}{rivals}."
 
 
-def name_finding(cause: str) -> str:
-    """A cause as tables name it; what is a misfire in a log is any outlying value here."""
-    return "outlying values" if cause == MISFIRE else cause
-
-
 def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
 
@@ -281,7 +274,7 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     )
     rows = tuple(
         (
-            name_finding(finding.cause),
+            finding.cause,
             format_measured(finding.effect),
             format_measured_range(finding.effect),
             format_p_value(finding.p_value),
@@ -316,7 +309,7 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
             f"session {parameter.session}" if parameter.session else "",
         )
         for finding in findings
-        if finding.cause != MISFIRE
+        if finding.traverses is None
         for parameter in finding.parameters
     ]
     if not any(row[-1] for row in rows):

@@ -26,7 +26,6 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import (
-    MISFIRE,
     SelectedCause,
     Selection,
     allocate_alpha,
@@ -83,8 +82,8 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
     linearized, slices = selection.problem.linearize(), iter(selection.slices)
     findings = []
     for selected in selection.selected:
-        if selected.cause == MISFIRE:
-            findings.append(_size_misfires(selection, problem, selected))
+        if selected.cause == problem.outlier_cause:
+            findings.append(_size_outliers(selection, problem, selected))
         elif selected.cause == UNKNOWN:
             findings.append(size_unknown(selection, selected, alpha))
         else:
@@ -302,7 +301,7 @@ def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
     return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
 
 
-def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
+def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
     rows, n = selection.outliers, len(problem)
     departure = predict_departures(selection, problem, rows)
     sizes = np.abs(departure)
@@ -316,7 +315,7 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
     low, middle, high = np.quantile(sizes, QUANTILES_95)
     unit = getattr(problem.parts[0].law, "response_unit", "%")  # a table's response has one of its own
     return Finding(
-        MISFIRE,
+        selected.cause,
         None,
         (),
         selected.p_value,

@@ -15,9 +15,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import (
+    LawBlock,
+    LinearizedFit,
+    select_filter,
+    split_positions,
+    whiten,
+)
 from stickslip_fit.logs.history import previous_rows
 from stickslip_fit.units import PRISMATIC
 
@@ -163,6 +170,9 @@ class SessionFit:
         Positions in the session, and the basis of its calibration there.
     shared_basis : array, shape (s, k)
         Basis of what all sessions share.
+    scale : array, shape (s,)
+    noise_filter : sparse array, shape (s, s), or None
+        Both as of the `LinearizedFit`.
     """
 
     rows: IntArray
@@ -170,9 +180,15 @@ class SessionFit:
     tables: tuple[dict[str, npt.NDArray[Any]], ...]
     blocks: tuple[tuple[IntArray, Array], ...]
     shared_basis: Array
+    scale: Array
+    noise_filter: csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def whiten(self, changes: Array) -> Array:
+        """As of the `LinearizedFit`, shape (s, m)."""
+        return whiten(changes, self.scale, self.noise_filter)
 
     def project(self, columns: Array) -> Array:
         """Project out the session's own calibration, shape (s, m)."""
@@ -201,7 +217,13 @@ def split_sessions(linearized: LinearizedFit) -> dict[str, SessionFit]:
             tables[number[rows[0]]].append({name: values[inside] for name, values in table.items()})
     return {
         str(name): SessionFit(
-            rows, tuple(parts[k]), tuple(tables[k]), tuple(blocks[k]), linearized.shared_basis[rows]
+            rows,
+            tuple(parts[k]),
+            tuple(tables[k]),
+            tuple(blocks[k]),
+            linearized.shared_basis[rows],
+            linearized.scale[rows],
+            select_filter(linearized.noise_filter, rows),
         )
         for k, (name, rows) in enumerate(zip(names, rows_of, strict=True))
     }
@@ -264,14 +286,12 @@ def build_per_session_hypotheses(
 
 def compute_effects(linearized: LinearizedFit, version: Any, trials: Array) -> Array:
     """Change of every response, whitened, calibration projected out; trials (m, q) -> (n, m)."""
-    return linearized.project(compute_changes(linearized, version, trials) / linearized.scale[:, None])
+    return linearized.project(linearized.whiten(compute_changes(linearized, version, trials)))
 
 
-def compute_session_effects(
-    linearized: LinearizedFit, session: SessionFit, version: Any, trials: Array
-) -> Array:
+def compute_session_effects(session: SessionFit, version: Any, trials: Array) -> Array:
     """As `compute_effects`, of a version that acts in one session only; trials (m, q) -> (s, m)."""
-    return session.project(compute_changes(session, version, trials) / linearized.scale[session.rows, None])
+    return session.project(session.whiten(compute_changes(session, version, trials)))
 
 
 def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
@@ -342,10 +362,10 @@ def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]
         cause, version, trials = one.cause, one.version, one.trials
         if version.session:
             session = sessions[version.session]
-            whitened = session.project(one.changes / linearized.scale[session.rows, None])
+            whitened = session.project(session.whiten(one.changes))
             candidates += build_session_hypotheses(cause, version, trials, n, session, whitened)
             continue
-        whitened = linearized.project(one.changes / linearized.scale[:, None])
+        whitened = linearized.project(linearized.whiten(one.changes))
         if version.combine_trials:
             candidates.append(make_hypothesis(cause, version, None, whitened))
         else:

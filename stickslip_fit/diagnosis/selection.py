@@ -34,9 +34,9 @@ from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
+from stickslip_fit.diagnosis.problem import MISFIRE as MISFIRE
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
-MISFIRE = "end-stop-misfire"
 CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
 PRIOR_NULL = 0.5
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -197,8 +197,7 @@ def select_causes(
         problem = problem.without_rows(outliers)
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
-        cause_set = CauseSet(MISFIRE, (), {})
-        misfires = [SelectedCause(MISFIRE, None, np.zeros(0), cause_set, None, outlier_p_value)]
+        misfires = [select_outliers(problem, outlier_p_value)]
     first = last = assess_residuals(linearized, problem, n_bootstrap, rng, effects=effects)
     del effects  # of the baseline's laws; as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
@@ -228,6 +227,12 @@ def select_causes(
         selected = [*revised, *(one for one in selected if one.version is None)]
     everything = (*misfires, *selected)
     return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
+
+
+def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:
+    """Outlying rows as a selected cause, which has no shape."""
+    name = problem.outlier_cause
+    return SelectedCause(name, None, np.zeros(0), CauseSet(name, (), {}), None, p_value)
 
 
 def allocate_alpha(alpha: float) -> float:
@@ -262,7 +267,11 @@ def extend_problem(
     """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
     causes = _law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
-    fit = problem.fit_extended([one.version for one in causes], start)
+    versions = [one.version for one in causes]
+    fit = problem.fit_extended(versions, start)
+    correlated = problem.with_autocorrelation(fit)
+    if correlated is not problem:
+        problem, fit = correlated, correlated.fit_extended(versions, fit.values)
 
     def linearize(problem: DiagnosisProblem) -> LinearizedFit:
         plain = problem.linearize_extended(fit)
@@ -368,17 +377,34 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     """
     misfit = selected.misfit
     assert misfit is not None
-    shapes = [
-        one.directions
-        for one in misfit.hypotheses
-        if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
-    ]
     effect = compute_changes(linearized, selected.version, selected.start[None])
-    powers = np.concatenate([effect**2, effect**3], axis=1) / linearized.scale[:, None]
+    powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
+    shapes = _other_shapes(linearized, selected, misfit)
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def _other_shapes(linearized: LinearizedFit, selected: SelectedCause, misfit: Misfit) -> list[Array]:
+    """Directions of all shapes of a selected cause's version; each shape (n, m)."""
+    if linearized.noise_filter is None:
+        return [
+            one.directions
+            for one in misfit.hypotheses
+            if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
+        ]
+    # The directions of the test are whitened by the filter that the noise had then.
+    effects = [
+        compute_effects(linearized, version, trials)
+        for version, trials in selected.version.trials(linearized.rows)
+        if version == selected.version
+    ]
+    lengths = [np.linalg.norm(columns, axis=0) for columns in effects]
+    return [
+        columns[:, length > EFFECT_TOL] / length[length > EFFECT_TOL]
+        for columns, length in zip(effects, lengths, strict=True)
+    ]
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
@@ -398,7 +424,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     """Causes that would not be detectable even at their largest plausible size, with the reason."""
     untestable, sessions = {}, split_sessions(linearized)
     for cause in problem.causes:
-        strength = largest_strength(cause, linearized, sessions)
+        strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
         if strength < EFFECT_TOL:
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
@@ -411,16 +437,18 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     return untestable
 
 
-def largest_strength(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> float:
+def largest_strength(
+    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str = MISFIRE
+) -> float:
     """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
-    if cause.name == MISFIRE:
+    if cause.name == outlier_cause:
         return np.inf
     largest = cause.largest_plausible()
     strengths = [0.0]
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
         sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
         if version.session:
-            effects = compute_session_effects(linearized, sessions[version.session], version, sizes)
+            effects = compute_session_effects(sessions[version.session], version, sizes)
         else:
             effects = compute_effects(linearized, version, sizes)
         strengths.append(float(np.linalg.norm(effects, axis=0).max()))

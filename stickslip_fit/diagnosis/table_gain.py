@@ -65,7 +65,6 @@ def measure_table_gain(
     if not len(problem):
         return None, None, findings
     linearized = problem.linearize()
-    recolour = partial(_recolour, linearized)
 
     def estimate(kinds: IntArray, held_out: str) -> tuple[Gain, tuple[Finding, ...]] | None:
         n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
@@ -86,7 +85,7 @@ def measure_table_gain(
             workers=workers,
             progress=lambda done, number: progress("predicting held-out rows", 0.2 + 0.7 * done / number),
             compute_errors=compute_table_errors,
-            recolour=recolour,
+            recolour=linearized.recolour,
         )
         named = [replace(finding, gain=finding.gain and _describe(finding.gain, held_out)) for finding in own]
         return _describe(gain, held_out), tuple(named)
@@ -103,11 +102,6 @@ def measure_table_gain(
         new_session = estimate(sessions, "whole sessions")
     gain, own = measured or (None, findings)
     return gain, new_session[0] if new_session else None, own
-
-
-def _recolour(linearized: LinearizedFit, columns: Array) -> Array:
-    """Whitened columns, in units of each row's noise, correlated again."""
-    return linearized.unwhiten(columns) / linearized.scale[:, None]
 
 
 def _describe(gain: Gain, held_out: str) -> Gain:
