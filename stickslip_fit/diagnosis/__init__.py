@@ -1,10 +1,11 @@
 """What the laws get wrong in a log: show it, name the cause, extend the law, measure the gain."""
 
-from stickslip_fit.diagnosis import _summary as _summary  # registers how results are summarized
+from stickslip_fit.diagnosis import _table_summary as _table_summary  # registers how results are summarized
+from stickslip_fit.diagnosis._json import save_diagnosis
 from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.pipeline import diagnose
-from stickslip_fit.diagnosis.result import Diagnosis, save_diagnosis
+from stickslip_fit.diagnosis.result import Diagnosis
 
 __all__ = [
     "Diagnosis",

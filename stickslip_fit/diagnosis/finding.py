@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any
 
 import pandas as pd
 
 from stickslip_fit.causes import SizedParameter
-from stickslip_fit.units import Interval
+from stickslip_fit.units import UNITS, Interval, from_si
+
+
+def shown_size(parameter: SizedParameter) -> Interval:
+    """A parameter's size in its display unit; one of a table's own units is not converted.
+
+    Examples
+    --------
+    >>> shown_size(SizedParameter("A", "%", Interval(0.03, 0.02, 0.04))).estimate
+    3.0
+    >>> shown_size(SizedParameter("c", "N s/m", Interval(0.03, 0.02, 0.04))).estimate
+    0.03
+    """
+    if parameter.unit not in UNITS:
+        return parameter.size
+    return Interval(*(float(from_si(value, parameter.unit)) for value in astuple(parameter.size)))
 
 
 @dataclass(frozen=True)
 class Gain:
     """Rms error of the step size (relative) on held-out traverses, before and after extending the law.
+
+    Of a table: of its response, in its unit, on held-out rows.
 
     Attributes
     ----------
@@ -24,7 +41,9 @@ class Gain:
     low, high : float
         95 % interval of `baseline` less `extended` for a replicate of the campaign.
     by_session : DataFrame
-        session, baseline, extended, traverses.
+        session, baseline, extended, traverses (of a table: rows).
+    held_out : str
+        What was held out together, where that is not a log's configurations.
     """
 
     baseline: float
@@ -33,6 +52,7 @@ class Gain:
     low: float
     high: float
     by_session: pd.DataFrame
+    held_out: str = ""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csc_array, csr_array, hstack
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
@@ -113,25 +113,27 @@ class LinearizedFit:
         """Changes of the responses in units of independent noise of variance 1, shape (n,) or (n, m)."""
         return whiten(changes, self.scale, self.noise_filter)
 
-    def unwhiten(self, columns: Array) -> Array:
-        """The inverse of `whiten`, shape (n,) or (n, m)."""
-        scaled = columns if self._solver is None else self._solver.solve(columns)
-        return np.asarray(scaled * (self.scale if columns.ndim == 1 else self.scale[:, None]))
-
     def project(self, columns: Array) -> Array:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
+
+    def unwhiten(self, columns: Array) -> Array:
+        """Changes of the responses from whitened ones: the inverse of `whiten`."""
+        scale = self.scale if columns.ndim == 1 else self.scale[:, None]
+        return self.recolour(columns) * scale
+
+    def recolour(self, columns: Array) -> Array:
+        """Whitened columns in units of each row's noise, autocorrelated again; shape (n,) or (n, m)."""
+        return columns if self._solved_filter is None else np.asarray(self._solved_filter.solve(columns))
+
+    @cached_property
+    def _solved_filter(self) -> Any:
+        return None if self.noise_filter is None else splu(csc_array(self.noise_filter))
 
     @cached_property
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""
         return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
-
-    @cached_property
-    def _solver(self) -> SuperLU | None:
-        if self.noise_filter is None:
-            return None
-        return splu(csc_array(self.noise_filter), permc_spec="NATURAL", diag_pivot_thresh=0.0)
 
     @cached_property
     def _basis_transposed(self) -> csr_array:
