@@ -27,7 +27,7 @@ from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
-from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, linearize_fit
+from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -37,7 +37,9 @@ from stickslip_fit.diagnosis.table_alternatives import (
     numeric_columns,
     response_columns,
 )
+from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
+from stickslip_fit.laws import Law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 MAX_BYTES = 2**29  # of a file
@@ -256,8 +258,6 @@ def _hash_frame(frame: pd.DataFrame) -> str:
 def as_law(law: Any) -> Any:
     """A law from a formula, or the law itself."""
     if isinstance(law, str):
-        from stickslip_fit.laws.formula import Law
-
         return Law(law)
     return law
 
@@ -266,31 +266,24 @@ def _bind_law(law: Any, frame: pd.DataFrame, response: str | None, roles: TableR
     law = as_law(law)
     if hasattr(law, "bind_table"):
         return law.bind_table(frame, response=response, session=roles.session)
-    if all(hasattr(law, name) for name in ("model", "predict", "response", "parameters", "start_values")):
-        return law
     raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
 
 
 def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
     """The law fitted to each session, and the standard deviation of what it leaves."""
-    n, p = len(rows), len(law.parameters)
-    own = p - law.n_shared
-    block = pd.factorize(rows["session"])[0].astype(np.intp) if own else np.zeros(n, dtype=np.intp)
-    start = np.broadcast_to(np.asarray(law.start_values(rows, y), dtype=float), (n, p)).copy()
+    size = float(np.std(y)) or 1.0
+    scale = np.full(len(rows), size)
     part = LawBlock(
         law,
-        np.arange(n),
-        block,
-        start,
+        np.arange(len(rows)),
+        pd.factorize(rows["session"])[0].astype(np.intp),
+        fit_table_law(law, rows, y, scale),
         np.array([one.lower for one in law.parameters]),
         np.array([one.upper for one in law.parameters]),
     )
-    size = float(np.std(y)) or 1.0
-    scale = np.full(n, size)
-    fit = fit_extended(rows, [part], y, scale, (), np.zeros(0), n_shared=law.n_shared)
-    df = max(linearize_fit(rows, fit.parts, y, scale, shared=law.n_shared).df, 1)
-    sd = float(np.sqrt(np.sum(fit.residual**2) / df))
-    return fit.parts[0], max(sd, MIN_RELATIVE_SD * size)
+    residual = y - law.predict(rows, part.values)
+    df = max(linearize_fit(rows, (part,), y, scale, shared=law.n_shared).df, 1)
+    return part, max(float(np.sqrt(np.sum(residual**2) / df)), MIN_RELATIVE_SD * size)
 
 
 def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[Any, ...]:
