@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from stickslip_fit.anova import Anova, analyze_formula, analyze_variance
     from stickslip_fit.bayes import Posterior, load_posterior
     from stickslip_fit.causes import FormulaCause as Cause
-    from stickslip_fit.diagnosis import Diagnosis, diagnose, next_experiment
+    from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, next_experiment
     from stickslip_fit.errors import InputError
     from stickslip_fit.estimation import Result, held_out_errors, load_result
     from stickslip_fit.laws import Law
@@ -43,7 +43,7 @@ _HOMES = {
     "_workflow": ("calibrate", "fit"),
     "anova": ("Anova", "analyze_formula", "analyze_variance"),
     "bayes": ("Posterior", "load_posterior"),
-    "diagnosis": ("Diagnosis", "diagnose", "next_experiment"),
+    "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "next_experiment"),
     "errors": ("InputError",),
     "estimation": ("Result", "held_out_errors", "load_result"),
     "laws": ("Law",),

@@ -6,6 +6,7 @@ from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.pipeline import diagnose
 from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.diagnosis.table import diagnose_table
 
 __all__ = [
     "Diagnosis",
@@ -14,6 +15,7 @@ __all__ = [
     "NextTraverse",
     "TableInfo",
     "diagnose",
+    "diagnose_table",
     "next_experiment",
     "save_diagnosis",
 ]

@@ -22,7 +22,7 @@ import pandas as pd
 from stickslip_fit._input import format_path, read_file
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.generic import covariate_columns, explain_unusable, generic_causes
+from stickslip_fit.causes import generic
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.finding import TableInfo
@@ -61,7 +61,7 @@ def diagnose_table(
     direction: str | None = None,
     group: str | None = None,
     causes: Iterable[Any] = (),
-    generic: Iterable[Any] | None = None,
+    generic_causes: Iterable[Any] | None = None,
     shared: Iterable[str] | str | None = None,
     alpha: float = 0.01,
     seed: int = 0,
@@ -88,8 +88,8 @@ def diagnose_table(
         and of what belongs together.
     causes : iterable of Cause, optional
         Candidates beside the generic ones.
-    generic : iterable, optional
-        In place of all of `generic_causes`; ``()`` for none.
+    generic_causes : iterable of Cause, optional
+        In place of all of `causes.generic_causes`; ``()`` for none.
     shared : iterable of str or "all", optional
         Parameters of the law with one value for the whole table; by default what the law says.
     alpha : float, optional
@@ -115,7 +115,7 @@ def diagnose_table(
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
     progress("fitting the law", 0.0)
     problem, missing = problem_from_table(
-        table, law, response=response, roles=roles, causes=causes, generic=generic
+        table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
     )
     diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
     info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
@@ -130,13 +130,13 @@ def problem_from_table(
     response: str | None = None,
     roles: TableRoles | None = None,
     causes: Iterable[Any] = (),
-    generic: Iterable[Any] | None = None,
+    generic_causes: Iterable[Any] | None = None,
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
     """A table under a law, fitted to each session.
 
     Parameters
     ----------
-    frame, law, response, causes, generic
+    frame, law, response, causes, generic_causes
         As of `diagnose_table`.
     roles : TableRoles, optional
 
@@ -161,9 +161,9 @@ def problem_from_table(
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
     sample = number_samples(seconds, session) if roles.time else None
-    own = generic_causes(rows, bound, roles) if generic is None else tuple(generic)
-    candidates = _bind_causes((*causes, *own), bound, rows)
-    columns = numeric_columns(rows, bound, roles, covariate_columns(rows, bound, roles))
+    built = generic.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
+    candidates = _bind_causes((*causes, *built), bound, rows)
+    columns = numeric_columns(rows, bound, roles, generic.covariate_columns(rows, bound, roles))
     problem = DiagnosisProblem(
         rows=rows,
         parts=(part,),
@@ -178,7 +178,7 @@ def problem_from_table(
         n_shared=bound.n_shared,
         outlier_cause="outliers",
     )
-    missing = _explain_missing(rows, bound, roles) if generic is None else {}
+    missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
     return (problem if sample is None else with_samples(problem, sample)), missing
 
 
@@ -309,7 +309,7 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing["offset-by-direction"] = NO_DIRECTION
     used = {*law.columns, *response_columns(law), *roles.columns.values(), "session", "session_seconds", "joint"}
     for name in map(str, rows.columns):
-        why = None if name in used else explain_unusable(rows, name)
+        why = None if name in used else generic.explain_unusable(rows, name)
         if why is not None:
             missing[COVARIATE_PREFIX + name] = why
     return missing
