@@ -55,11 +55,13 @@ from stickslip_fit.causes.base import (
     extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
+from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.geometry import *  # noqa: F403
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.registry import FAMILIES, covariates, describe, library, restore
+from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause
 from stickslip_fit.causes.temporal import *  # noqa: F403
 
 __all__ = [
@@ -67,14 +69,18 @@ __all__ = [
     "CauseParameter",
     "CountCause",
     "ExtendedLaw",
+    "ExtendedTableLaw",
     "FactorCause",
+    "FormulaCause",
     "SizedParameter",
     "StateCause",
+    "TableCause",
     "TermCause",
     "covariates",
     "describe",
     "extend",
     "library",
     "restore",
+    "restore_formula_cause",
 ]
 __all__ += [name for family in FAMILIES for name in family.__all__]

@@ -446,7 +446,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
     n, scale = len(rows), linearized.scale[:, None]
     seconds = rows["session_seconds"].to_numpy(float)
     session = pd.factorize(rows["session"].astype(object))[0]
-    waves = _smooth_in_time(seconds, session)
+    waves = smooth_in_time(seconds, session)
     common = (*_configuration_indicators(rows), *_harmonics(rows), ("time, the same in each session", waves))
     hypotheses: list[Hypothesis | AR1 | None] = [
         make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
@@ -462,7 +462,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
     # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
     order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
     for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
-        periods = _choose_periods(clock, session)
+        periods = choose_periods(clock, session)
         angles = 2 * np.pi * clock[:, None] / periods
         pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / scale[:, None]
         names = [f"unknown:period of {period / unit:.1f} {label}" for period in periods]
@@ -470,7 +470,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
     return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
 
 
-def _smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
+def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
     """Cosines over each session, from its beginning to its end, shape (n, waves)."""
     last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
     phase = seconds / np.maximum(last, 1.0)
@@ -498,7 +498,7 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def _choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
+def choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
     """Periods between the length of a session and the spacing of its traverses, evenly in frequency."""
     order = np.lexsort((clock, session))
     spacing = np.diff(clock[order])[np.diff(session[order]) == 0]

@@ -46,6 +46,7 @@ from stickslip_fit.diagnosis.selection import (
     explain_too_small,
     find_untestable,
     select_causes,
+    settle_noise,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.errors import check_count, check_rate
@@ -143,7 +144,7 @@ def diagnose_problem(
             next_aside = np.setdiff1d(aside, back)
         else:
             break
-    selection = with_gross_errors(found, len(problem), aside, p_value)
+    selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     searched, linearized = selection.problem, search.linearized
     row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
@@ -177,6 +178,7 @@ class _Search:
 def _search(
     problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
 ) -> _Search:
+    problem = problem.with_autocorrelation()
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
     if too_small:

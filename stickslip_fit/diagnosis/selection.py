@@ -284,6 +284,14 @@ def extend_problem(
     return problem, fit, linearize(problem)
 
 
+def settle_noise(selection: Selection) -> Selection:
+    """The selection with its estimate of the noise's autocorrelation, if there is any, final."""
+    noise = selection.problem.autocorrelation
+    if noise is None:
+        return selection
+    return replace(selection, problem=replace(selection.problem, autocorrelation=noise.settle()))
+
+
 def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -> Selection:
     """The selection with other causes, its noise, fit and residuals those of the law with them."""
     if _law_causes(selected):
@@ -423,15 +431,18 @@ def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers
 def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:
     """Causes that would not be detectable even at their largest plausible size, with the reason."""
     untestable, sessions = {}, split_sessions(linearized)
+    data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
         strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
         if strength < EFFECT_TOL:
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
+                if is_log(linearized)
+                else "the law's own parameters, fitted to each session, take up all of it in this table"
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this log would be {strength:.1f}, less "
+                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, less "
                 f"than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable
@@ -460,11 +471,21 @@ def explain_too_small(linearized: LinearizedFit) -> str | None:
     if linearized.df >= MIN_DF:
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
+    if not is_log(linearized):
+        return (
+            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than those "
+            f"are needed; add {MIN_DF - linearized.df} in the same sessions"
+        )
     return (
         f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "
         f"than those are needed; add {MIN_DF - linearized.df} in the same sessions and directions, "
         "replicates or new configurations"
     )
+
+
+def is_log(linearized: LinearizedFit) -> bool:
+    """Whether the laws are of joints, and the rows traverses."""
+    return any(hasattr(part.law, "joint") for part in linearized.parts)
 
 
 def empty_selection(problem: DiagnosisProblem) -> Selection:

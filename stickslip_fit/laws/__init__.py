@@ -11,6 +11,7 @@ from stickslip_fit.laws.base import (
     rounding_variance,
     traverse_length,
 )
+from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -24,6 +25,7 @@ from stickslip_fit.laws.published import (
     published_law,
     restore_law,
 )
+from stickslip_fit.laws.table import TableLaw
 
 __all__ = [
     "Base",
@@ -31,18 +33,21 @@ __all__ = [
     "Configuration",
     "ConstantStep",
     "Elbow",
+    "Law",
     "Parameter",
     "Prismatic",
     "Rotary",
     "Rows",
     "State",
     "StepLaw",
+    "TableLaw",
     "constant_law",
     "describe_law",
     "expected_steps",
     "float_column",
     "observed_count",
     "published_law",
+    "restore_formula_law",
     "restore_law",
     "rounding_variance",
     "state_at",

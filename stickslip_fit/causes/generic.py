@@ -1,0 +1,603 @@
+"""Generic causes: what may be wrong with any law of a table, built from the table's columns.
+
+Each adds to the response. Drift, warm-up, a sudden change, each further column, and the position, smooth or
+periodic: each may act in both directions alike, or, as a candidate of its own, with the opposite sign in
+either direction. An effect in one direction only is the sum of the two. Three candidates for each effect, one
+with a size of its own in either direction, would tell no more, and could not be told from the other two.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.parameters import (
+    CauseParameter,
+    SizedParameter,
+    Sizes,
+    candidate_moments,
+    moment_parameter,
+    plain_description,
+)
+from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.units import TableUnit
+
+BY_DIRECTION = "-by-direction"
+TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
+COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
+MIN_VALUES = 4  # different ones of a column, for an effect that follows it smoothly
+TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0])  # of the longest session
+MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
+SUBTRACTED = "less its mean"
+
+Term = Callable[[Array], tuple[Array, Array]]
+"""Values of a cause's parameters, (n, q), to what is added, (n,), and its derivatives, (n, q)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenericCause(ABC):
+    """Adds a term to the response of a table.
+
+    Attributes
+    ----------
+    unit : str
+        Of the response.
+    size : float
+        Of an effect in trials, in that unit.
+    direction : str
+        Column of the direction, where the effect has the opposite sign in either; else empty.
+    labels : tuple of str
+        As of `direction_sign`.
+    """
+
+    unit: str = ""
+    size: float = 1.0
+    direction: str = ""
+    labels: tuple[str, ...] = ()
+
+    base_name: ClassVar[str]
+    base_phrase: ClassVar[str]
+    physics: ClassVar[str]
+    shows_best: ClassVar[str]
+    sentence: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
+    joints: ClassVar[tuple[int, ...]] = (1,)
+    session: str = ""
+    combine_trials: ClassVar[bool] = False
+    max_trial_factor: ClassVar[float] = 1.0 / TRIAL_SHARE
+    affects_stop_only: ClassVar[bool] = False
+    forms: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def name(self) -> str:
+        """In code and reports."""
+        return self.base_name + (BY_DIRECTION if self.direction else "")
+
+    @property
+    def phrase(self) -> str:
+        """What is the matter, as part of a sentence."""
+        return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """Of the term."""
+
+    @property
+    def null_values(self) -> tuple[float, ...]:
+        """Values without effect."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """A size of each parameter that matters."""
+        return (self.size,) * len(self.parameters)
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the term needs."""
+
+    @abstractmethod
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """What is added to the response of these rows, the direction left out."""
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """As of `Cause.trials`."""
+        return [(self, np.array([self.scale]))]
+
+    def largest_plausible(self) -> tuple[Array, ...]:
+        """As of `Cause.largest_plausible`: the sizes of the trials times `max_trial_factor`."""
+        return ()
+
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """Its effect in a table."""
+        try:
+            quantities = self.quantities({parameter.name: parameter for parameter in parameters})
+            return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
+        except KeyError:
+            return plain_description(self.phrase, parameters)
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """What `sentence` may have in braces."""
+        opposite = ", oppositely in the two directions" if self.direction else ""
+        return {**sizes, "session": self.session, "opposite": opposite}
+
+    def signed_term(self, rows: Mapping[str, Any]) -> Term:
+        """What is added to the response of these rows."""
+        term = self.term(rows)
+        if not self.direction:
+            return term
+        sign = direction_sign(rows, self.direction, self.labels)
+
+        def signed(values: Array) -> tuple[Array, Array]:
+            added, slopes = term(values)
+            return sign * added, sign[:, None] * slopes
+
+        return signed
+
+    def changes(self, law: Any, rows: Mapping[str, Any], values: Array, trials: Array) -> Array:
+        """As of `Cause.changes`, shape (m, q) -> (n, m)."""
+        term, n = self.signed_term(rows), len(values)
+        return np.stack([term(np.broadcast_to(trial, (n, len(trial))))[0] for trial in trials], axis=1)
+
+    def extend(self, law: Any) -> LawWithTerm:
+        """`law` with the term."""
+        return LawWithTerm(law, self)
+
+    def bind_table(self, law: Any, frame: pd.DataFrame) -> GenericCause:
+        """The same: it is bound to a table already."""
+        return self
+
+
+@dataclass(frozen=True)
+class LawWithTerm:
+    """A law of a table with a generic cause, whose parameters follow the law's."""
+
+    law: Any
+    cause: GenericCause
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """The law's, then the cause's under their full names."""
+        own = [
+            replace(one, name=f"{self.cause.name}.{one.name}{f'[{one.session}]' if one.session else ''}")
+            for one in self.cause.parameters
+        ]
+        return (*self.law.parameters, *own)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the law and the term need."""
+        return tuple(dict.fromkeys([*self.law.columns, *self.cause.columns]))
+
+    def model(self, rows: Mapping[str, Any]) -> Callable[[Array], tuple[Array, Array]]:
+        """As of the law."""
+        before, term, q = self.law.model(rows), self.cause.signed_term(rows), len(self.cause.parameters)
+
+        def predict(values: Array) -> tuple[Array, Array]:
+            predicted, slopes = before(values[..., :-q])
+            own = np.broadcast_to(values[..., -q:], (len(predicted), q))
+            added, own_slopes = term(own)
+            return predicted + added, np.concatenate([slopes, own_slopes], axis=1)
+
+        return predict
+
+    def predict(self, rows: Mapping[str, Any], values: Array) -> Array:
+        """The response, shape (n,)."""
+        q = len(self.cause.parameters)
+        predicted = self.law.predict(rows, values[..., :-q])
+        return np.asarray(
+            predicted + self.cause.signed_term(rows)(np.broadcast_to(values[..., -q:], (len(predicted), q)))[0]
+        )
+
+    def jacobian(self, rows: Mapping[str, Any], values: Array) -> Array:
+        """Derivatives of the response, shape (n, p)."""
+        return self.model(rows)(values)[1]
+
+
+def linear_term(basis: Array) -> Term:
+    """The term of a linear combination of columns, shape (n, q)."""
+
+    def term(values: Array) -> tuple[Array, Array]:
+        return np.asarray(np.sum(values * basis, axis=1)), basis
+
+    return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(GenericCause):
+    """k t, t from the session's first row."""
+
+    longest: float = 1.0
+    time_unit: str = "s"
+
+    base_name = "drift"
+    base_phrase = "the response drifts through each session"
+    physics = (
+        "Whatever changes slowly and steadily, such as a temperature, a battery or a relaxing clamp, changes "
+        "the response in proportion to time."
+    )
+    shows_best = "the same condition at a session's beginning, middle and end"
+    sentence = "The response {k:rises|falls} by {k} through each session{opposite}"
+    remedy = "recalibrating within the session"
+    columns = ("session_seconds",)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        unit = TableUnit(f"{self.unit or '1'}/{self.time_unit}")
+        return (CauseParameter("k", unit, f"change of the response per {self.time_unit}"),)
+
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """See `GenericCause`."""
+        return (self.size / self.longest,)
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUp(Drift):
+    """A (1 - exp(-t / tau)), t from the session's first row."""
+
+    base_name = "warm-up"
+    base_phrase = "something warms up in each session"
+    physics = (
+        "What is switched on warms towards a balance with its surroundings, exponentially with the time "
+        "constant of its heat capacity, and takes the response with it."
+    )
+    shows_best = "the same condition, again and again from a session's first minute on"
+    sentence = (
+        "The response {A:rises|falls} by {A} as a session runs, with a time constant of {tau}{opposite}"
+    )
+    remedy = "waiting until it is warm"
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        low, high = 0.2 * TIME_CONSTANT_SHARES[0] * self.longest, 3.0 * self.longest
+        return (
+            CauseParameter("A", TableUnit(self.unit), "change of the response once warm"),
+            CauseParameter("tau", TableUnit(self.time_unit), "time constant of warming up", low, high),
+        )
+
+    @property
+    def null_values(self) -> tuple[float, ...]:
+        """See `GenericCause`."""
+        return (0.0, self.scale[1])
+
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """See `GenericCause`."""
+        return (self.size, 0.2 * self.longest)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """See `GenericCause`."""
+        tau = TIME_CONSTANT_SHARES * self.longest
+        return [(self, np.column_stack([np.full(len(tau), self.size), tau]))]
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        seconds = np.asarray(rows["session_seconds"], float)
+
+        def term(values: Array) -> tuple[Array, Array]:
+            size, tau = values.T
+            left = np.exp(-seconds / tau)
+            return size * (1.0 - left), np.column_stack([1.0 - left, -size * left * seconds / tau**2])
+
+        return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuddenChange(GenericCause):
+    """A from one moment of one session on."""
+
+    session: str = ""
+    time_unit: str = "s"
+
+    base_name = "sudden-change"
+    base_phrase = "something changed at one moment of a session"
+    physics = (
+        "A knock, a cable that is moved, a screw that gives or a setting that is changed: from one row to "
+        "the next the response is another, and stays so until the session's end."
+    )
+    shows_best = "the conditions of before the change once more, after it"
+    sentence = "The response {A:rises|falls} by {A} {moment} into session {session}, and stays so{opposite}"
+    remedy = "calibrating anew after it"
+    columns = ("session", "session_seconds")
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        moment = replace(moment_parameter(self.session), unit=TableUnit(self.time_unit))
+        meaning = "change of the response"
+        return CauseParameter("A", TableUnit(self.unit), meaning, session=self.session), moment
+
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """See `GenericCause`."""
+        return (self.size, 1.0)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """See `GenericCause`."""
+        return [
+            (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
+            for session, moments in candidate_moments(rows)
+            if self.session in ("", session)
+        ]
+
+    def changes(self, law: Any, rows: Mapping[str, Any], values: Array, trials: Array) -> Array:
+        """See `GenericCause`: all moments at once."""
+        inside = np.asarray(rows["session"], dtype=object) == self.session
+        sign = direction_sign(rows, self.direction, self.labels) if self.direction else np.ones(len(values))
+        seconds = np.asarray(rows["session_seconds"], float)
+        return trials[:, 0] * (inside * sign)[:, None] * (seconds[:, None] >= trials[:, 1])
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        inside = np.asarray(rows["session"], dtype=object) == self.session
+        seconds = np.asarray(rows["session_seconds"], float)
+
+        def term(values: Array) -> tuple[Array, Array]:
+            after = (inside & (seconds >= values[:, 1])).astype(float)
+            return values[:, 0] * after, np.column_stack([after, np.zeros(len(after))])
+
+        return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariate(GenericCause):
+    """f(column), f a polynomial over the table's range and constant beyond."""
+
+    column: str = ""
+    low: float = -1.0
+    high: float = 1.0
+
+    order: ClassVar[int] = COVARIATE_ORDER
+    base_phrase = "the response follows a column of the table"
+    physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
+    shows_best = "one condition at the lowest and at the highest values of the column"
+    sentence = "The response follows the column {column}{opposite}"
+    combine_trials = True
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return COVARIATE_PREFIX + self.column
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return f"keeping {self.column} steady"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.column,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        return tuple(
+            CauseParameter(f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range")
+            for k in range(1, self.order + 1)
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`: the coefficients of a curve are left out."""
+        return {"column": self.column, "opposite": super().quantities({})["opposite"]}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """See `GenericCause`: the higher the order, the smaller."""
+        return [(self, self.size * np.diag(1.0 / np.arange(1, self.order + 1)))]
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)
+        angle = np.arccos(np.clip(x, -1.0, 1.0))
+        return linear_term(np.cos(angle[:, None] * np.arange(1, self.order + 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionDependence(Covariate):
+    """As `Covariate`, of the position, and less smooth."""
+
+    order = POSITION_ORDER
+    base_phrase = "the response depends on the position"
+    physics = (
+        "Guides, bearings and magnets are not the same everywhere: friction, play and stiffness change along "
+        "the way, and with them the response."
+    )
+    shows_best = "one slow sweep over the whole range, there and back"
+    sentence = "The response depends on the position {column}{opposite}"
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "position"
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "staying in one part of the range"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicPosition(GenericCause):
+    """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
+
+    column: str = ""
+    low: float = 0.0
+    period: float = 1.0
+
+    base_name = "periodic-in-position"
+    base_phrase = "the response is periodic in the position"
+    physics = (
+        "Cogging of a motor, the pitch of a lead screw or a belt's teeth, an encoder's interpolation: each "
+        "repeats after the same way."
+    )
+    shows_best = "one slow sweep over many periods, there and back"
+    sentence = "The response is periodic in the position {column}, with a period of {period:.4g}{opposite}"
+    combine_trials = True
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.column,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        unit = TableUnit(self.unit)
+        return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {**super().quantities(sizes), "column": self.column, "period": self.period}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
+        position = rows[self.column].to_numpy(float)
+        extent = float(np.ptp(position))
+        finest = min(len(np.unique(position)) / MIN_VALUES_PER_PERIOD, MAX_PERIODS / 2)
+        periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
+        return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
+        return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectionOffset(GenericCause):
+    """d in one direction, -d in the other."""
+
+    base_phrase = "the response is not the same in both directions"
+    physics = "Friction, play and hysteresis change their sign with the direction of motion."
+    shows_best = "one condition in both directions, again and again"
+    sentence = "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    remedy = "always coming from the same side"
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "offset"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.direction,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        return (CauseParameter("d", TableUnit(self.unit), "half the difference of the two directions"),)
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`."""
+        return linear_term(np.ones((len(np.asarray(rows[self.direction])), 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outliers(GenericCause):
+    """A few responses are off by a lot; the rest are right."""
+
+    base_name = "outliers"
+    base_phrase = "a few values are far off"
+    physics = (
+        "A slip of the pen, a disturbance from outside or a sensor that loses its signal for a moment. Such "
+        "values say nothing about the law."
+    )
+    shows_best = "replicates: an outlier does not come back"
+    sentence = "About one value in {one_in} is off by {size} or so"
+    remedy = "excluding those values and measuring them again"
+    columns = ()
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:
+        """See `GenericCause`."""
+        return (
+            CauseParameter("share", "%", "of the values", lower=0.0, upper=1.0),
+            CauseParameter("size", TableUnit(self.unit), "typical departure of such a value", lower=0.0),
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {"one_in": f"{round(1 / sizes['share'].size.estimate):,}", "size": sizes["size"]}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+        """See `GenericCause`: none, as such values deviate independently."""
+        return []
+
+    def term(self, rows: Mapping[str, Any]) -> Term:
+        """See `GenericCause`: nothing is added."""
+        return linear_term(np.zeros((len(rows), 2)))
+
+
+def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[GenericCause, ...]:
+    """Every generic cause for which a table has the columns.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of `prepare_rows`.
+    law : TableLaw
+    roles : TableRoles
+    """
+    y = law.response(rows)[0]
+    unit, size = str(law.response_unit), TRIAL_SHARE * (float(np.std(y)) or 1.0)
+    both: list[GenericCause] = []
+    if roles.time:
+        longest = float(rows["session_seconds"].max()) or 1.0
+        for kind in (Drift, WarmUp):
+            both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
+        both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
+    for column in covariate_columns(rows, law, roles):
+        low, high = float(rows[column].min()), float(rows[column].max())
+        both.append(Covariate(unit=unit, size=size, column=column, low=low, high=high))
+    if roles.position and rows[roles.position].nunique() >= MIN_VALUES:
+        low, high = float(rows[roles.position].min()), float(rows[roles.position].max())
+        both.append(PositionDependence(unit=unit, size=size, column=roles.position, low=low, high=high))
+        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=low))
+    causes = list(both)
+    if roles.direction:
+        labels = direction_labels(rows[roles.direction])
+        opposite = partial(replace, direction=roles.direction, labels=labels)
+        causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
+        causes += [opposite(cause) for cause in both]
+    return (*causes, Outliers(unit=unit, size=size))
+
+
+def covariate_columns(rows: pd.DataFrame, law: Any, roles: TableRoles) -> list[str]:
+    """Columns of finite numbers that neither the law nor a role uses, and that vary within sessions."""
+    used = {*law.columns, *roles.columns.values(), "session", "session_seconds", "joint"}
+    columns = [str(name) for name in rows.columns if name not in used]
+    return [name for name in columns if explain_unusable(rows, name) is None]
+
+
+def explain_unusable(rows: pd.DataFrame, name: str) -> str | None:
+    """Why the response cannot be seen to follow a column, None where it can."""
+    cells = rows[name]
+    if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
+        return "it is not of numbers"
+    values = cells.to_numpy(dtype=float, na_value=np.nan)
+    if not np.isfinite(values).all():
+        return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
+    if len(np.unique(values)) < MIN_VALUES:
+        return f"it has fewer than {MIN_VALUES} different values"
+    by_session = pd.Series(values).groupby(rows["session"].to_numpy())
+    if not (by_session.max() > by_session.min()).any():
+        return "it is the same within every session, and each session has parameters of its own"
+    return None
