@@ -20,7 +20,7 @@ from stickslip_fit._function import NumericFunction
 from stickslip_fit._io import write_atomically
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import generic
-from stickslip_fit.causes.formula import FormulaCause
+from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.roles import TableRoles
@@ -29,7 +29,7 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.estimation.result import compute_checksum
 from stickslip_fit.estimation.saved_result import is_covariance
 from stickslip_fit.estimation.table_fit import TableFit, TableSource
-from stickslip_fit.laws import Law, Parameter, TableLaw
+from stickslip_fit.laws import Parameter, TableLaw, restore_formula_law
 from stickslip_fit.units import TableUnit
 
 FORMAT, VERSION = "stickslip-fit/table-fit", 1
@@ -184,7 +184,7 @@ def _describe_law(law: Any) -> dict[str, Any]:
 
 
 def _restore_law(content: Mapping[str, Any], functions: Functions) -> Any:
-    source = _restore_source(Law, content["source"], functions)
+    source = _restore_source(restore_formula_law, content["source"], functions)
     law = TableLaw(
         source=source,
         left=parse_expression(content["response"]),
@@ -239,7 +239,7 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
     kind = own.pop("kind")
     if kind == "formula":
         parameters = tuple(_restore_parameter(CauseParameter, one) for one in own.pop("parameters"))
-        source = _restore_source(FormulaCause, own.pop("source"), functions)
+        source = _restore_source(restore_formula_cause, own.pop("source"), functions)
         listed = {name: tuple(values) for name, values in own.items()}
         return FormulaTableCause(source=source, parameters=parameters, **listed)
     restored = getattr(generic, kind)
@@ -247,11 +247,12 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
     return restored(**{name: tuple(value) if isinstance(value, list) else value for name, value in own.items()})
 
 
-def _restore_source(kind: Any, description: Mapping[str, Any], functions: Functions) -> Any:
+def _restore_source(restore: Any, description: Mapping[str, Any], functions: Functions) -> Any:
     """A Law or a FormulaCause from its own description, functions taken from those handed over."""
-    if "function" not in description:
-        return kind.restore(description)
-    return kind.restore(description, functions[description["function"]])
+    own = dict(description)
+    if "function" in own:
+        own["formula"] = functions[own.pop("function")]
+    return restore(own)
 
 
 def _list_functions(law: Mapping[str, Any]) -> list[str]:

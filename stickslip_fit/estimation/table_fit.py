@@ -122,7 +122,7 @@ class TableFit(Summarized):
             {
                 "name": [one.name for one, _ in named],
                 "session": pd.Series([session for _, session in named], dtype=object),
-                "unit": [str(one.unit) for one, _ in named],
+                "unit": pd.Series([one.unit for one, _ in named], dtype=object),
                 "estimate": estimate,
                 "standard_error": error,
                 "low": estimate - reach,

@@ -11,9 +11,8 @@ from stickslip_fit._format import pluralize
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import ORDER, TableRoles
 from stickslip_fit.diagnosis.finding import TableInfo
-from stickslip_fit.diagnosis.linearized import LawBlock, whiten
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, whiten
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation.result import library_versions
 from stickslip_fit.estimation.table_fit import TableFit, TableSource, absolute_seconds
 
@@ -21,9 +20,10 @@ BOUND_TOL = 1e-9  # of a parameter's size
 RANK_TOL = 1e-10  # of singular values, columns of unit length
 
 
-def make_table_fit(selection: Selection, table: TableInfo, *, command: str = "") -> TableFit:
-    """The fit of a selection's law, with the selected causes in it; values that were set aside take no part."""
-    problem, fit = selection.problem, selection.fit
+def make_table_fit(
+    problem: DiagnosisProblem, fit: ExtendedFit, table: TableInfo, *, command: str = ""
+) -> TableFit:
+    """A fit of a table's law as a result; values that the problem has no more were set aside as outlying."""
     (part,) = fit.parts
     roles = TableRoles(**{role: column for role, column in table.roles.items() if column})
     n_shared = problem.n_shared + len(fit.values)
