@@ -84,8 +84,8 @@ __all__ = [
     "describe",
     "extend",
     "generic_causes",
-    "prepare_rows",
     "library",
+    "prepare_rows",
     "restore",
     "restore_formula_cause",
 ]

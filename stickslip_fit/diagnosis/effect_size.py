@@ -149,7 +149,11 @@ def estimate_effect(
     dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
     beyond = _effect_beyond_fit(selection, selected)
     unweighted = linearize_fit(
-        linearized.rows, linearized.parts, selection.problem.responses, np.ones(len(linearized))
+        linearized.rows,
+        linearized.parts,
+        selection.problem.responses,
+        np.ones(len(linearized)),
+        shared=selection.problem.n_shared,
     )
     rms = _rms(unweighted.project(changes[:, 0] + linearized.unwhiten(beyond)))
     return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)

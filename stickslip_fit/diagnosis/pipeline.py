@@ -152,7 +152,7 @@ def diagnose_problem(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
+        misfit=float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2))),
         repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
         untestable=search.untestable,

@@ -11,6 +11,7 @@ import pandas as pd
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
+from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -20,6 +21,7 @@ from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.logs import Log
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
@@ -161,17 +163,24 @@ class Diagnosis(Summarized):
             seconds=self.seconds + time.perf_counter() - began,
         )
 
-    def extended_law(self, *, command: str = "") -> Result:
-        """The published laws extended by the named causes, fitted to the log.
+    def extended_law(self, *, command: str = "") -> Result | TableFit:
+        """The law extended by the named causes, fitted to the log or the table.
 
-        Of causes that the log cannot separate, the likeliest is in the law. Outlying counts are excluded;
-        unknown structure has no place in a law. `command` is for the result's provenance.
+        Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
+        excluded; unknown structure has no place in a law. `command` is for the result's provenance.
+
+        Returns
+        -------
+        Result or TableFit
+            Of a log or of a table.
 
         Raises
         ------
         InputError
-            If the data were no log.
+            If the data were neither a log nor a table.
         """
+        if self.table is not None:
+            return make_table_fit(self.selection.problem, self.selection.fit, self.table, command=command)
         log = self.require_log()
         usable = log.rows.index[log.rows["status"] == "ok"]
         for finding in self.findings:

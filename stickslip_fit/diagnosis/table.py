@@ -25,6 +25,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import generic
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
+from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
@@ -37,8 +38,9 @@ from stickslip_fit.diagnosis.table_alternatives import (
     numeric_columns,
     response_columns,
 )
-from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
+from stickslip_fit.estimation.table_fit import TableFit
+from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.laws import Law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
@@ -121,6 +123,45 @@ def diagnose_table(
     info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
     diagnosis = replace(diagnosis, table=info, seconds=clock.perf_counter() - began)
     return diagnosis.measure_gain(progress=progress) if gain else diagnosis
+
+
+def fit_table(
+    frame: pd.DataFrame | str | Path,
+    law: Any,
+    *,
+    response: str | None = None,
+    session: str | None = None,
+    time: str | None = None,
+    shared: Iterable[str] | str | None = None,
+    command: str = "",
+) -> TableFit:
+    """Fit a law to a table, as it is: no cause is searched, and no value set aside.
+
+    With a time the autocorrelation of the noise is in the intervals.
+
+    Parameters
+    ----------
+    frame, law, response, session, time, shared
+        As of `diagnose_table`.
+    command : str, optional
+        For the result's provenance.
+
+    Raises
+    ------
+    InputError
+        As `diagnose_table`.
+    """
+    table, source = read_table(frame)
+    roles = TableRoles(session, time)
+    if shared is not None:
+        law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
+    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic=())
+    correlated = problem.with_autocorrelation()
+    linearized = correlated.linearize()
+    factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
+    scaled = replace(correlated, repeatability=factor * correlated.repeatability)
+    info = replace(describe_table(problem, scaled, roles), **source)
+    return make_table_fit(scaled, scaled.fit_extended(), info, command=command)
 
 
 def problem_from_table(
