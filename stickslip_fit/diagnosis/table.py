@@ -155,7 +155,7 @@ def fit_table(
     roles = TableRoles(session, time)
     if shared is not None:
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
-    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic=())
+    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
     correlated = problem.with_autocorrelation()
     linearized = correlated.linearize()
     factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
