@@ -34,7 +34,8 @@ BY_DIRECTION = "-by-direction"
 TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
 COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
 MIN_VALUES = 4  # different ones of a column, for an effect that follows it smoothly
-TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0])  # of the longest session
+# Of the longest session; what takes longer is a drift.
+TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35])
 MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
 
 Term = Callable[[Array], tuple[Array, Array]]
@@ -313,7 +314,9 @@ class Covariate(GenericCause):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return tuple(
-            CauseParameter(f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range")
+            CauseParameter(
+                f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range"
+            )
             for k in range(1, self.order + 1)
         )
 
@@ -410,7 +413,9 @@ class DirectionOffset(GenericCause):
     base_phrase = "the response is not the same in both directions"
     physics = "Friction, play and hysteresis change their sign with the direction of motion."
     shows_best = "one condition in both directions, again and again"
-    sentence = "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    sentence = (
+        "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    )
     remedy = "always coming from the same side"
 
     @property

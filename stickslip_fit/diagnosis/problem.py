@@ -100,7 +100,7 @@ class DiagnosisProblem:
 
     @property
     def correlation(self) -> Array:
-        """Coefficients of the noise's autoregression, the nearest value first; empty for independent noise."""
+        """Coefficients of the noise's autoregression, of the nearest value first; empty where it has none."""
         return np.zeros(0) if self.autocorrelation is None else self.autocorrelation.coefficients
 
     @property

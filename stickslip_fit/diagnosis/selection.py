@@ -442,8 +442,8 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, less "
-                f"than {MIN_TESTABLE_STRENGTH:.0f}"
+                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, "
+                f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable
 
@@ -473,8 +473,8 @@ def explain_too_small(linearized: LinearizedFit) -> str | None:
     rows, parameters = len(linearized), linearized.basis.shape[1]
     if not is_log(linearized):
         return (
-            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than those "
-            f"are needed; add {MIN_DF - linearized.df} in the same sessions"
+            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than "
+            f"those are needed; add {MIN_DF - linearized.df} in the same sessions"
         )
     return (
         f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "

@@ -1,9 +1,9 @@
 """diagnose_table: the diagnosis of any table under any law. `pipeline` has the mathematics.
 
-The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law fitted
-to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured alternatives
-(`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is estimated
-and removed (`autocorrelation`).
+The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law
+fitted to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured
+alternatives (`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is
+estimated and removed (`autocorrelation`).
 """
 
 from __future__ import annotations
@@ -226,13 +226,13 @@ def problem_from_table(
 def with_samples(problem: DiagnosisProblem, sample: IntArray) -> DiagnosisProblem:
     """The problem with rows that are samples of a signal, numbered as by `number_samples`."""
     linearized = problem.linearize()
-    effects = [
-        linearized.project(one.changes)
-        for one in compute_finite_effects(linearized, problem.causes)
-        if not one.version.session
-    ]
+    effects: dict[str, list[Array]] = {}
+    for one in compute_finite_effects(linearized, problem.causes):
+        if not one.version.session:
+            effects.setdefault(one.cause, []).append(linearized.project(np.nan_to_num(one.changes)))
     most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
-    directions = leading_directions(effects, most) if effects else np.zeros((len(problem), 0))
+    columns = [np.concatenate(own, axis=1) for own in effects.values()]
+    directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
     scaled = directions * np.sqrt(len(problem)) * float(problem.repeatability[0])
     return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
 
@@ -284,7 +284,9 @@ def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str
     # pandas and pyarrow raise several kinds, all of them about the file.
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)) from None
+        raise InputError(
+            InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)
+        ) from None
     return table, {"file": name, "sha256": hashlib.sha256(raw).hexdigest(), "files": (str(frame),)}
 
 
@@ -328,9 +330,7 @@ def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
 
 
 def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[Any, ...]:
-    bound = tuple(
-        cause.bind_table(law, rows) if hasattr(cause, "bind_table") else cause for cause in causes
-    )
+    bound = tuple(cause.bind_table(law, rows) if hasattr(cause, "bind_table") else cause for cause in causes)
     names = [cause.name for cause in bound]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
@@ -348,11 +348,16 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:
         missing["offset-by-direction"] = NO_DIRECTION
-    used = {*law.columns, *response_columns(law), *roles.columns.values(), "session", "session_seconds", "joint"}
+    used = {
+        *law.columns,
+        *response_columns(law),
+        *roles.columns.values(),
+        "session",
+        "session_seconds",
+        "joint",
+    }
     for name in map(str, rows.columns):
         why = None if name in used else generic.explain_unusable(rows, name)
         if why is not None:
             missing[COVARIATE_PREFIX + name] = why
     return missing
-
-
