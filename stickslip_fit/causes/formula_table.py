@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from itertools import combinations, product
 from math import isfinite
 from typing import Any
@@ -19,15 +18,16 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.formula import FormulaCause
+from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.table_cause import Effect, ExtendedTableLaw, Stage, TableCause
-from stickslip_fit.errors import InputError, InputIssue, shorten
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import Rows, TableLaw
-from stickslip_fit.laws.table import count_rows, find_linear, number_column, spread
+from stickslip_fit.laws.table import count_rows, find_linear, number_column, similar_name, spread
 from stickslip_fit.units import TableUnit, to_si
 
 NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many nonlinear parameters
+MAX_PARAMETERS = 8
 NULL_TOL = 1e-9
 _STAGES: dict[str, Stage] = {"+": "term", "*": "factor", "=": "column"}
 
@@ -43,7 +43,7 @@ class FormulaTableCause(TableCause):
 
     Attributes
     ----------
-    source : FormulaCause
+    source : CauseFormula
     order : tuple of str
         The formula's parameters, amplitudes first.
     levels : tuple
@@ -52,7 +52,7 @@ class FormulaTableCause(TableCause):
         Of each place that is tried, the values there of what is no amplitude, and the amplitudes' sizes.
     """
 
-    source: FormulaCause
+    source: CauseFormula
     order: tuple[str, ...]
     levels: tuple[Any, ...]
     parameters: tuple[CauseParameter, ...]
@@ -70,7 +70,9 @@ class FormulaTableCause(TableCause):
     @property
     def phrase(self) -> str:  # type: ignore[override]
         """See `Cause`."""
-        return self.source.phrase or _PHRASES[self.source.kind].format(self.source.effect.text.strip(), self.target)
+        return self.source.phrase or _PHRASES[self.source.kind].format(
+            self.source.effect.text.strip(), self.target
+        )
 
     @property
     def physics(self) -> str:  # type: ignore[override]
@@ -120,8 +122,12 @@ class FormulaTableCause(TableCause):
         versions = []
         for place, amplitudes in self.sizes:
             null = (*np.zeros(len(amplitudes)), *np.repeat(place, len(self.levels)))
-            trials = np.column_stack([np.diag(amplitudes), np.tile(null[len(amplitudes) :], (len(amplitudes), 1))])
-            versions.append((replace(self, null_values=tuple(map(float, null)), sizes=((place, amplitudes),)), trials))
+            trials = np.column_stack(
+                [np.diag(amplitudes), np.tile(null[len(amplitudes) :], (len(amplitudes), 1))]
+            )
+            versions.append(
+                (replace(self, null_values=tuple(map(float, null)), sizes=((place, amplitudes),)), trials)
+            )
         return versions
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
@@ -156,7 +162,7 @@ class FormulaTableCause(TableCause):
 
 
 def bind_formula_to_table(
-    cause: FormulaCause, law: TableLaw | ExtendedTableLaw, frame: pd.DataFrame
+    cause: CauseFormula, law: TableLaw | ExtendedTableLaw, frame: pd.DataFrame
 ) -> FormulaTableCause:
     """A formula as a cause of a table; see `FormulaCause.bind_table`."""
     base = law.law if isinstance(law, ExtendedTableLaw) else law
@@ -177,16 +183,22 @@ def _in_table_unit(parameter: CauseParameter) -> CauseParameter:
     return replace(parameter, unit=TableUnit("" if parameter.unit == "1" else parameter.unit))
 
 
-def _find_faults(cause: FormulaCause, law: TableLaw, frame: pd.DataFrame) -> list[str]:
+def _find_faults(cause: CauseFormula, law: TableLaw, frame: pd.DataFrame) -> list[str]:
     own = [one.name for one in cause.declared]
     columns = [str(name) for name in frame.columns]
     known = [*columns, *law.parameter_names, law.response_name]
-    faults = [f"{name} is also a column or a parameter of the law; name it otherwise" for name in own if name in known]
+    faults = [
+        f"{name} is also a column or a parameter of the law; name it otherwise"
+        for name in own
+        if name in known
+    ]
     for name in (*cause.names, *([cause.by] if cause.by else [])):
         if name not in own and name not in known:
-            similar = get_close_matches(shorten(name), known, 1, 0.5)
-            hint = f"; did you mean {similar[0]}?" if similar else f"; there are {', '.join(known[:40])}"
+            similar = similar_name(name, known)
+            hint = f"; did you mean {similar}?" if similar else f"; there are {', '.join(known[:40])}"
             faults.append(f"{name} is no column, no parameter of the law and none of its own{hint}")
+    if len(own) > MAX_PARAMETERS:
+        faults.append(f"it has {len(own)} parameters, more than {MAX_PARAMETERS}")
     if cause.kind == "steps +":
         faults.append("a table has no steps; what is added to the response begins with + alone")
     if cause.by and cause.by in columns and frame[cause.by].isna().any():
@@ -203,7 +215,7 @@ def _find_faults(cause: FormulaCause, law: TableLaw, frame: pd.DataFrame) -> lis
 class _Binding:
     """The choice of amplitudes and sizes, for a law at values of shape (p,)."""
 
-    cause: FormulaCause
+    cause: CauseFormula
     law: TableLaw
     frame: pd.DataFrame
     y: Array
@@ -217,14 +229,18 @@ class _Binding:
         amplitudes = self._choose_amplitudes(names)
         others = [name for name in names if name not in amplitudes]
         if unbounded := [name for name in others if not self._is_bounded(name)]:
-            self._refuse(
+            raise self._error(
                 f"it is not linear in {' and '.join(unbounded)}, so that trials need bounds, e.g. "
                 f"bounds={{{unbounded[0]!r}: (low, high)}}"
             )
         if len(others) not in NUMBER_OF_PLACES:
-            self._refuse(f"it is not linear in {', '.join(others)}; at most {max(NUMBER_OF_PLACES)} can be searched")
+            raise self._error(
+                f"it is not linear in {', '.join(others)}; at most {max(NUMBER_OF_PLACES)} can be searched"
+            )
         if not amplitudes and len(self.levels) > 1:
-            self._refuse(f"by={self.cause.by!r} needs a parameter in which it is linear, such as a factor A")
+            raise self._error(
+                f"by={self.cause.by!r} needs a parameter in which it is linear, such as a factor A"
+            )
         bound = self._with_order((*amplitudes, *others), len(amplitudes))
         places = self._places(others)
         sizes = [(place, self._sizes_at(bound, place, amplitudes)) for place in places]
@@ -234,8 +250,8 @@ class _Binding:
         scale = (*sizes[middle][1], *bound.scale[len(sizes[middle][1]) :])
         return replace(bound, sizes=tuple(sizes), scale=scale)
 
-    def _refuse(self, reason: str) -> None:
-        raise InputError(f"the cause {self.cause.name}: {reason}")
+    def _error(self, reason: str) -> InputError:
+        return InputError(f"the cause {self.cause.name}: {reason}")
 
     def _is_bounded(self, name: str) -> bool:
         return isfinite(self.declared[name].upper - self.declared[name].lower)
@@ -248,30 +264,45 @@ class _Binding:
         """The effect and its derivatives in every row, all levels alike."""
         n = len(self.frame)
         one = self._with_order(tuple(names), 0, (None,))
-        state = {name: np.full(n, value) for name, value in zip(self.law.parameter_names, self.values, strict=True)}
+        state = {
+            name: np.full(n, value) for name, value in zip(self.law.parameter_names, self.values, strict=True)
+        }
         state |= {self.law.response_name: self.law.predict(self.frame, self.values)}
-        known = {**state, **({self.cause.target: number_column(self.frame, self.cause.target)} if self.cause.target else {})}
-        value, slopes, _ = one.effect(self.frame, tuple(known))(known, np.tile(np.asarray(values, float), (n, 1)))
+        known = {
+            **state,
+            **(
+                {self.cause.target: number_column(self.frame, self.cause.target)} if self.cause.target else {}
+            ),
+        }
+        value, slopes, _ = one.effect(self.frame, tuple(known))(
+            known, np.tile(np.asarray(values, float), (n, 1))
+        )
         return np.broadcast_to(value, (n,)), slopes
 
     def _choose_amplitudes(self, names: Sequence[str]) -> tuple[str, ...]:
         """The largest set in which the effect is linear and without which there is none."""
         sets = [some for size in range(len(names), -1, -1) for some in combinations(names, size)]
-        sets.sort(key=lambda some: -len(some) + 0.5 * (not all(self._is_bounded(n) for n in names if n not in some)))
+        unbounded = {name for name in names if not self._is_bounded(name)}
+        sets.sort(key=lambda some: (-len(some), not unbounded <= set(some)))
         for some in sets:
-            others = [name for name in names if name not in some]
-            absent = np.array([*np.zeros(len(some)), *(self._middle(name) if some else 0.0 for name in others)])
-            order = (*some, *others)
-            without = self._evaluate(order, absent)[0]
-            if self._vanishes(without) and find_linear(
-                lambda values, order=order: self._evaluate(order, values), absent, range(len(some))  # type: ignore[misc]
-            ) == list(range(len(some))):
+            if self._are_amplitudes(some, [name for name in names if name not in some]):
                 return some
-        self._refuse(
-            "with its parameters at 0 it still changes the response; write it so that 0 means no effect, e.g. "
-            "'* (1 + k*x)' in place of '* k*x'"
+        raise self._error(
+            "with its parameters at 0 it still changes the response; write it so that 0 means no effect, "
+            "e.g. '* (1 + k*x)' in place of '* k*x'"
         )
-        raise AssertionError
+
+    def _are_amplitudes(self, some: Sequence[str], others: Sequence[str]) -> bool:
+        """Whether the effect is linear in some of the parameters, and absent where they are 0."""
+        absent = np.array([*np.zeros(len(some)), *(self._middle(name) if some else 0.0 for name in others)])
+
+        def evaluate(values: Array) -> tuple[Array, Array]:
+            return self._evaluate((*some, *others), values)
+
+        without, places = evaluate(absent)[0], list(range(len(some)))
+        if not some and not np.isfinite(without).all():
+            raise self._error(f"its effect is no number in row {_first(~np.isfinite(without))} of the table")
+        return self._vanishes(without) and find_linear(evaluate, absent, places) == places
 
     def _vanishes(self, effect: Array) -> bool:
         kind, target = self.cause.kind, self.cause.target
@@ -307,8 +338,8 @@ class _Binding:
         predicted, slopes = bound.extend(self.law).model(self.frame)(values)
         own = slopes[:, len(self.values) : len(self.values) + n]
         if not np.isfinite(own).all():
-            row = int(np.flatnonzero(~np.isfinite(own).all(axis=1))[0])
-            self._refuse(f"its effect is no number in row {row + 1} of the table")
+            row = _first(~np.isfinite(own).all(axis=1))
+            raise self._error(f"its effect is no number in row {row} of the table")
         scatter = float(np.sqrt(np.mean((self.y - predicted) ** 2))) or float(np.std(self.y)) or 1.0
         acts = np.maximum(np.count_nonzero(own, axis=0), 1)
         rms = np.sqrt(np.sum(own**2, axis=0) / acts)
@@ -319,3 +350,8 @@ class _Binding:
                 own_places = slice(k * len(self.levels), (k + 1) * len(self.levels))
                 sizes[own_places] = to_si(float(given), "%") if self.declared[name].unit == "%" else given
         return tuple(map(float, sizes))
+
+
+def _first(rows: npt.NDArray[np.bool_]) -> int:
+    """The number of the first row of a table that is true."""
+    return int(np.argmax(rows)) + 1
