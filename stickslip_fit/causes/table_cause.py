@@ -166,7 +166,7 @@ class ExtendedTableLaw:
 
         def predict(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (n, len(self.parameters)))
-            state = _State(dict(columns), {}, n, values.shape[1])
+            state = _Quantities(dict(columns), {}, n, values.shape[1])
             for k, name in enumerate(names):
                 state.put_parameter(name, values[:, k], k)
             for target, places, effect in effects["column"]:
@@ -197,7 +197,7 @@ class ExtendedTableLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _Quantities:
     """Quantities of n rows, and the derivatives of those that depend on any of p values."""
 
     values: dict[str, Array]

@@ -1,8 +1,8 @@
 """What no fit can use: units that do not agree, numbers that are none, parameters that look alike.
 
 Parameters that the rows cannot tell apart span the null space of the Jacobian, each session's own parameters
-projected out of the shared ones. Where the direction is the same at two points of parameter space, a sum alone
-is determined; where that of the logarithms is, a product.
+projected out of the shared ones. Where the direction is the same at two points of parameter space, a sum
+alone is determined; where that of the logarithms is, a product.
 """
 
 from __future__ import annotations
