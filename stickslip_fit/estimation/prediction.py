@@ -102,7 +102,7 @@ def fit_constant_step(log: Log, result: Result) -> Result:
     recoil; NaN for a session without such a traverse.
     """
     companions = {joint: law_without_causes(fit.law) for joint, fit in result.joints.items()}
-    laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in companions.items()}
+    laws: dict[int, StepLaw] = {joint: constant_law(law, log.machine) for joint, law in companions.items()}
     return solve_calibration(
         log, laws, "constant-step", companion_laws=companions, command=result.provenance.command
     )

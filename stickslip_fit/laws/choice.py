@@ -11,10 +11,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import step_unit
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws.base import Rows, StepLaw
 from stickslip_fit.laws.checks import call_own, check_law
-from stickslip_fit.laws.published import published_law
+from stickslip_fit.laws.published import ConstantStep, published_law
 from stickslip_fit.machine import Machine
 
 
@@ -46,7 +47,8 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
     Returns
     -------
     dict of int to StepLaw
-        In order of the joints: the law in `laws`, else the published law.
+        In order of the joints: the law in `laws`, else the published law, else, for a machine without the
+        published geometry, a constant step.
 
     Raises
     ------
@@ -77,6 +79,8 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
             _given_law(given[joint], joint, own, machine)
             if joint in given
             else published_law(joint, own, machine)
+            if machine.has_published_geometry
+            else ConstantStep(joint, unit=step_unit(joint, machine))
         )
     return chosen
 

@@ -16,6 +16,7 @@ from math import pi, radians
 
 import numpy as np
 
+from stickslip_fit._format import step_unit
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws.base import (
@@ -298,15 +299,16 @@ class BaseAtOneReach(Base):
 class ConstantStep(StepLaw):
     """One step size for every configuration (thesis Ch. 7).
 
-    It is calibrated in the configuration `measured_in`, or by any traverse.
+    It is calibrated in the configuration `measured_in`, or by any traverse; `unit` is that of a step, by
+    default the published arm's.
     """
 
     name = "constant"
 
-    def __init__(self, joint: int, measured_in: Configuration | None = None) -> None:
+    def __init__(self, joint: int, measured_in: Configuration | None = None, unit: str = "") -> None:
         self.joint = joint
         self.measured_in = measured_in
-        unit = "nm" if joint == PRISMATIC else "µrad"
+        unit = unit or ("nm" if joint == PRISMATIC else "µrad")
         self.parameters = (Parameter("gamma", unit, "step size everywhere", lower=0.0),)
 
     def gamma(self, state: State, values: Array) -> Array:
@@ -392,6 +394,6 @@ def restore_law(description: dict[str, str | int | float], machine: Machine) -> 
     raise InputError(f"the saved law {name!r} is unknown to this version; fit the log again")
 
 
-def constant_law(law: StepLaw) -> ConstantStep:
+def constant_law(law: StepLaw, machine: Machine) -> ConstantStep:
     """The constant step of thesis Ch. 7 for the joint of `law`, from its first calibration configuration."""
-    return ConstantStep(law.joint, next(iter(law.calibration()), None))
+    return ConstantStep(law.joint, next(iter(law.calibration()), None), step_unit(law.joint, machine))
