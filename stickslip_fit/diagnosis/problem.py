@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.causes import Cause, covariates, library
+from stickslip_fit.causes import Cause, covariates, explain_missing, library
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -172,7 +172,8 @@ def problem_from_log(
     """
     rows = usable_rows(log)
     candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
-    missing = {cause.name: why for cause in candidates if (why := cause.explain_missing(rows)) is not None}
+    reasons = {cause.name: explain_missing(cause, rows, log.machine) for cause in candidates}
+    missing = {name: why for name, why in reasons.items() if why is not None}
     parts, repeatability = [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.laws.integration import State, integrate, state_at
+from stickslip_fit.units import PRISMATIC
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class StepLaw(ABC):
     ----------
     name : str
         In reports and saved results.
-    joint : {1, 2, 3}
+    joint : int
     parameters : tuple of Parameter
         p of them; one set for each session and direction.
     columns : tuple of str
@@ -112,6 +113,11 @@ class StepLaw(ABC):
     parameters: tuple[Parameter, ...]
     columns: ClassVar[tuple[str, ...]] = ()
     max_panel: float = np.inf
+
+    @property
+    def prismatic(self) -> bool:
+        """Whether the joint slides rather than turns; as on the published arm unless a law says otherwise."""
+        return self.joint == PRISMATIC
 
     @abstractmethod
     def gamma(self, state: State, values: Array) -> Array:

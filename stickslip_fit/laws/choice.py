@@ -11,7 +11,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import step_unit
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws.base import Rows, StepLaw
 from stickslip_fit.laws.checks import call_own, check_law
@@ -47,8 +46,8 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
     Returns
     -------
     dict of int to StepLaw
-        In order of the joints: the law in `laws`, else the published law, else, for a machine without the
-        published geometry, a constant step.
+        In order of the joints: the law in `laws`, else the published law; on a machine without the published
+        geometry, a constant step of each session and direction.
 
     Raises
     ------
@@ -78,11 +77,15 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
         chosen[joint] = (
             _given_law(given[joint], joint, own, machine)
             if joint in given
-            else published_law(joint, own, machine)
-            if machine.has_published_geometry
-            else ConstantStep(joint, unit=step_unit(joint, machine))
+            else _default_law(joint, own, machine)
         )
     return chosen
+
+
+def _default_law(joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
+    if machine.has_published_geometry:
+        return published_law(joint, rows, machine)
+    return ConstantStep(joint, prismatic=machine.is_prismatic(joint))
 
 
 def _given_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:

@@ -42,10 +42,11 @@ from stickslip_fit.estimation import (
 )
 from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
-from stickslip_fit.estimation.prediction import POSITION_COLUMNS, collect_traverses
+from stickslip_fit.estimation.prediction import collect_traverses
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting._svg import Picture
@@ -282,8 +283,10 @@ def _figure_groups(
     groups = [("Accuracy", accuracy)]
     for joint in fit.joints:
         rows = collect_traverses(joint, log, calibration, fit)
-        sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
-        d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
+        sweeps, d = [], []
+        if log.machine.has_published_geometry:
+            sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
+            d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
         pictures = [fit_residuals_picture(rows, fit.machine), *sweeps, *d, control_picture(joint, fit)]
         groups.append((capitalize_first(joint_name(joint, log.machine)), pictures))
     return groups
@@ -321,7 +324,7 @@ def make_traverses_payload(log: Log, calibration: Result, fit: Result) -> dict[s
         each quantity its values times `per`; None where not known.
     """
     sessions = list(log.sessions)
-    begin = log.rows["time"].min()
+    begin = log.rows["time"].min() if has_times(log.rows) else pd.Timestamp(0)
     joints = [_joint_payload(joint, log, calibration, fit, sessions, begin) for joint in fit.joints]
     return {"sessions": sessions, "begun": int(begin.timestamp()), "joints": joints}
 
@@ -345,9 +348,8 @@ def _joint_payload(
     rows, unit = thin_traverses(traverses), step_unit(joint, log.machine)
     configuration, texts = _number_configurations(rows, log.machine)
     repeatability = [choose_repeatability(joint, sign, calibration, fit).value for sign in "+-"]
-    quantities = collect_covariates(rows, log.machine) or {
-        SESSION_HOURS: from_si(rows["session_seconds"].to_numpy(float), "h")
-    }
+    seconds = np.nan_to_num(rows["session_seconds"].to_numpy(float))
+    quantities = collect_covariates(rows, log.machine) or {SESSION_HOURS: from_si(seconds, "h")}
     per = 10 ** (STEP_DECIMALS[unit] + 1)
     return {
         "joint": joint,
@@ -359,7 +361,7 @@ def _joint_payload(
         "configurations": texts,
         "row": [int(row) for row in rows.index],
         "session": rows["session"].astype(object).map({name: k for k, name in enumerate(sessions)}).tolist(),
-        "time": [int(seconds) for seconds in (rows["time"] - begin).dt.total_seconds()],
+        "time": _scale_to_integers(np.floor((rows["time"] - begin).dt.total_seconds().to_numpy(float)), 1.0),
         "sign": "".join(map(format_direction, rows["direction"])),
         "configuration": configuration,
         "steps": rows["steps"].astype(int).tolist(),
@@ -374,7 +376,7 @@ def _joint_payload(
 
 def _number_configurations(rows: pd.DataFrame, machine: Machine) -> tuple[list[int], list[str]]:
     """The number of each row's configuration, and all configurations in words."""
-    names = ["joint", *POSITION_COLUMNS, "start", "stop"]
+    names = ["joint", *position_columns(rows), "start", "stop"]
     codes = rows.groupby(names, sort=False, dropna=False).ngroup()
     first = rows.loc[~codes.duplicated(), names]
     texts = [format_configuration(row, machine) for _, row in first.iterrows()]

@@ -196,6 +196,7 @@ def compare_strategies(
         If two strategies have one name, no traverse of the log is usable, a strategy chooses what is not
         offered, or nothing shows how well a traverse repeats.
     """
+    log.machine.require_geometry("a comparison of calibration strategies")
     strategies = default_strategies() if strategies is None else strategies
     names = [strategy.name for strategy in strategies]
     if len(set(names)) < len(names) or not names:

@@ -108,11 +108,11 @@ class ConstantStepStrategy:
 
     def choose(self, task: CalibrationTask) -> IntArray:
         """See `Strategy.choose`."""
-        return pick_calibration_traverses(task, constant_law(task.law, task.machine))
+        return pick_calibration_traverses(task, constant_law(task.law))
 
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, constant_law(task.law, task.machine), measured)
+        return make_least_squares_predictor(task, constant_law(task.law), measured)
 
 
 def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:

@@ -22,7 +22,6 @@ from stickslip_fit.laws import StepLaw, choose_laws, constant_law, traverse_leng
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, draw_random_paths, step_model_from_parameters
 from stickslip_fit.simulation.campaign import GROUPS
 from stickslip_fit.simulation.truth import Group
-from stickslip_fit.machine import Machine
 from stickslip_fit.strategies import (
     CalibrationTask,
     ClosedForm,
@@ -163,10 +162,10 @@ def _make_cells(study: StudyPlan, nominal: SimulatedCampaigns) -> Iterator[Desig
 
 
 TRAVERSE_COLUMNS = ("direction", "start", "stop", "steps", "check_every")
-LAW_STRATEGIES: dict[type, Callable[[StepLaw, Machine], StepLaw]] = {
+LAW_STRATEGIES: dict[type, Callable[[StepLaw], StepLaw]] = {
     ConstantStepStrategy: constant_law,
-    ClosedForm: lambda law, machine: law,
-    LeastSquares: lambda law, machine: law,
+    ClosedForm: lambda law: law,
+    LeastSquares: lambda law: law,
 }
 """Strategies that fit a law by least squares: from the published law to the one that they fit."""
 
@@ -226,7 +225,7 @@ def calibrate_sessions(
     law_of = LAW_STRATEGIES.get(type(strategy))
     if law_of is None:
         return calibrate_by_task(study, strategy, cells, campaigns)
-    return calibrate_by_law(law_of(cells[0].law, study.machine), strategy.name, cells, campaigns)
+    return calibrate_by_law(law_of(cells[0].law), strategy.name, cells, campaigns)
 
 
 def calibrate_by_law(

@@ -184,7 +184,7 @@ def test_strategies_calibrated_on_a_log_move_the_tip(log):
     truth = TrueLaws((log.sessions[0],), LAWS, VALUES)
     calibrations["the truth"] = step_models_from_truth(truth)
     calibrations["constant, no noise"] = {
-        group: step_model_from_parameters(constant_law(LAWS[group[0]], MACHINE), _constant(group)) for group in VALUES
+        group: step_model_from_parameters(constant_law(LAWS[group[0]]), _constant(group)) for group in VALUES
     }
     found = compute_tip_errors(draw_random_paths(MACHINE, 300, seed=6), truth, calibrations, [1])
     rms = found.distribution().set_index("strategy")["rms"]
