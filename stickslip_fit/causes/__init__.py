@@ -52,6 +52,7 @@ from stickslip_fit.causes.base import (
     FactorCause,
     StateCause,
     TermCause,
+    explain_missing,
     extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
@@ -78,6 +79,7 @@ __all__ = [
     "TermCause",
     "covariates",
     "describe",
+    "explain_missing",
     "extend",
     "library",
     "restore",
