@@ -87,7 +87,7 @@ class CauseFormula:
         return hash((self.name, self.formula))
 
     @property
-    def kind(self) -> str:
+    def operation(self) -> str:
         """``+``, ``*``, ``steps +`` or ``=``."""
         return self._parts[0]
 

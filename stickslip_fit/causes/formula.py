@@ -6,7 +6,7 @@ log, ``* expression`` multiplies it, ``name = expression`` stands in place of a 
 
 >>> FormulaCause("viscous-by-direction", "+ dFv*abs(vel)", "dFv in N s/m").names
 ('dFv', 'vel')
->>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds={"tau": (60, 3600)}).kind
+>>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds={"tau": (60, 3600)}).operation
 '*'
 
 `FormulaCause.bind_table` makes it a cause of a table, see `TableCause`; `FormulaCause.bind` one of a log.
