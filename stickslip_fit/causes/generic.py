@@ -8,8 +8,8 @@ with a size of its own in either direction, would tell no more, and could not be
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -20,13 +20,13 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.parameters import (
     CauseParameter,
-    SizedParameter,
     Sizes,
     candidate_moments,
     moment_parameter,
-    plain_description,
 )
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.table_cause import Effect, TableCause
+from stickslip_fit.laws import Rows
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import TableUnit
 
@@ -36,14 +36,13 @@ COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
 MIN_VALUES = 4  # different ones of a column, for an effect that follows it smoothly
 TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0])  # of the longest session
 MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
-SUBTRACTED = "less its mean"
 
 Term = Callable[[Array], tuple[Array, Array]]
 """Values of a cause's parameters, (n, q), to what is added, (n,), and its derivatives, (n, q)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class GenericCause(ABC):
+class GenericCause(TableCause):
     """Adds a term to the response of a table.
 
     Attributes
@@ -65,73 +64,42 @@ class GenericCause(ABC):
 
     base_name: ClassVar[str]
     base_phrase: ClassVar[str]
-    physics: ClassVar[str]
-    shows_best: ClassVar[str]
-    sentence: ClassVar[str] = ""
-    remedy: ClassVar[str] = ""
-    joints: ClassVar[tuple[int, ...]] = (1,)
-    session: str = ""
-    combine_trials: ClassVar[bool] = False
-    max_trial_factor: ClassVar[float] = 1.0 / TRIAL_SHARE
-    affects_stop_only: ClassVar[bool] = False
-    forms: ClassVar[tuple[str, ...]] = ()
+    max_trial_factor = 1.0 / TRIAL_SHARE
 
     @property
-    def name(self) -> str:
-        """In code and reports."""
+    def name(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
         return self.base_name + (BY_DIRECTION if self.direction else "")
 
     @property
-    def phrase(self) -> str:
-        """What is the matter, as part of a sentence."""
+    def phrase(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
-    @abstractmethod
-    def parameters(self) -> tuple[CauseParameter, ...]:
-        """Of the term."""
-
-    @property
-    def null_values(self) -> tuple[float, ...]:
-        """Values without effect."""
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
         return (0.0,) * len(self.parameters)
 
     @property
-    def scale(self) -> tuple[float, ...]:
-        """A size of each parameter that matters."""
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
         return (self.size,) * len(self.parameters)
 
-    @property
     @abstractmethod
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the term needs."""
-
-    @abstractmethod
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """What is added to the response of these rows, the direction left out."""
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
-        """As of `Cause.trials`."""
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `Cause`."""
         return [(self, np.array([self.scale]))]
 
-    def largest_plausible(self) -> tuple[Array, ...]:
-        """As of `Cause.largest_plausible`: the sizes of the trials times `max_trial_factor`."""
-        return ()
-
-    def describe(self, parameters: Sequence[SizedParameter]) -> str:
-        """Its effect in a table."""
-        try:
-            quantities = self.quantities({parameter.name: parameter for parameter in parameters})
-            return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
-        except KeyError:
-            return plain_description(self.phrase, parameters)
-
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """What `sentence` may have in braces."""
+        """See `Cause`."""
         opposite = ", oppositely in the two directions" if self.direction else ""
-        return {**sizes, "session": self.session, "opposite": opposite}
+        return {**super().quantities(sizes), "opposite": opposite}
 
-    def signed_term(self, rows: Mapping[str, Any]) -> Term:
+    def signed_term(self, rows: Rows) -> Term:
         """What is added to the response of these rows."""
         term = self.term(rows)
         if not self.direction:
@@ -144,64 +112,19 @@ class GenericCause(ABC):
 
         return signed
 
-    def changes(self, law: Any, rows: Mapping[str, Any], values: Array, trials: Array) -> Array:
-        """As of `Cause.changes`, shape (m, q) -> (n, m)."""
+    def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
+        """See `TableCause`."""
+        term = self.signed_term(rows)
+        return lambda state, values: (*term(values), {})
+
+    def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
+        """See `Cause`: whatever the law."""
         term, n = self.signed_term(rows), len(values)
         return np.stack([term(np.broadcast_to(trial, (n, len(trial))))[0] for trial in trials], axis=1)
-
-    def extend(self, law: Any) -> LawWithTerm:
-        """`law` with the term."""
-        return LawWithTerm(law, self)
 
     def bind_table(self, law: Any, frame: pd.DataFrame) -> GenericCause:
         """The same: it is bound to a table already."""
         return self
-
-
-@dataclass(frozen=True)
-class LawWithTerm:
-    """A law of a table with a generic cause, whose parameters follow the law's."""
-
-    law: Any
-    cause: GenericCause
-
-    @property
-    def parameters(self) -> tuple[Any, ...]:
-        """The law's, then the cause's under their full names."""
-        own = [
-            replace(one, name=f"{self.cause.name}.{one.name}{f'[{one.session}]' if one.session else ''}")
-            for one in self.cause.parameters
-        ]
-        return (*self.law.parameters, *own)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the law and the term need."""
-        return tuple(dict.fromkeys([*self.law.columns, *self.cause.columns]))
-
-    def model(self, rows: Mapping[str, Any]) -> Callable[[Array], tuple[Array, Array]]:
-        """As of the law."""
-        before, term, q = self.law.model(rows), self.cause.signed_term(rows), len(self.cause.parameters)
-
-        def predict(values: Array) -> tuple[Array, Array]:
-            predicted, slopes = before(values[..., :-q])
-            own = np.broadcast_to(values[..., -q:], (len(predicted), q))
-            added, own_slopes = term(own)
-            return predicted + added, np.concatenate([slopes, own_slopes], axis=1)
-
-        return predict
-
-    def predict(self, rows: Mapping[str, Any], values: Array) -> Array:
-        """The response, shape (n,)."""
-        q = len(self.cause.parameters)
-        predicted = self.law.predict(rows, values[..., :-q])
-        return np.asarray(
-            predicted + self.cause.signed_term(rows)(np.broadcast_to(values[..., -q:], (len(predicted), q)))[0]
-        )
-
-    def jacobian(self, rows: Mapping[str, Any], values: Array) -> Array:
-        """Derivatives of the response, shape (n, p)."""
-        return self.model(rows)(values)[1]
 
 
 def linear_term(basis: Array) -> Term:
@@ -232,17 +155,17 @@ class Drift(GenericCause):
     columns = ("session_seconds",)
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         unit = TableUnit(f"{self.unit or '1'}/{self.time_unit}")
         return (CauseParameter("k", unit, f"change of the response per {self.time_unit}"),)
 
     @property
-    def scale(self) -> tuple[float, ...]:
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.size / self.longest,)
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
 
@@ -264,7 +187,7 @@ class WarmUp(Drift):
     remedy = "waiting until it is warm"
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         low, high = 0.2 * TIME_CONSTANT_SHARES[0] * self.longest, 3.0 * self.longest
         return (
@@ -273,21 +196,21 @@ class WarmUp(Drift):
         )
 
     @property
-    def null_values(self) -> tuple[float, ...]:
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (0.0, self.scale[1])
 
     @property
-    def scale(self) -> tuple[float, ...]:
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.size, 0.2 * self.longest)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`."""
         tau = TIME_CONSTANT_SHARES * self.longest
         return [(self, np.column_stack([np.full(len(tau), self.size), tau]))]
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         seconds = np.asarray(rows["session_seconds"], float)
 
@@ -318,18 +241,18 @@ class SuddenChange(GenericCause):
     columns = ("session", "session_seconds")
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         moment = replace(moment_parameter(self.session), unit=TableUnit(self.time_unit))
         meaning = "change of the response"
         return CauseParameter("A", TableUnit(self.unit), meaning, session=self.session), moment
 
     @property
-    def scale(self) -> tuple[float, ...]:
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.size, 1.0)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`."""
         return [
             (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
@@ -337,14 +260,14 @@ class SuddenChange(GenericCause):
             if self.session in ("", session)
         ]
 
-    def changes(self, law: Any, rows: Mapping[str, Any], values: Array, trials: Array) -> Array:
+    def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
         """See `GenericCause`: all moments at once."""
         inside = np.asarray(rows["session"], dtype=object) == self.session
         sign = direction_sign(rows, self.direction, self.labels) if self.direction else np.ones(len(values))
         seconds = np.asarray(rows["session_seconds"], float)
         return trials[:, 0] * (inside * sign)[:, None] * (seconds[:, None] >= trials[:, 1])
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         inside = np.asarray(rows["session"], dtype=object) == self.session
         seconds = np.asarray(rows["session_seconds"], float)
@@ -387,7 +310,7 @@ class Covariate(GenericCause):
         return (self.column,)
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return tuple(
             CauseParameter(f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range")
@@ -398,11 +321,11 @@ class Covariate(GenericCause):
         """See `GenericCause`: the coefficients of a curve are left out."""
         return {"column": self.column, "opposite": super().quantities({})["opposite"]}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: the higher the order, the smaller."""
         return [(self, self.size * np.diag(1.0 / np.arange(1, self.order + 1)))]
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)
         angle = np.arccos(np.clip(x, -1.0, 1.0))
@@ -457,7 +380,7 @@ class PeriodicPosition(GenericCause):
         return (self.column,)
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         unit = TableUnit(self.unit)
         return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
@@ -466,7 +389,7 @@ class PeriodicPosition(GenericCause):
         """See `GenericCause`."""
         return {**super().quantities(sizes), "column": self.column, "period": self.period}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
         position = rows[self.column].to_numpy(float)
         extent = float(np.ptp(position))
@@ -474,7 +397,7 @@ class PeriodicPosition(GenericCause):
         periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
         return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
         return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
@@ -501,11 +424,11 @@ class DirectionOffset(GenericCause):
         return (self.direction,)
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (CauseParameter("d", TableUnit(self.unit), "half the difference of the two directions"),)
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         return linear_term(np.ones((len(np.asarray(rows[self.direction])), 1)))
 
@@ -526,7 +449,7 @@ class Outliers(GenericCause):
     columns = ()
 
     @property
-    def parameters(self) -> tuple[CauseParameter, ...]:
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (
             CauseParameter("share", "%", "of the values", lower=0.0, upper=1.0),
@@ -537,11 +460,11 @@ class Outliers(GenericCause):
         """See `GenericCause`."""
         return {"one_in": f"{round(1 / sizes['share'].size.estimate):,}", "size": sizes["size"]}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: none, as such values deviate independently."""
         return []
 
-    def term(self, rows: Mapping[str, Any]) -> Term:
+    def term(self, rows: Rows) -> Term:
         """See `GenericCause`: nothing is added."""
         return linear_term(np.zeros((len(rows), 2)))
 

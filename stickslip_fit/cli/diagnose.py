@@ -253,8 +253,8 @@ def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
     """The most informative next traverses."""
     from stickslip_fit.diagnosis import diagnose, next_experiment
     from stickslip_fit.diagnosis._design_summary import summarize_next
-    from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
     from stickslip_fit.diagnosis._json import traverse_to_json
+    from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 
     diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
     traverses = next_experiment(diagnosis)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import chdtrc, poch, stdtrit
 
 from stickslip_fit._typing import Array, IntArray
@@ -44,6 +45,7 @@ MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
 )  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
+MIN_ECHO_SD = 4.0  # of an outlier in autocorrelated noise, the larger ones and their traces subtracted
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection
 MIN_LOG_RATIO = 0.5  # nats; noise alone often gives as much and need not be simulated
 
@@ -180,9 +182,25 @@ def find_outliers(
     rows = test.known[odds[0] > 1.0]
     if not len(rows):
         return Outliers(rows, 1.0)
+    if linearized.noise_filter is not None:
+        rows = _without_echoes(linearized.noise_filter, residual, rows)
     allowed = [df for df, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - MAX_TAIL_LOG_RATIO]
     p_value = max(test.p_value(float(ratio[0]), df, n_simulations, rng) for df in allowed)
     return Outliers(rows, min(1.0, p_value + (TAIL_ERROR_RATE if len(allowed) < len(TAIL_DF) else 0.0)))
+
+
+def _without_echoes(noise_filter: csr_array, residual: Array, rows: IntArray) -> IntArray:
+    """Outlying rows without those in which only the filter's prediction from another one is off."""
+    traces, left = noise_filter[:, rows].toarray(), residual.copy()
+    lengths, found = np.linalg.norm(traces, axis=0), []
+    for _ in rows:
+        sizes = traces.T @ left / lengths
+        k = int(np.argmax(np.abs(sizes)))
+        if abs(sizes[k]) < MIN_ECHO_SD:
+            break
+        found.append(int(rows[k]))
+        left -= traces[:, k] * sizes[k] / lengths[k]
+    return np.array(sorted(set(found)), dtype=np.intp)
 
 
 class _OutlierTest:

@@ -194,7 +194,7 @@ def select_causes(
     misfires: list[SelectedCause] = []
     if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
         outliers = test.rows
-        problem = problem.without_rows(outliers)
+        problem = problem.without_rows(outliers).with_autocorrelation()
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
         misfires = [select_outliers(problem, outlier_p_value)]

@@ -22,13 +22,13 @@ import pandas as pd
 from stickslip_fit._input import format_path, read_file
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.generic import covariate_columns, explain_unusable, generic_causes
+from stickslip_fit.causes import generic
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
-from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, linearize_fit
+from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -40,6 +40,8 @@ from stickslip_fit.diagnosis.table_alternatives import (
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
+from stickslip_fit.estimation.table_law import fit_table_law
+from stickslip_fit.laws import Law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 MAX_BYTES = 2**29  # of a file
@@ -61,7 +63,7 @@ def diagnose_table(
     direction: str | None = None,
     group: str | None = None,
     causes: Iterable[Any] = (),
-    generic: Iterable[Any] | None = None,
+    generic_causes: Iterable[Any] | None = None,
     shared: Iterable[str] | str | None = None,
     alpha: float = 0.01,
     seed: int = 0,
@@ -88,8 +90,8 @@ def diagnose_table(
         and of what belongs together.
     causes : iterable of Cause, optional
         Candidates beside the generic ones.
-    generic : iterable, optional
-        In place of all of `generic_causes`; ``()`` for none.
+    generic_causes : iterable of Cause, optional
+        In place of all of `causes.generic_causes`; ``()`` for none.
     shared : iterable of str or "all", optional
         Parameters of the law with one value for the whole table; by default what the law says.
     alpha : float, optional
@@ -115,7 +117,7 @@ def diagnose_table(
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
     progress("fitting the law", 0.0)
     problem, missing = problem_from_table(
-        table, law, response=response, roles=roles, causes=causes, generic=generic
+        table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
     )
     diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
     info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
@@ -153,7 +155,7 @@ def fit_table(
     roles = TableRoles(session, time)
     if shared is not None:
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
-    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic=())
+    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
     correlated = problem.with_autocorrelation()
     linearized = correlated.linearize()
     factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
@@ -169,13 +171,13 @@ def problem_from_table(
     response: str | None = None,
     roles: TableRoles | None = None,
     causes: Iterable[Any] = (),
-    generic: Iterable[Any] | None = None,
+    generic_causes: Iterable[Any] | None = None,
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
     """A table under a law, fitted to each session.
 
     Parameters
     ----------
-    frame, law, response, causes, generic
+    frame, law, response, causes, generic_causes
         As of `diagnose_table`.
     roles : TableRoles, optional
 
@@ -200,9 +202,9 @@ def problem_from_table(
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
     sample = number_samples(seconds, session) if roles.time else None
-    own = generic_causes(rows, bound, roles) if generic is None else tuple(generic)
-    candidates = _bind_causes((*causes, *own), bound, rows)
-    columns = numeric_columns(rows, bound, roles, covariate_columns(rows, bound, roles))
+    built = generic.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
+    candidates = _bind_causes((*causes, *built), bound, rows)
+    columns = numeric_columns(rows, bound, roles, generic.covariate_columns(rows, bound, roles))
     problem = DiagnosisProblem(
         rows=rows,
         parts=(part,),
@@ -217,7 +219,7 @@ def problem_from_table(
         n_shared=bound.n_shared,
         outlier_cause="outliers",
     )
-    missing = _explain_missing(rows, bound, roles) if generic is None else {}
+    missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
     return (problem if sample is None else with_samples(problem, sample)), missing
 
 
@@ -297,8 +299,6 @@ def _hash_frame(frame: pd.DataFrame) -> str:
 def as_law(law: Any) -> Any:
     """A law from a formula, or the law itself."""
     if isinstance(law, str):
-        from stickslip_fit.laws.formula import Law
-
         return Law(law)
     return law
 
@@ -307,31 +307,24 @@ def _bind_law(law: Any, frame: pd.DataFrame, response: str | None, roles: TableR
     law = as_law(law)
     if hasattr(law, "bind_table"):
         return law.bind_table(frame, response=response, session=roles.session)
-    if all(hasattr(law, name) for name in ("model", "predict", "response", "parameters", "start_values")):
-        return law
     raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
 
 
 def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
     """The law fitted to each session, and the standard deviation of what it leaves."""
-    n, p = len(rows), len(law.parameters)
-    own = p - law.n_shared
-    block = pd.factorize(rows["session"])[0].astype(np.intp) if own else np.zeros(n, dtype=np.intp)
-    start = np.broadcast_to(np.asarray(law.start_values(rows, y), dtype=float), (n, p)).copy()
+    size = float(np.std(y)) or 1.0
+    scale = np.full(len(rows), size)
     part = LawBlock(
         law,
-        np.arange(n),
-        block,
-        start,
+        np.arange(len(rows)),
+        pd.factorize(rows["session"])[0].astype(np.intp),
+        fit_table_law(law, rows, y, scale),
         np.array([one.lower for one in law.parameters]),
         np.array([one.upper for one in law.parameters]),
     )
-    size = float(np.std(y)) or 1.0
-    scale = np.full(n, size)
-    fit = fit_extended(rows, [part], y, scale, (), np.zeros(0), n_shared=law.n_shared)
-    df = max(linearize_fit(rows, fit.parts, y, scale, shared=law.n_shared).df, 1)
-    sd = float(np.sqrt(np.sum(fit.residual**2) / df))
-    return fit.parts[0], max(sd, MIN_RELATIVE_SD * size)
+    residual = y - law.predict(rows, part.values)
+    df = max(linearize_fit(rows, (part,), y, scale, shared=law.n_shared).df, 1)
+    return part, max(float(np.sqrt(np.sum(residual**2) / df)), MIN_RELATIVE_SD * size)
 
 
 def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[Any, ...]:
@@ -357,7 +350,7 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing["offset-by-direction"] = NO_DIRECTION
     used = {*law.columns, *response_columns(law), *roles.columns.values(), "session", "session_seconds", "joint"}
     for name in map(str, rows.columns):
-        why = None if name in used else explain_unusable(rows, name)
+        why = None if name in used else generic.explain_unusable(rows, name)
         if why is not None:
             missing[COVARIATE_PREFIX + name] = why
     return missing

@@ -18,7 +18,6 @@ import pandas as pd
 from stickslip_fit._expression import parse_expression
 from stickslip_fit._function import NumericFunction
 from stickslip_fit._io import write_atomically
-from stickslip_fit._typing import Array
 from stickslip_fit.causes import generic
 from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
