@@ -33,8 +33,9 @@ from stickslip_fit.units import TableUnit
 BY_DIRECTION = "-by-direction"
 TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
 COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
-MIN_VALUES = 4  # different ones of a column, for an effect that follows it smoothly
-TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0])  # of the longest session
+MAX_SESSIONS = 50  # that may each have an offset of their own
+# Of the longest session; what takes longer is a drift.
+TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35])
 MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
 
 Term = Callable[[Array], tuple[Array, Array]]
@@ -286,8 +287,8 @@ class Covariate(GenericCause):
     column: str = ""
     low: float = -1.0
     high: float = 1.0
+    order: int = COVARIATE_ORDER
 
-    order: ClassVar[int] = COVARIATE_ORDER
     base_phrase = "the response follows a column of the table"
     physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
     shows_best = "one condition at the lowest and at the highest values of the column"
@@ -313,7 +314,9 @@ class Covariate(GenericCause):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return tuple(
-            CauseParameter(f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range")
+            CauseParameter(
+                f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range"
+            )
             for k in range(1, self.order + 1)
         )
 
@@ -336,7 +339,8 @@ class Covariate(GenericCause):
 class PositionDependence(Covariate):
     """As `Covariate`, of the position, and less smooth."""
 
-    order = POSITION_ORDER
+    order: int = POSITION_ORDER
+
     base_phrase = "the response depends on the position"
     physics = (
         "Guides, bearings and magnets are not the same everywhere: friction, play and stiffness change along "
@@ -410,7 +414,9 @@ class DirectionOffset(GenericCause):
     base_phrase = "the response is not the same in both directions"
     physics = "Friction, play and hysteresis change their sign with the direction of motion."
     shows_best = "one condition in both directions, again and again"
-    sentence = "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    sentence = (
+        "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    )
     remedy = "always coming from the same side"
 
     @property
@@ -431,6 +437,42 @@ class DirectionOffset(GenericCause):
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         return linear_term(np.ones((len(np.asarray(rows[self.direction])), 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionOffset(GenericCause):
+    """Each session has an offset of its own."""
+
+    sessions: tuple[str, ...] = ()
+
+    base_name = "offset-by-session"
+    base_phrase = "the response is not the same in every session"
+    physics = "What is mounted, charged or set anew before a session is never quite as it was before."
+    shows_best = "one condition in every session"
+    sentence = "The response is higher in some sessions than in others"
+    remedy = "calibrating each session"
+    combine_trials = True
+    columns = ("session",)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`: the first session has none."""
+        unit = TableUnit(self.unit)
+        meaning = f"offset beside session {self.sessions[0]}" if self.sessions else ""
+        return tuple(CauseParameter("d", unit, meaning, session=one) for one in self.sessions[1:])
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return [(self, self.size * np.eye(len(self.parameters)))]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        session = np.asarray(rows["session"], dtype=object).astype(str)
+        return linear_term((session[:, None] == np.array(self.sessions[1:])).astype(float))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -488,13 +530,15 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
             both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
         both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
     for column in covariate_columns(rows, law, roles):
-        low, high = float(rows[column].min()), float(rows[column].max())
-        both.append(Covariate(unit=unit, size=size, column=column, low=low, high=high))
-    if roles.position and rows[roles.position].nunique() >= MIN_VALUES:
-        low, high = float(rows[roles.position].min()), float(rows[roles.position].max())
-        both.append(PositionDependence(unit=unit, size=size, column=roles.position, low=low, high=high))
-        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=low))
+        both.append(Covariate(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
+    if roles.position and rows[roles.position].nunique() > 1:
+        place = _range(rows[roles.position], POSITION_ORDER)
+        both.append(PositionDependence(unit=unit, size=size, **place))
+        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=place["low"]))
     causes = list(both)
+    sessions = tuple(map(str, rows["session"].unique()))
+    if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
+        causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
     if roles.direction:
         labels = direction_labels(rows[roles.direction])
         opposite = partial(replace, direction=roles.direction, labels=labels)
@@ -503,14 +547,20 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
     return (*causes, Outliers(unit=unit, size=size))
 
 
+def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:
+    """What a polynomial over a column needs; its order is less than the number of the column's values."""
+    low, high = float(cells.min()), float(cells.max())
+    return {"column": str(cells.name), "low": low, "high": high, "order": min(order, cells.nunique() - 1)}
+
+
 def covariate_columns(rows: pd.DataFrame, law: Any, roles: TableRoles) -> list[str]:
     """Columns of finite numbers that neither the law nor a role uses, and that vary within sessions."""
     used = {*law.columns, *roles.columns.values(), "session", "session_seconds", "joint"}
     columns = [str(name) for name in rows.columns if name not in used]
-    return [name for name in columns if explain_unusable(rows, name) is None]
+    return [name for name in columns if explain_unusable(rows, law, name) is None]
 
 
-def explain_unusable(rows: pd.DataFrame, name: str) -> str | None:
+def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
     """Why the response cannot be seen to follow a column, None where it can."""
     cells = rows[name]
     if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
@@ -518,9 +568,10 @@ def explain_unusable(rows: pd.DataFrame, name: str) -> str | None:
     values = cells.to_numpy(dtype=float, na_value=np.nan)
     if not np.isfinite(values).all():
         return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
-    if len(np.unique(values)) < MIN_VALUES:
-        return f"it has fewer than {MIN_VALUES} different values"
+    if np.ptp(values) == 0:
+        return "it is the same in every row"
     by_session = pd.Series(values).groupby(rows["session"].to_numpy())
-    if not (by_session.max() > by_session.min()).any():
+    own = len(law.parameters) > law.n_shared
+    if own and not (by_session.max() > by_session.min()).any():
         return "it is the same within every session, and each session has parameters of its own"
     return None

@@ -7,7 +7,7 @@ the session's first row; NaN where the order of the rows means nothing).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -19,6 +19,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue, shorten
 
 ORDER = "order"
+BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
 MAX_LISTED = 3  # faulty cells of a column, and columns of a table
 OWN_COLUMNS = {
     "session": "the session of each row",
@@ -75,7 +76,10 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     if not isinstance(frame, pd.DataFrame):
         raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
     names = [str(name) for name in frame.columns]
-    roles, numbers = find_order(roles, names), tuple(dict.fromkeys(numbers))
+    numbers = tuple(dict.fromkeys(numbers))
+    for role, name in roles.columns.items():
+        if not isinstance(name, str):
+            raise InputError(f"{role} names a column of the table, so it is text, not {name!r}")
     repeated = sorted({name for name in names if names.count(name) > 1})
     issues = [InputIssue("stands more than once in the table; rename one", column=name) for name in repeated]
     if not len(frame):
@@ -98,8 +102,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
         raise InputError(issues)
     cells = dict.fromkeys([*numbers, *([roles.position] if roles.position else [])])
     issues += [issue for name in cells for issue in find_bad_numbers(frame[name])]
-    for name in {roles.session, roles.group, roles.direction} - {None}:
-        issues += _find_empty(frame[str(name)])
+    for name in filter(None, dict.fromkeys([roles.session, roles.group, roles.direction])):
+        issues += _find_empty(frame[name])
     if roles.direction and not issues:
         issues += _check_direction(frame[roles.direction])
     seconds, time_issues = _read_time(frame, roles)
@@ -119,14 +123,6 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     return rows
 
 
-def find_order(roles: TableRoles, names: Iterable[str]) -> TableRoles:
-    """The same roles; InputError if one that should name a column is no text."""
-    for role, name in roles.columns.items():
-        if not isinstance(name, str):
-            raise InputError(f"{role} names a column of the table, so it is text, not {name!r}")
-    return roles
-
-
 def _columns_of(roles: TableRoles) -> dict[str, str]:
     return {role: name for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
 
@@ -135,7 +131,9 @@ def _explain_unknown(name: str, by: str, names: list[str]) -> InputIssue:
     similar = get_close_matches(name, names, 1, 0.5)
     hint = f"did you mean {shorten(similar[0])}? " if similar else ""
     shown = ", ".join(map(shorten, names[:40])) + (" ..." if len(names) > 40 else "")
-    return InputIssue(f"{by} names it, and the table has no such column; {hint}its columns are {shown}", column=name)
+    return InputIssue(
+        f"{by} names it, and the table has no such column; {hint}its columns are {shown}", column=name
+    )
 
 
 def find_bad_numbers(cells: pd.Series[Any]) -> list[InputIssue]:
@@ -158,7 +156,9 @@ def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[Inp
         for place in places[:MAX_LISTED].tolist()
     ]
     if len(places) > MAX_LISTED:
-        more = f"{len(places) - MAX_LISTED:,} more cells of it {message.split(';')[0].replace('is ', 'are ', 1)}"
+        more = (
+            f"{len(places) - MAX_LISTED:,} more cells of it {message.split(';')[0].replace('is ', 'are ', 1)}"
+        )
         issues.append(InputIssue(more, column=str(cells.name)))
     return issues
 
@@ -180,9 +180,7 @@ def _read_time(frame: pd.DataFrame, roles: TableRoles) -> tuple[Array, list[Inpu
         return np.arange(len(frame), dtype=float), []
     cells = frame[roles.time]
     if not pd.api.types.is_numeric_dtype(cells):
-        times = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601") if cells.dtype == object or (
-            pd.api.types.is_string_dtype(cells)
-        ) else pd.to_datetime(cells, errors="coerce", utc=True)
+        times = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
         message = "is no time; write seconds, or times such as 2024-05-31T14:02:07.5"
         issues = _list_cells(cells, times.isna().to_numpy(), message)
         seconds = (times - times.min()).dt.total_seconds().to_numpy()
@@ -216,5 +214,5 @@ def direction_labels(cells: pd.Series[Any]) -> tuple[str, ...]:
     """
     if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
         return ()
-    backward: Callable[[str], bool] = lambda value: value.lower() in ("-", "backward", "down", "left", "false")  # noqa: E731
-    return tuple(sorted(map(str, pd.unique(cells)), key=lambda value: (not backward(value), value)))
+    values = map(str, pd.unique(cells))
+    return tuple(sorted(values, key=lambda value: (value.lower() not in BACKWARD, value)))

@@ -41,9 +41,9 @@ class TableCause(Cause):
 
     stage: Stage = "term"
     target: str = ""
-    joints: tuple[int, ...] = (1,)
-    physics: str = ""
-    shows_best: str = ""
+    joints = (1,)
+    physics = ""
+    shows_best = ""
 
     @abstractmethod
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -187,7 +188,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     likelihood = _RestrictedLikelihood(linearized, border, sample)
     best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
     start, without_gain = np.zeros(0), 0
-    for order in range(1, min(MAX_ORDER, linked // ROWS_PER_ORDER) + 1):
+    for _ in range(min(MAX_ORDER, linked // ROWS_PER_ORDER)):
         start = likelihood.maximize(np.append(start, 0.0))
         value = likelihood.criterion(start)
         if value < best:
@@ -200,6 +201,8 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
 
 
 def _spanning(effects: Array) -> Array:
+    if not effects.shape[1]:
+        return effects
     left, singular, _ = np.linalg.svd(effects, full_matrices=False)
     return left[:, singular > 1e-6 * max(float(singular.max(initial=0.0)), 1e-300)]
 
@@ -225,14 +228,16 @@ class _RestrictedLikelihood:
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
         limit = float(np.arctanh(MAX_PARTIAL))
+        options: Any = {"maxiter": 30, "ftol": 1e-8, "eps": GRADIENT_STEP}
+
+        def of_transformed(z: Array) -> float:
+            return self.negative_log(np.tanh(z))
+
+        bounds = [(-limit, limit)] * len(start)
         result = minimize(
-            lambda z: self.negative_log(np.tanh(z)),
-            np.arctanh(start),
-            method="L-BFGS-B",
-            bounds=[(-limit, limit)] * len(start),
-            options={"maxiter": 30, "ftol": 1e-8, "eps": GRADIENT_STEP},
+            of_transformed, np.arctanh(start), method="L-BFGS-B", bounds=bounds, options=options
         )
-        return np.tanh(result.x)
+        return np.asarray(np.tanh(result.x))
 
     def negative_log(self, partial: Array) -> float:
         """Negative log likelihood, the noise's variance maximized out, but for a constant."""

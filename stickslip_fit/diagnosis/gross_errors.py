@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import (
     MIN_DF,
     Selection,
+    fits_exactly,
     predict_departures,
     select_outliers,
 )
@@ -48,6 +49,8 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     own = [part.values.shape[1] - problem.n_shared for part in problem.parts]
     blocks = [len(np.unique(part.block)) for part in problem.parts]
     if len(problem) - problem.n_shared - int(np.dot(own, blocks)) < MIN_DF:
+        return nothing
+    if fits_exactly(problem.linearize()):
         return nothing
     z, _ = fit_robustly(problem)
     p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))

@@ -178,9 +178,11 @@ class _Search:
 def _search(
     problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
 ) -> _Search:
-    problem = problem.with_autocorrelation()
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
+    if not too_small and problem.autocorrelation is not None:
+        problem = problem.with_autocorrelation()
+        linearized = problem.linearize()
     if too_small:
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
     else:

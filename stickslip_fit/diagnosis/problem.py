@@ -32,7 +32,7 @@ from stickslip_fit.diagnosis.linearized import (
     whiten,
 )
 from stickslip_fit.diagnosis.misfit import StructureRemoved
-from stickslip_fit.diagnosis.noise import NoiseEstimate, estimate_noise
+from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.logs import Log
@@ -74,6 +74,8 @@ class DiagnosisProblem:
         Of the noise of a sampled signal; None for rows that are no such signal.
     outlier_cause : str
         Name of the cause of outlying rows.
+    least_sd : float
+        Least standard deviation of the noise: with less, the law fits to within rounding.
     """
 
     rows: pd.DataFrame
@@ -89,6 +91,7 @@ class DiagnosisProblem:
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = MISFIRE
+    least_sd: float = MIN_SD
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -100,7 +103,7 @@ class DiagnosisProblem:
 
     @property
     def correlation(self) -> Array:
-        """Coefficients of the noise's autoregression, the nearest value first; empty for independent noise."""
+        """Coefficients of the noise's autoregression, of the nearest value first; empty where it has none."""
         return np.zeros(0) if self.autocorrelation is None else self.autocorrelation.coefficients
 
     @property
@@ -147,7 +150,9 @@ class DiagnosisProblem:
 
     def estimate_noise(self, linearized: LinearizedFit, left: StructureRemoved) -> NoiseEstimate:
         """The noise, from residuals without structure."""
-        return estimate_noise(linearized, left, self.rounding, self.noise_group, self.configuration)
+        return estimate_noise(
+            linearized, left, self.rounding, self.noise_group, self.configuration, self.least_sd
+        )
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""

@@ -53,6 +53,7 @@ MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; 
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
 MIN_DF = 10
+EXACT_TOL = 1e-3  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -444,8 +445,8 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, less "
-                f"than {MIN_TESTABLE_STRENGTH:.0f}"
+                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, "
+                f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable
 
@@ -470,19 +471,26 @@ def largest_strength(
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
+    if fits_exactly(linearized):
+        return "the law fits every row to within rounding: there is no scatter to compare anything with"
     if linearized.df >= MIN_DF:
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
     if not is_log(linearized):
         return (
-            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than those "
-            f"are needed; add {MIN_DF - linearized.df} in the same sessions"
+            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than "
+            f"those are needed; add {MIN_DF - linearized.df} in the same sessions"
         )
     return (
         f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "
         f"than those are needed; add {MIN_DF - linearized.df} in the same sessions and directions, "
         "replicates or new configurations"
     )
+
+
+def fits_exactly(linearized: LinearizedFit) -> bool:
+    """Whether a law leaves next to nothing of its noise."""
+    return len(linearized) > 0 and float(np.abs(linearized.residual).max()) < EXACT_TOL
 
 
 def is_log(linearized: LinearizedFit) -> bool:

@@ -1,9 +1,9 @@
 """diagnose_table: the diagnosis of any table under any law. `pipeline` has the mathematics.
 
-The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law fitted
-to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured alternatives
-(`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is estimated
-and removed (`autocorrelation`).
+The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law
+fitted to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured
+alternatives (`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is
+estimated and removed (`autocorrelation`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 MAX_BYTES = 2**29  # of a file
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
-MIN_RELATIVE_SD = 1e-9  # of the noise, relative to the response: rows that the law fits exactly
+MIN_RELATIVE_SD = 1e-9  # of the noise, relative to the largest response; less is rounding
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
@@ -193,11 +193,13 @@ def problem_from_table(
         As `diagnose_table`.
     """
     roles = TableRoles() if roles is None else roles
-    prepare_rows(frame, roles)
-    bound = _bind_law(law, frame, response, roles)
+    law = as_law(law)
+    prepare_rows(frame, roles, _find_columns(law, frame))
+    bound = law.bind_table(frame, response=response, session=roles.session)
     rows = prepare_rows(frame, roles, bound.columns)
     y, rounding = bound.response(rows)
     part, repeatability = _fit_law(bound, rows, y)
+    least_sd = MIN_RELATIVE_SD * (float(np.abs(y).max()) or 1.0)
     session = pd.factorize(rows["session"])[0].astype(np.intp)
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
@@ -211,13 +213,14 @@ def problem_from_table(
         responses=y,
         rounding=rounding,
         noise_group=np.zeros(len(rows), dtype=np.intp),
-        repeatability=np.array([repeatability]),
+        repeatability=np.array([max(repeatability, least_sd)]),
         causes=candidates,
         alternatives=TableAlternatives(columns, roles, sample is not None),
         configuration=group,
         noise_ratio=np.ones(len(rows)),
         n_shared=bound.n_shared,
         outlier_cause="outliers",
+        least_sd=least_sd,
     )
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
     return (problem if sample is None else with_samples(problem, sample)), missing
@@ -226,13 +229,13 @@ def problem_from_table(
 def with_samples(problem: DiagnosisProblem, sample: IntArray) -> DiagnosisProblem:
     """The problem with rows that are samples of a signal, numbered as by `number_samples`."""
     linearized = problem.linearize()
-    effects = [
-        linearized.project(one.changes)
-        for one in compute_finite_effects(linearized, problem.causes)
-        if not one.version.session
-    ]
+    effects: dict[str, list[Array]] = {}
+    for one in compute_finite_effects(linearized, problem.causes):
+        if not one.version.session:
+            effects.setdefault(one.cause, []).append(linearized.project(np.nan_to_num(one.changes)))
     most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
-    directions = leading_directions(effects, most) if effects else np.zeros((len(problem), 0))
+    columns = [np.concatenate(own, axis=1) for own in effects.values()]
+    directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
     scaled = directions * np.sqrt(len(problem)) * float(problem.repeatability[0])
     return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
 
@@ -284,7 +287,9 @@ def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str
     # pandas and pyarrow raise several kinds, all of them about the file.
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)) from None
+        raise InputError(
+            InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)
+        ) from None
     return table, {"file": name, "sha256": hashlib.sha256(raw).hexdigest(), "files": (str(frame),)}
 
 
@@ -298,16 +303,17 @@ def _hash_frame(frame: pd.DataFrame) -> str:
 
 def as_law(law: Any) -> Any:
     """A law from a formula, or the law itself."""
-    if isinstance(law, str):
-        return Law(law)
+    law = Law(law) if isinstance(law, str) else law
+    if not hasattr(law, "bind_table"):
+        raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
     return law
 
 
-def _bind_law(law: Any, frame: pd.DataFrame, response: str | None, roles: TableRoles) -> Any:
-    law = as_law(law)
-    if hasattr(law, "bind_table"):
-        return law.bind_table(frame, response=response, session=roles.session)
-    raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
+def _find_columns(law: Any, frame: pd.DataFrame) -> list[str]:
+    """The columns of a table that a law names; what else it names is checked when it is bound."""
+    left = getattr(law, "left", None)
+    names = (*getattr(law, "names", ()), *(left.names if left is not None else ()))
+    return [name for name in names if name in getattr(frame, "columns", ())]
 
 
 def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
@@ -324,13 +330,11 @@ def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
     )
     residual = y - law.predict(rows, part.values)
     df = max(linearize_fit(rows, (part,), y, scale, shared=law.n_shared).df, 1)
-    return part, max(float(np.sqrt(np.sum(residual**2) / df)), MIN_RELATIVE_SD * size)
+    return part, float(np.sqrt(np.sum(residual**2) / df))
 
 
 def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[Any, ...]:
-    bound = tuple(
-        cause.bind_table(law, rows) if hasattr(cause, "bind_table") else cause for cause in causes
-    )
+    bound = tuple(cause.bind_table(law, rows) if hasattr(cause, "bind_table") else cause for cause in causes)
     names = [cause.name for cause in bound]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
@@ -348,11 +352,16 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:
         missing["offset-by-direction"] = NO_DIRECTION
-    used = {*law.columns, *response_columns(law), *roles.columns.values(), "session", "session_seconds", "joint"}
+    used = {
+        *law.columns,
+        *response_columns(law),
+        *roles.columns.values(),
+        "session",
+        "session_seconds",
+        "joint",
+    }
     for name in map(str, rows.columns):
-        why = None if name in used else generic.explain_unusable(rows, name)
+        why = None if name in used else generic.explain_unusable(rows, law, name)
         if why is not None:
             missing[COVARIATE_PREFIX + name] = why
     return missing
-
-

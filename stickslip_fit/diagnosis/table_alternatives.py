@@ -33,6 +33,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.logs.history import previous_rows
 
+DIRECTION_TOL = 1e-3  # of the largest singular value
 PAIR_WAVES, MAX_PAIR_COLUMNS = 3, 7
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
 MIN_CYCLES = 10.0  # of a periodic disturbance in a session of a sampled signal
@@ -122,7 +123,9 @@ def smooth_waves(values: Array) -> Array:
     return np.stack([np.cos(np.pi * k * phase) / k for k in range(1, number + 1)], axis=-1)
 
 
-def numeric_columns(rows: pd.DataFrame, law: Any, roles: TableRoles, covariates: Sequence[str]) -> tuple[str, ...]:
+def numeric_columns(
+    rows: pd.DataFrame, law: Any, roles: TableRoles, covariates: Sequence[str]
+) -> tuple[str, ...]:
     """Columns on which the response may depend: the law's, the position, and further ones of numbers."""
     own = [name for name in law.columns if name in rows and name not in response_columns(law)]
     position = [roles.position] if roles.position else []
@@ -137,11 +140,8 @@ def response_columns(law: Any) -> tuple[str, ...]:
 
 
 def leading_directions(effects: Sequence[Array], most: int) -> Array:
-    """Directions that carry most of some effects, each shape (n, m_i), all of equal weight, shape (n, m)."""
-    lengths = [np.linalg.norm(one) for one in effects]
-    columns = [one / length for one, length in zip(effects, lengths, strict=True) if length > 0]
-    if not columns:
-        return np.zeros((len(effects[0]) if effects else 0, 0))
+    """Directions that carry most of some effects of equal weight, each shape (n, m_i); shape (n, m)."""
+    lengths = [float(np.linalg.norm(one)) for one in effects]
+    columns = [one / (length or 1.0) for one, length in zip(effects, lengths, strict=True)]
     left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
-    known = singular > 1e-3 * singular[0]
-    return np.asarray(left[:, known][:, :most])
+    return np.asarray(left[:, singular > DIRECTION_TOL * max(float(singular[0]), 1e-300)][:, :most])
