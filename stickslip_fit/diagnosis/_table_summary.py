@@ -114,20 +114,20 @@ def describe_independence(table: TableInfo) -> str:
     Examples
     --------
     >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0, 0.05))
-    'Its 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows (0.0500 s).'
+    'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows (0.0500 s).'
     >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
-    'The noise of its 600 values of F shows no autocorrelation: all count as independent.'
+    'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
     """
     if not table.is_correlated:
         return (
-            f"The noise of its {table.rows:,} values of {table.response} shows no autocorrelation: "
+            f"The noise of the {table.rows:,} values of {table.response} shows no autocorrelation: "
             "all count as independent."
         )
     span = f"{format_significant(table.correlation_rows, 2)} rows"
     if np.isfinite(table.correlation_time):
         span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
     return (
-        f"Its {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
+        f"The {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
         f"independent ones: the noise persists over {span}."
     )
 

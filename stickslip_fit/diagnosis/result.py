@@ -237,8 +237,26 @@ class Diagnosis(Summarized):
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_residuals
+        from stickslip_fit.plotting.table import plot_table_finding
 
+        if self.table is not None:
+            return collect_axes(plot_table_finding(self, self.table, finding))
         return collect_axes(plot_residuals(self, finding))
+
+    def plot_columns(self) -> AxesArray:
+        """Residuals before and after against every column of a table that varied.
+
+        Raises
+        ------
+        InputError
+            If the data were no table, or no column varies.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.table import plot_columns
+
+        if self.table is None:
+            raise InputError("plot_columns is for the diagnosis of a table; a log's report has this figure")
+        return collect_axes(plot_columns(self, self.table))
 
     def plot_ranking(self) -> AxesArray:
         """Probability of each cause, in each test of the residuals."""

@@ -282,6 +282,8 @@ def extend_problem(
     linearized = linearize(problem)
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     problem = problem.with_noise(problem.estimate_noise(linearized, left))
+    if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
+        fit = problem.fit_extended(versions, fit.values)
     return problem, fit, linearize(problem)
 
 
