@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stickslip_fit._typing import Array
     from stickslip_fit.bayes import Posterior
     from stickslip_fit.estimation import Result
+    from stickslip_fit.laws import StepLaw
     from stickslip_fit.logs import Log
     from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
@@ -368,13 +369,12 @@ def parse_drive(text: str, option: str) -> DriveCommand:
     return DriveCommand(int(match[1]), match[2], int(match[3]))
 
 
-def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
+def parse_bound(text: str, option: str, laws: Iterable[StepLaw]) -> tuple[str, tuple[float, float]]:
     """Bounds such as "c=0:" or "b=0.2:0.4": a parameter's name, lowest and highest value in its unit."""
     from stickslip_fit.causes import ExtendedLaw, library
-    from stickslip_fit.laws import Base, Elbow, Prismatic
+    from stickslip_fit.laws import Prismatic
     from stickslip_fit.units import to_si
 
-    laws = (Base, Elbow, Prismatic)
     law_units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
     cause_parameters = ExtendedLaw(Prismatic(), library()).cause_parameters
     units = law_units | {parameter.name: parameter.unit for parameter in cause_parameters}

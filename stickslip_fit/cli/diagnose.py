@@ -129,8 +129,8 @@ def plan(
             "--law",
             metavar="[JOINT=]LAW",
             parser=parse_path,
-            help="Of a log: a law of your own, as of `fit`. Of a plan: law file (TOML) or saved result; typical "
-            "values without it.",
+            help="Of a log: a law of your own, as of `fit`. Of a plan: law file (TOML) or saved result; "
+            "typical values without it.",
         ),
         INPUT,
     ] = None,

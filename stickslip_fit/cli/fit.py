@@ -145,6 +145,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
+    from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
         return _fit_bayes(log, options)
@@ -153,13 +154,14 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
         result = fit_closed_form(log, laws=options.laws, causes_from=known, command=command_line())
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
+        laws = choose_laws(log.usable, log.machine, options.laws).values() if options.bounds else ()
         result = fit_least_squares(
             log,
             laws=options.laws,
             causes=select_named_causes(options.causes, log),
             likelihood=likelihood,
             shared=options.campaign_wide,
-            bounds=dict(parse_bound(text, "--bound") for text in options.bounds),
+            bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
             repeatability=parse_repeatabilities(options.repeatability, "--repeatability"),
             command=command_line(),
         )
