@@ -113,5 +113,5 @@ REFUSED = {
 def test_what_needs_an_arm_is_refused_in_one_sentence(make, what):
     machine, log = make("another order")
     read = ssf.read_log(log, machine=load_machine(machine))
-    with pytest.raises(InputError, match="needs the arm's lengths"):
+    with pytest.raises(InputError, match="an arm of two rotary joints"):
         REFUSED[what](read, ssf.fit(read))
