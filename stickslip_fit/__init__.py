@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from stickslip_fit._workflow import calibrate, fit
     from stickslip_fit.anova import Anova, analyze_formula, analyze_variance
     from stickslip_fit.bayes import Posterior, load_posterior
-    from stickslip_fit.diagnosis import Diagnosis, diagnose, next_experiment
+    from stickslip_fit.causes import FormulaCause as Cause
+    from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, fit_table, next_experiment
     from stickslip_fit.errors import InputError
-    from stickslip_fit.estimation import Result, held_out_errors, load_result
+    from stickslip_fit.estimation import Result, TableFit, held_out_errors, load_result, load_table_fit
+    from stickslip_fit.laws import Law
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
     from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move, predict
@@ -41,9 +43,10 @@ _HOMES = {
     "_workflow": ("calibrate", "fit"),
     "anova": ("Anova", "analyze_formula", "analyze_variance"),
     "bayes": ("Posterior", "load_posterior"),
-    "diagnosis": ("Diagnosis", "diagnose", "next_experiment"),
+    "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
     "errors": ("InputError",),
-    "estimation": ("Result", "held_out_errors", "load_result"),
+    "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit"),
+    "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),
     "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "plan_move", "predict"),
@@ -52,10 +55,11 @@ _HOMES = {
     "strategies": ("Comparison", "compare_strategies"),
     "studies": ("SimulationStudy", "read_study", "run_study"),
 }
+_ALIASES = {"Cause": ("causes", "FormulaCause")}  # `causes.Cause` is what it becomes
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 _PACKAGES = ("causes", "laws")
 
-__all__ = sorted([*_HOME_OF, *_PACKAGES])
+__all__ = sorted([*_HOME_OF, *_ALIASES, *_PACKAGES])
 
 
 def __getattr__(name: str) -> Any:
@@ -63,9 +67,10 @@ def __getattr__(name: str) -> Any:
 
     if name in _PACKAGES:
         return import_module(f"{__name__}.{name}")
-    if name not in _HOME_OF:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    home, own = _ALIASES.get(name) or (_HOME_OF[name], name)
+    return getattr(import_module(f"{__name__}.{home}"), own)
 
 
 def __dir__() -> list[str]:

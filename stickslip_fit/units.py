@@ -34,6 +34,12 @@ class Interval:
         return Interval(self.estimate * factor, self.low * factor, self.high * factor)
 
 
+class TableUnit(str):
+    """The unit of a table's column or parameter, any text: numbers in it are shown as they are."""
+
+    __slots__ = ()
+
+
 PRISMATIC = 3
 JOINTS = (1, 2, PRISMATIC)
 
@@ -112,6 +118,8 @@ def to_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
     >>> to_si(20.0, "°C")
     293.15
     """
+    if isinstance(symbol, TableUnit):
+        return value
     unit = UNITS[symbol]
     return value * unit.numerator / unit.denominator + unit.offset
 
@@ -124,8 +132,10 @@ def from_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
     >>> from_si(9.5e-05, "µrad")
     95.0
     """
+    if isinstance(symbol, TableUnit):
+        return value
     unit = UNITS[symbol]
     return (value - unit.offset) * unit.denominator / unit.numerator
 
 
-__all__ = ["JOINTS", "PRISMATIC", "SUFFIXES", "UNITS", "Interval", "Unit", "from_si", "to_si"]
+__all__ = ["JOINTS", "PRISMATIC", "SUFFIXES", "UNITS", "Interval", "TableUnit", "Unit", "from_si", "to_si"]

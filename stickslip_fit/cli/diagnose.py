@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,13 +15,16 @@ from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     Force,
     Json,
+    LawNames,
     LogPath,
     MachinePath,
     Since,
     Until,
     check_chart,
+    check_savable,
     command_line,
     load_law_values,
+    load_laws,
     load_log,
     parse_path,
     reference_law,
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
 
 def anova(
     log: LogPath,
-    joint: Annotated[int | None, typer.Option(min=1, max=3, help="This joint only.")] = None,
+    joint: Annotated[int | None, typer.Option(min=1, help="This joint only.")] = None,
     session: Annotated[str | None, typer.Option(help="This session only.")] = None,
     formula: Annotated[
         str | None, typer.Option(help="A model formula, e.g. 'step_size ~ C(session) * direction'.")
@@ -86,17 +89,88 @@ def diagnose(
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     campaign = load_log(log, machine, since, until)
-    result = diagnose_with_progress(campaign, alpha, seed)
+    laws = load_laws(law, campaign.joints)
+    check_savable(campaign, laws, save_law)
+    result = diagnose_with_progress(campaign, alpha, seed, laws)
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
-    law = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
+    extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
+    print("\n\n".join(filter(None, [str(result), "\n".join(saved), extended])))
+
+
+def diagnose_table(
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="Table: CSV or Parquet, a row for each measurement."), INPUT
+    ],
+    law: Annotated[
+        Path, typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."), INPUT
+    ],
+    session: Annotated[
+        str | None, typer.Option(help="Column: rows with equal values share the law's own parameters.")
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(help="Column of seconds or times of day; 'order': rows are in order of measurement."),
+    ] = None,
+    position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
+    direction: Annotated[str | None, typer.Option(help="Column: which way it moves.")] = None,
+    group: Annotated[str | None, typer.Option(help="Column: what belongs together, held out as a whole.")] = None,
+    json: Json = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Also show it as one HTML page here, with figures."),
+        Output(),
+    ] = None,
+    save_law: Annotated[
+        Path | None,
+        typer.Option("--save-law", help="Also save the law extended by the causes found here (JSON)."),
+        Output(),
+    ] = None,
+    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+) -> None:
+    """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
+
+    An example, with `F ~ M*acc + Fv*vel + Fc*sign(vel)` in friction.toml as its formula, and bench.csv with
+    the columns t, vel, acc and F:
+
+    stickslip-fit diagnose-table bench.csv --law friction.toml --time t --report bench.html
+
+    Roles of columns may stand in the law file, under [roles]; an option goes before.
+    """
+    from stickslip_fit._io import show_progress
+    from stickslip_fit.causes import read_law_file
+    from stickslip_fit.diagnosis import diagnose_table as diagnose
+
+    file = read_law_file(law)
+    given = {
+        "session": session,
+        "time": time,
+        "position": position,
+        "direction": direction,
+        "group": group,
+    }
+    roles = {**file.roles, **{role: column for role, column in given.items() if column is not None}}
+    with show_progress() as progress:
+        result = diagnose(data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles)
+    saved = save_diagnosis_outputs(result, json, report)
+    if save_law is not None:
+        result.extended_law(command=command_line()).save(save_law)
+        saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
+    print("\n\n".join(filter(None, [str(result), "\n".join(saved)])))
+
+
+def describe_extension(diagnosis: Diagnosis) -> str:
+    """Whether the law was extended, and by what."""
+    names = [finding.cause for finding in diagnosis.findings if finding.version is not None]
+    return f"extended by {', '.join(names)}" if names else "as it was, since no cause was named"
 
 
 class ThesisPlan(StrEnum):
@@ -118,8 +192,14 @@ def plan(
         INPUT,
     ] = None,
     law: Annotated[
-        Path | None,
-        typer.Option(help="Of a plan: law file (TOML) or saved result; typical values without it."),
+        list[Path] | None,
+        typer.Option(
+            "--law",
+            metavar="[JOINT=]LAW",
+            parser=parse_path,
+            help="Of a log: a law of your own, as of `fit`. Of a plan: law file (TOML) or saved result; "
+            "typical values without it.",
+        ),
         INPUT,
     ] = None,
     machine: MachinePath = None,
@@ -158,7 +238,7 @@ def plan(
         raise InputError("name a LOG or a PLAN, or a procedure of the thesis with --thesis")
     if output is not None:
         raise InputError("--output is for --thesis; save proposed traverses with --json")
-    check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
+    check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until})
     check_chart(chart)
     if is_plan(source):
         from stickslip_fit.logs.plan_reader import read_plan
@@ -166,10 +246,13 @@ def plan(
 
         geometry = load_machine(machine)
         planned = read_plan(source[0], geometry)
-        truth = load_law_values(law or reference_law(), geometry, planned)
+        if law and len(law) > 1:
+            raise InputError("give one --law: of a plan it is a law file or a saved result")
+        truth = load_law_values(law[0] if law else reference_law(), geometry, planned)
         advice = advise_before_data(planned, truth, geometry, alpha, seed)
     else:
-        advice = advise_after_log(load_log(source, machine, since, until), alpha, seed)
+        campaign = load_log(source, machine, since, until)
+        advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
     print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
 
@@ -187,13 +270,15 @@ def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
         print(f"plan written to {output}")
 
 
-def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
+def diagnose_with_progress(
+    log: Log, alpha: float = 0.01, seed: int = 0, laws: Mapping[int, Any] | None = None
+) -> Diagnosis:
     """Diagnose a log, with a progress bar at a terminal."""
     from stickslip_fit._io import show_progress
     from stickslip_fit.diagnosis import diagnose
 
     with show_progress() as progress:
-        return diagnose(log, alpha=alpha, seed=seed, progress=progress)
+        return diagnose(log, laws=laws, alpha=alpha, seed=seed, progress=progress)
 
 
 def save_extended_law(law: Result, path: Path) -> str:
@@ -204,7 +289,7 @@ def save_extended_law(law: Result, path: Path) -> str:
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)
-    kind = f"extended by {names}" if names else "published, since no cause was named"
+    kind = f"extended by {names}" if names else "as it was, since no cause was named"
     return f"law ({kind}) saved to {path}"
 
 
@@ -249,14 +334,14 @@ def check_plan_options(paths: list[Path], of_plan: dict[str, object], of_log: di
             raise InputError(f"{option} belongs to {kind}; leave it out here")
 
 
-def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
+def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] | None = None) -> PlanAdvice:
     """The most informative next traverses."""
     from stickslip_fit.diagnosis import diagnose, next_experiment
     from stickslip_fit.diagnosis._design_summary import summarize_next
+    from stickslip_fit.diagnosis._json import traverse_to_json
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
-    from stickslip_fit.diagnosis.result import traverse_to_json
 
-    diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
+    diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False)
     traverses = next_experiment(diagnosis)
     inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
     suggestions = suggest_traverses(diagnosis)

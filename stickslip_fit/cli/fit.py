@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,7 @@ from stickslip_fit.cli._options import (
     Chart,
     Condition,
     Json,
+    LawNames,
     LogPath,
     MachinePath,
     Method,
@@ -27,9 +28,11 @@ from stickslip_fit.cli._options import (
     Theta,
     Until,
     check_chart,
+    check_savable,
     command_line,
     load_arm,
     load_fit,
+    load_laws,
     load_log,
     parse_bound,
     parse_drive,
@@ -72,6 +75,8 @@ class EstimatorOptions:
         Names of causes to fit with the laws; not by the closed form.
     causes_from : Path or None
         Of the closed form: a saved result whose causes are known.
+    laws : mapping of int to law
+        Laws of one's own, by joint.
     """
 
     method: Method
@@ -84,6 +89,7 @@ class EstimatorOptions:
     chains: Path | None = None
     causes: tuple[str, ...] = ()
     causes_from: Path | None = None
+    laws: Mapping[int, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -139,21 +145,24 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
+    from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
         return _fit_bayes(log, options)
     if options.method is Method.closed_form:
-        known = load_result(options.causes_from) if options.causes_from else None
-        result = fit_closed_form(log, causes_from=known, command=command_line())
+        known = load_result(options.causes_from, laws=options.laws) if options.causes_from else None
+        result = fit_closed_form(log, laws=options.laws, causes_from=known, command=command_line())
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
+        laws = choose_laws(log.usable, log.machine, options.laws).values() if options.bounds else ()
         result = fit_least_squares(
             log,
+            laws=options.laws,
             causes=select_named_causes(options.causes, log),
             likelihood=likelihood,
             shared=options.campaign_wide,
-            bounds=dict(parse_bound(text, "--bound") for text in options.bounds),
-            repeatability=parse_repeatabilities(options.repeatability, "--repeatability"),
+            bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
+            repeatability=parse_repeatabilities(options.repeatability, "--repeatability", log.machine.joints),
             command=command_line(),
         )
     summary = result.summary()
@@ -174,13 +183,12 @@ def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
     InputError
         For an unknown name and for a cause that the log cannot show, with those that it can.
     """
-    from stickslip_fit.causes import covariates, library
+    from stickslip_fit.causes import covariates, explain_missing, library
 
     rows = log.usable
     known = {cause.name: cause for cause in (*library(), *covariates(rows))}
-    missing = {
-        name: reason for name, cause in known.items() if (reason := cause.explain_missing(rows)) is not None
-    }
+    reasons = {name: explain_missing(cause, rows, log.machine) for name, cause in known.items()}
+    missing = {name: reason for name, reason in reasons.items() if reason is not None}
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
     issues = [
@@ -222,6 +230,7 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     causes = select_named_causes(options.causes, log)
     posterior = fit_bayes(
         log,
+        laws=options.laws,
         causes=causes,
         seed=options.seed,
         backend=options.chains,
@@ -247,6 +256,7 @@ def plan_move(
     theta: Theta = 0.0,
     psi: Psi = 0.0,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Compute the steps that take the tip to a position, or the joints."""
@@ -254,7 +264,7 @@ def plan_move(
     from stickslip_fit.machine import nearest_solution
     from stickslip_fit.reporting.moves import format_move
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     start = parse_positions(at, "--at")
     if (tip is None) == (joints is None):
         raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
@@ -279,6 +289,7 @@ def dead_reckon(
     theta: Theta = 0.0,
     psi: Psi = 0.0,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
@@ -286,7 +297,7 @@ def dead_reckon(
     from stickslip_fit.reporting.moves import format_pose
     from stickslip_fit.units import to_si
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     drives = [parse_drive(text, "--drive") for text in drive]
     pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
     print(format_pose(arm, pose, to_si(tolerance, "µm")))
@@ -303,6 +314,7 @@ def print_conditions(result: Result, conditions: Mapping[str, float]) -> None:
 
 def calibrate(
     log: LogPath,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -312,12 +324,13 @@ def calibrate(
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
-    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart))
+    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart))
 
 
 def fit(
     log: LogPath,
     method: Annotated[Method, typer.Option(help="Estimator.")] = Method.least_squares,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -362,7 +375,7 @@ def fit(
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
-    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart, tree))
+    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart, tree))
 
 
 def predict(
@@ -373,6 +386,7 @@ def predict(
     ] = None,
     session: Session = None,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Predict the counts of a plan's traverses, with 95 % intervals."""
@@ -381,7 +395,7 @@ def predict(
     from stickslip_fit.moves.prediction import predict
     from stickslip_fit.reporting.moves import format_predictions, predictions_csv
 
-    fitted, result = load_fit(calibration, machine)
+    fitted, result = load_fit(calibration, machine, law)
     planned = read_plan(plan, result.machine)
     conditions = parse_plan_conditions(condition, result)
     predicted = predict(fitted, planned, session, conditions)
@@ -395,10 +409,14 @@ def predict(
 
 def _fit_and_print(
     source: tuple[list[Path], Path | None, str | None, str | None],
+    law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,
 ) -> None:
     check_fit_options(options, outputs)
-    estimate = estimate_laws(load_log(*source), options)
+    log = load_log(*source)
+    options = replace(options, laws=load_laws(law, log.joints))
+    check_savable(log, options.laws, outputs.json or outputs.tree)
+    estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)
     print("\n\n".join(filter(None, [estimate.text, "\n".join(saved)])))

@@ -1,4 +1,4 @@
-"""A diagnosis as a summary: the conclusion and what to do about it, then the tables.
+"""A log's diagnosis as a summary: the conclusion and what to do about it, then the tables.
 
 `write_headline` makes the sentences, `summarize_diagnosis` the whole, `describe_effect` and `remedy_for`
 what each cause does and what cures it.
@@ -29,7 +29,7 @@ from stickslip_fit._format import (
     pluralize,
     typeset_text,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.causes import EndStopMisfire, SizedParameter
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.selection import MISFIRE
+from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.units import PRISMATIC
 
 MAX_UNTESTABLE_NAMED = 4
@@ -108,11 +109,16 @@ def describe_carrier(carrier: str) -> str:
     return CARRIER_PHRASES.get(carrier, f"follows {carrier}")
 
 
+def baseline_name(diagnosis: Diagnosis) -> str:
+    """What the laws are called that are put to the test."""
+    return name_of_laws(part.law for part in diagnosis.selection.problem.parts)
+
+
 def _describe_no_misfit(diagnosis: Diagnosis) -> str:
     if not np.isfinite(diagnosis.repeatability):
         return f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
     return (
-        "Nothing is wrong that this log can show: the published law leaves "
+        f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
         f"{format_percent(diagnosis.misfit)} rms, and a traverse repeats to "
         f"{format_percent(diagnosis.repeatability)} "
         f"(p {format_p_value(diagnosis.p_value, relation=True)})."
@@ -191,9 +197,8 @@ def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-@summarize.register
-def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
-    """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
+def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
+    """A log's: the headline; findings with sizes and gain; the alternatives; the untestable causes."""
     name = Path(diagnosis.log_file).name or "a log that was never in a file"
     next_traverses = traverses_table("Discriminating traverses", diagnosis.next_experiment)
     return Summary(
@@ -204,10 +209,10 @@ def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),
-                (*_ranking_tables(diagnosis), *next_traverses),
+                (*ranking_tables(diagnosis), *next_traverses),
                 key="alternatives",
             ),
-            Section("What this log could not have shown", tuple(_list_untestable(diagnosis)), key="unseen"),
+            Section("What this log could not have shown", tuple(list_untestable(diagnosis)), key="unseen"),
         ),
         provenance=(
             (name, f"sha256 {diagnosis.log_sha256}"),
@@ -320,7 +325,7 @@ def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     if not rows or not named:
         return []
-    heads = ("published law", "extended law", "gain", "95 % interval", "noise floor")
+    heads = (baseline_name(diagnosis), "extended law", "gain", "95 % interval", "noise floor")
     columns = (Column("predicted", text=True), *(Column(head, "%") for head in heads))
     note = (
         "Rms error of the step size on traverses that took no part in choosing or fitting anything. The "
@@ -356,7 +361,8 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     return [(cause, probability[cause], evidence.get(cause, np.nan) / LN_10) for cause in order]
 
 
-def _ranking_tables(diagnosis: Diagnosis) -> list[Table]:
+def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
+    """The likeliest causes, or no table."""
     ranked = [row for row in rank_causes(diagnosis) if row[1] >= MIN_PROBABILITY][:MAX_RANKED]
     columns = (
         Column("cause", text=True),
@@ -394,7 +400,7 @@ def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Tab
     return [Table(caption, columns, tuple(rows))] if rows else []
 
 
-def _list_untestable(diagnosis: Diagnosis) -> list[str]:
+def list_untestable(diagnosis: Diagnosis) -> list[str]:
     """Untestable causes by reason."""
     causes: dict[str, list[str]] = {}
     for cause, reason in diagnosis.untestable.items():

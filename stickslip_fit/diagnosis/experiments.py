@@ -52,6 +52,8 @@ def next_experiment(diagnosis: Diagnosis) -> tuple[NextTraverse, ...]:
     if not doubtful:
         return ()
     forecasts = forecast_candidates(selection.problem, diagnosis.require_log().machine)
+    if not forecasts:
+        return ()
     traverses: list[NextTraverse] = []
     for finding in doubtful:
         (selected,) = (one for one in selection.selected if one.cause == finding.cause)
@@ -249,7 +251,7 @@ def _quickest_traverse(
 ) -> tuple[NextTraverse | None, float]:
     best, least = None, np.inf
     for forecast in forecasts:
-        if forecast.law.joint in cause.joints:
+        if cause.acts_on(forecast.law):
             strength = _min_strength(cause, forecast, rows)
             with np.errstate(divide="ignore"):
                 repeats = np.ceil((DETECTION_STRENGTH / strength) ** 2)

@@ -40,15 +40,18 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import (
+    MISFIRE,
     Selection,
     cause_probabilities,
     empty_selection,
     explain_too_small,
     find_untestable,
     select_causes,
+    settle_noise,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.errors import check_count, check_rate
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
@@ -61,17 +64,20 @@ MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is
 def diagnose(
     log: Log,
     *,
+    laws: Laws | None = None,
     causes: Iterable[Cause] | None = None,
     alpha: float = 0.01,
     seed: int = 0,
     gain: bool = True,
     progress: ProgressCallback = ignore_progress,
 ) -> Diagnosis:
-    """Test the published laws on a log, name the causes of a misfit, and measure what the causes gain.
+    """Test the laws on a log, name the causes of a misfit, and measure what the causes gain.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : iterable of Cause, optional
         Candidates; without it the library and the lab's own columns.
     alpha : float, optional
@@ -91,8 +97,9 @@ def diagnose(
     began = time.perf_counter()
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
-    progress("fitting the published law", 0.0)
-    diagnosis = diagnose_problem(*problem_from_log(log, causes), alpha=alpha, seed=seed, progress=progress)
+    progress("fitting the laws", 0.0)
+    problem, missing = problem_from_log(log, causes, laws)
+    diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis
@@ -143,7 +150,7 @@ def diagnose_problem(
             next_aside = np.setdiff1d(aside, back)
         else:
             break
-    selection = with_gross_errors(found, len(problem), aside, p_value)
+    selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     searched, linearized = selection.problem, search.linearized
     row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
@@ -151,7 +158,7 @@ def diagnose_problem(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
+        misfit=float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2))),
         repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
         untestable=search.untestable,
@@ -161,6 +168,9 @@ def diagnose_problem(
         selection=selection,
         aliased_causes=find_aliased_causes(selection.first_misfit),
     )
+
+
+NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,14 +189,21 @@ def _search(
 ) -> _Search:
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
+    if not too_small and problem.autocorrelation is not None:
+        problem = problem.with_autocorrelation()
+        linearized = problem.linearize()
     if too_small:
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
     else:
         unable = find_untestable(problem, linearized)
+        if not problem.alternatives(linearized):
+            unable[UNKNOWN] = NO_ALTERNATIVE
     untestable = {**missing, **unable}
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
+    if UNKNOWN in untestable and not any(cause.name != MISFIRE for cause in testable.causes):
+        too_small = too_small or NO_ALTERNATIVE
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )

@@ -17,9 +17,11 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
-from stickslip_fit.estimation.prediction import format_latest_control, latest_control
+from stickslip_fit.estimation.prediction import NO_ORDER, format_latest_control, has_order, latest_control
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import Parameter
+from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.logs.log import MAX_ROWS, file_names, latest
 
 MAX_NAMED = 6
@@ -31,6 +33,7 @@ FLAGS = {
     "few_replicates": "too few replicates for error bars",
     "repeatability_doubted": "counts scatter unlike the repeatability given",
     "outlier": "an outlying count",
+    "no_times": "the log has no times",
     "chosen": "chosen among the gaps between traverses",
 }
 
@@ -43,7 +46,7 @@ def summarize_fit(result: Result) -> Summary:
     tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
     return Summary(
         title=f"{method} fit of {files}" if files else f"{method} fit",
-        headline=(format_latest_control(latest_control(result)),),
+        headline=(format_latest_control(latest_control(result)) if has_order(result) else NO_ORDER,),
         sections=(Section(tables=tuple(tables)),),
         flags=tuple(flags(result)),
         provenance=result.provenance.lines(),
@@ -99,7 +102,7 @@ def _parameters(result: Result, joint: int) -> Table:
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
-    return Table(f"Parameters of {joint_name(joint)}", columns, rows, stubs=2, note=note)
+    return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
 
 
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:
@@ -156,7 +159,8 @@ def departures_tables(result: Result) -> list[Table]:
     ]
     columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
     note = "One number each for all joints, directions and sessions. ± one standard error."
-    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
+    name = name_of_laws(law_without_causes(fit.law) for fit in result.joints.values())
+    return [Table(f"Departures from the {name}s", columns, tuple(rows), note=note)] if rows else []
 
 
 def profile_section(table: pd.DataFrame) -> Section:

@@ -30,7 +30,7 @@ from stickslip_fit.estimation.result import (
     compute_checksum,
     parameters_to_json,
 )
-from stickslip_fit.laws import StepLaw
+from stickslip_fit.laws import Laws, StepLaw, UnknownLawError
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
 
@@ -41,7 +41,7 @@ NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its si
 ADVICE = "fit the log again"
 
 
-def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+def load_result(path: str | Path, causes: Sequence[Cause] = (), *, laws: Laws | None = None) -> Result:
     """Read a result that `Result.save` wrote.
 
     Parameters
@@ -49,13 +49,16 @@ def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
     path : path
     causes : sequence of Cause, optional
         Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, as the log was fitted with them: what a file names is not imported.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no saved result, was made by a newer version, or is damaged.
+        If the file cannot be read, is no saved result, was made by a newer version, or is damaged,
+        or has a law of someone's own that is not given.
     """
-    return result_from_json(read_result_json(path), path, causes)
+    return result_from_json(read_result_json(path), path, causes, laws)
 
 
 def read_result_json(path: str | Path) -> dict[str, Any]:
@@ -89,7 +92,9 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
     return dict(content)
 
 
-def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+def result_from_json(
+    content: dict[str, Any], path: str | Path, causes: Sequence[Cause] = (), laws: Laws | None = None
+) -> Result:
     """The result in the content of a file.
 
     Raises
@@ -100,7 +105,9 @@ def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence
     try:
         # Impossible numbers are found by what comes out.
         with np.errstate(all="ignore"):
-            return _build_result(content, causes)
+            return _build_result(content, causes, laws)
+    except UnknownLawError as error:
+        raise InputError(InputIssue(str(error), str(path))) from None
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, InputError) as error:
         what = error.args[0] if error.args else type(error).__name__
         message = f"is a damaged result: {shorten(str(what), 200)}; {ADVICE}"
@@ -119,11 +126,11 @@ def _whole(text: str) -> int:
     return int(text)
 
 
-def _build_result(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
+def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws | None) -> Result:
     file = _validate(content)
     machine = file.machine
     _check_machine(machine)
-    fits = [_build_joint(item, machine, causes) for item in file.joints]
+    fits = [_build_joint(item, machine, causes, laws) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
     _check(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
     read = file.residuals
@@ -196,8 +203,14 @@ def _validate(content: dict[str, Any]) -> Any:
 
 
 def _check_machine(machine: Machine) -> None:
-    ends = [machine.ranges[joint] for joint in (1, 2, 3)]
-    _check(all(low < high for low, high in ends), "the machine's ranges")
+    _check(tuple(machine.ranges) == machine.joints and machine.joints != (), "the machine's joints")
+    ends = [machine.ranges[joint] for joint in machine.joints]
+    _check(all(-np.inf < low < high < np.inf for low, high in ends), "the machine's ranges")
+    _check(len(machine.joint_names) in (0, len(machine.kinds)), "the machine's joints")
+    if not machine.has_published_geometry:
+        _check(not machine.links and np.isnan(machine.a1) and np.isnan(machine.l2), "the machine's lengths")
+        return
+    _check(len(machine.links) == 3, "its links")
     _check(all(abs(end) <= tau for end in (*ends[0], *ends[1])), "the machine's ranges")
     lengths = [machine.a1, machine.l2, machine.l2 + ends[2][0], *(abs(link.com) for link in machine.links)]
     _check(max(*lengths, abs(ends[2][0]), abs(ends[2][1])) <= MAX_LENGTH, "the machine's lengths")
@@ -205,8 +218,8 @@ def _check_machine(machine: Machine) -> None:
     _check(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
 
 
-def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause]) -> JointFit:
-    law = restore(item.law, machine, causes)
+def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Laws | None) -> JointFit:
+    law = restore(item.law, machine, causes, laws)
     g, p = len(item.sessions), len(law.parameters)
     name = f"joint {law.joint}"
     _check(item.law["joint"] == law.joint, f"the law of {name} is of another joint")
@@ -232,7 +245,7 @@ def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause]) -> JointF
     _check(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
     _check(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
     for matrix in fit.covariance:
-        _check(_is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
+        _check(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
     _check(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
     return fit
 
@@ -243,7 +256,7 @@ def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:
     return array
 
 
-def _is_covariance(matrix: Array) -> bool:
+def is_covariance(matrix: Array) -> bool:
     """Whether it is symmetric and positive semi-definite where it is known."""
     known = ~np.isnan(np.diag(matrix))
     part = matrix[np.ix_(known, known)]
@@ -261,6 +274,8 @@ def _is_covariance(matrix: Array) -> bool:
 
 def _has_plausible_steps(fit: JointFit, machine: Machine) -> bool:
     """Whether every group with values has a step size in the law's first calibration configuration."""
+    if not fit.law.calibration():
+        return True
     fitted = ~np.isnan(fit.values).any(axis=1)
     rows = _calibration_rows(fit.law, fit.groups[fitted], machine)
     sizes = machine.span(fit.law.joint) / np.exp(fit.law.predict(rows, fit.values[fitted]))

@@ -11,6 +11,8 @@ from stickslip_fit.laws.base import (
     rounding_variance,
     traverse_length,
 )
+from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
+from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -20,10 +22,10 @@ from stickslip_fit.laws.published import (
     Prismatic,
     Rotary,
     constant_law,
-    describe_law,
     published_law,
-    restore_law,
 )
+from stickslip_fit.laws.registry import UnknownLawError, describe_law, installed_laws, restore_law
+from stickslip_fit.laws.table import TableLaw
 
 __all__ = [
     "Base",
@@ -31,18 +33,26 @@ __all__ = [
     "Configuration",
     "ConstantStep",
     "Elbow",
+    "Law",
+    "LawSource",
+    "Laws",
     "Parameter",
     "Prismatic",
     "Rotary",
     "Rows",
     "State",
     "StepLaw",
+    "TableLaw",
+    "UnknownLawError",
+    "choose_laws",
     "constant_law",
     "describe_law",
     "expected_steps",
     "float_column",
+    "installed_laws",
     "observed_count",
     "published_law",
+    "restore_formula_law",
     "restore_law",
     "rounding_variance",
     "state_at",

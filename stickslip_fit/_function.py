@@ -1,0 +1,186 @@
+"""NumericFunction: a Python function of columns and parameters by name, with numerical derivatives.
+
+Derivatives are by complex step (W. Squire and G. Trapp, SIAM Review 40:110, 1998) where it agrees with
+central differences, which it does for functions that are analytic in the parameter; else by the differences.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit._typing import Array
+from stickslip_fit.errors import InputError
+
+COMPLEX_STEP = 1e-100
+DIFFERENCE_STEP = float(np.cbrt(np.finfo(float).eps))  # of each value, or of its typical size
+AGREEMENT = 1e-5  # of the complex step with the differences, relative to the largest derivative
+
+
+@dataclass(frozen=True)
+class NumericFunction:
+    """A Python function in place of an `Expression`: the same methods.
+
+    Attributes
+    ----------
+    function : callable
+        Of arrays, by name; returns one array of their shape.
+    """
+
+    python: Callable[..., Any]
+
+    @property
+    def text(self) -> str:
+        """The function's name."""
+        return getattr(self.python, "__name__", repr(self.python))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Its arguments' names."""
+        try:
+            arguments = inspect.signature(self.python).parameters.values()
+        except (TypeError, ValueError) as error:
+            raise InputError(f"the arguments of {self.text} are not known ({error})") from None
+        by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+        if not all(argument.kind in by_name for argument in arguments):
+            raise InputError(
+                f"the function {self.text} must take columns and parameters by name, without * or /"
+            )
+        return tuple(argument.name for argument in arguments)
+
+    @property
+    def active_names(self) -> frozenset[str]:
+        """See `Expression.active_names`; all of them, as far as one can tell."""
+        return frozenset(self.names)
+
+    def evaluate(self, quantities: Mapping[str, Any]) -> Array:
+        """See `Expression.evaluate`.
+
+        Raises
+        ------
+        InputError
+            Where the function raises, with its own message, or does not return an array of the right shape.
+        """
+        return self._call({name: np.asarray(quantities[name], dtype=float) for name in self.names})
+
+    def function(self, by: Sequence[str] = ()) -> Callable[[Mapping[str, Any]], tuple[Array, Array]]:
+        """See `Expression.function`."""
+        is_analytic: dict[str, bool] = {}
+
+        def evaluate(quantities: Mapping[str, Any]) -> tuple[Array, Array]:
+            arguments = {name: np.asarray(quantities[name], dtype=float) for name in self.names}
+            value, slopes = self._call(arguments), list[Array]()
+            for name in by:
+                slope = self._complex_step(arguments, name) if is_analytic.get(name, True) else None
+                if slope is None or name not in is_analytic:
+                    difference = self._difference(arguments, name)
+                    is_analytic[name] = slope is not None and _agree(slope, difference)
+                    slope = slope if slope is not None and is_analytic[name] else difference
+                slopes.append(slope)
+            stacked = np.stack(slopes, axis=-1) if slopes else np.zeros((*value.shape, 0))
+            return value, stacked
+
+        return evaluate
+
+    def importable_name(self) -> str:
+        """``module:name``, by which it can be imported elsewhere.
+
+        Raises
+        ------
+        InputError
+            For a function of a notebook or a script, or one within another function.
+        """
+        module, name = self.python.__module__, getattr(self.python, "__qualname__", "")
+        if module != "__main__" and getattr(sys.modules.get(module), name, None) is self.python:
+            return f"{module}:{name}"
+        raise InputError(
+            f"the function {self.text} cannot be saved: it is not in a module that can be imported. Move it "
+            "into a file of its own and import it from there, or write it as a formula"
+        )
+
+    def _difference(self, arguments: Mapping[str, Array], name: str) -> Array:
+        x = arguments[name]
+        step = DIFFERENCE_STEP * np.maximum(np.abs(x), np.sqrt(np.mean(x**2)) or 1.0)
+        upper, lower = x + step, x - step
+        rise = self._call({**arguments, name: upper}) - self._call({**arguments, name: lower})
+        with np.errstate(all="ignore"):
+            return rise / (upper - lower)
+
+    def _complex_step(self, arguments: Mapping[str, Array], name: str) -> Array | None:
+        """None where the function does not take complex numbers."""
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                value = self.python(**{**arguments, name: arguments[name] + 1j * COMPLEX_STEP})
+            value = np.asarray(value, dtype=complex)
+            return np.broadcast_to(value.imag / COMPLEX_STEP, _shape(arguments)).copy()
+        except Exception:  # whatever it raises, differences are left
+            return None
+
+    def _call(self, arguments: Mapping[str, Array]) -> Array:
+        try:
+            with np.errstate(all="ignore"):
+                value = np.asarray(self.python(**arguments), dtype=float)
+        except InputError:
+            raise
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            place = _line_of(error, self.python)
+            raise InputError(f"the function {self.text} raised{place} {reason}") from error
+        shape = _shape(arguments)
+        if value.shape not in (shape, ()):
+            raise InputError(
+                f"the function {self.text} returned shape {value.shape} for arguments of shape {shape}; it "
+                "must work on whole columns and return one number for each row"
+            )
+        return np.broadcast_to(value, shape).copy()
+
+
+def load_function(name: str) -> Any:
+    """What ``module:name`` names.
+
+    Raises
+    ------
+    InputError
+        If it cannot be imported.
+
+    Examples
+    --------
+    >>> load_function("math:floor")(2.5)
+    2
+    """
+    module, colon, attribute = name.partition(":")
+    if not (colon and module and attribute):
+        raise InputError(f"{name!r} is not of the form module:name")
+    try:
+        return getattr(import_module(module), attribute)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"{name} cannot be imported ({reason}); is its folder on PYTHONPATH?") from error
+
+
+def _shape(arguments: Mapping[str, Array]) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(array.shape for array in arguments.values()))
+
+
+def _agree(slope: Array, difference: Array) -> bool:
+    size = np.abs(difference).max(initial=0.0)
+    return bool(np.all(np.abs(slope - difference) <= AGREEMENT * (np.abs(difference) + size)))
+
+
+def _line_of(error: BaseException, function: Callable[..., Any]) -> str:
+    """The line of the function's own file on which it raised."""
+    code, trace, line = getattr(function, "__code__", None), error.__traceback__, None
+    while trace is not None:
+        if trace.tb_frame.f_code is code:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f" on line {line} of {function.__module__}" if line else ""
