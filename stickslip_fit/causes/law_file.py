@@ -89,11 +89,10 @@ class FormulaCauseTable(TomlTable):
 
     def cause(self) -> FormulaCause:
         """The cause."""
-        words = ("phrase", "physics", "sentence", "remedy", "shows_best")
-        return FormulaCause(
-            self.name, self.formula, self.parameters, by=self.by, bounds=dict(self.bounds), size=self.size or None,
-            joints=tuple(self.joints), **{word: getattr(self, word) for word in words},
-        )  # fmt: skip
+        words = ("by", "phrase", "physics", "sentence", "remedy", "shows_best")
+        more: dict[str, Any] = {word: getattr(self, word) for word in words}
+        more |= {"bounds": dict(self.bounds), "size": self.size or None, "joints": tuple(self.joints)}
+        return FormulaCause(self.name, self.formula, self.parameters, **more)
 
 
 class RolesTable(TomlTable):
