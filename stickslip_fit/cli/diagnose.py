@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.estimation import Result
+    from stickslip_fit.estimation import Result, TableFit
     from stickslip_fit.logs import Log
     from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
@@ -101,10 +101,16 @@ def diagnose(
 
 def diagnose_table(
     data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="Table: CSV or Parquet, a row for each measurement."), INPUT
+        Path,
+        typer.Argument(
+            metavar="DATA", parser=parse_path, help="Table: CSV or Parquet, a row for each measurement."
+        ),
+        INPUT,
     ],
     law: Annotated[
-        Path, typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."), INPUT
+        Path,
+        typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."),
+        INPUT,
     ],
     session: Annotated[
         str | None, typer.Option(help="Column: rows with equal values share the law's own parameters.")
@@ -115,7 +121,9 @@ def diagnose_table(
     ] = None,
     position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
     direction: Annotated[str | None, typer.Option(help="Column: which way it moves.")] = None,
-    group: Annotated[str | None, typer.Option(help="Column: what belongs together, held out as a whole.")] = None,
+    group: Annotated[
+        str | None, typer.Option(help="Column: what belongs together, held out as a whole.")
+    ] = None,
     json: Json = None,
     report: Annotated[
         Path | None,
@@ -140,7 +148,7 @@ def diagnose_table(
     Roles of columns may stand in the law file, under [roles]; an option goes before.
     """
     from stickslip_fit._io import show_progress
-    from stickslip_fit.causes import read_law_file
+    from stickslip_fit.causes.law_file import read_law_file
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
     file = read_law_file(law)
@@ -151,9 +159,12 @@ def diagnose_table(
         "direction": direction,
         "group": group,
     }
-    roles = {**file.roles, **{role: column for role, column in given.items() if column is not None}}
+    roles: dict[str, Any] = {**file.roles}
+    roles |= {role: column for role, column in given.items() if column is not None}
     with show_progress() as progress:
-        result = diagnose(data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles)
+        result = diagnose(
+            data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles
+        )
     saved = save_diagnosis_outputs(result, json, report)
     if save_law is not None:
         result.extended_law(command=command_line()).save(save_law)
@@ -264,10 +275,12 @@ def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diag
         return diagnose(log, alpha=alpha, seed=seed, progress=progress)
 
 
-def save_extended_law(law: Result, path: Path) -> str:
-    """Write a law; a line on its causes."""
+def save_extended_law(law: Result | TableFit, path: Path) -> str:
+    """Write the law of a log; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
+    from stickslip_fit.estimation import Result
 
+    assert isinstance(law, Result)
     law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()

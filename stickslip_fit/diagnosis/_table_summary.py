@@ -220,8 +220,8 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
         if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
             return (
                 "The figures show it: compare them with whatever changed meanwhile, and add that as a column "
-                f"or a cause; until it has a name, count on errors of {format_size(diagnosis.misfit, table)}, "
-                f"where the noise is {noise}."
+                "or a cause; until it has a name, count on errors of "
+                f"{format_size(diagnosis.misfit, table)}, where the noise is {noise}."
             )
         return f"They are left out; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
     what = f"The law extended by {join_words([finding.cause for finding in named])}"
@@ -288,8 +288,8 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     )
     note = (
         f"Effect: rms over all rows of what the cause does to {table.response}, beyond what the law's own "
-        "parameters absorb. p: the chance of anything as far off, anywhere that was searched, if nothing were "
-        "wrong."
+        "parameters absorb. p: the chance of anything as far off, anywhere that was searched, if nothing "
+        "were wrong."
     )
     outliers = [
         _outliers_table(finding, table) for finding in diagnosis.findings if finding.traverses is not None

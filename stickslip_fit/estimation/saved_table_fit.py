@@ -139,7 +139,7 @@ def _build(content: Mapping[str, Any], functions: Functions) -> TableFit:
     q = len(fit.sessions) * fit.n_own + fit.n_shared
     _check(values.shape == (len(fit.sessions), len(fit.law.parameters)), "values")
     _check(covariance.shape == (q, q) and is_covariance(covariance), "covariance")
-    _check(np.isfinite(values).all() and fit.noise_sd >= 0, "values")
+    _check(bool(np.isfinite(values).all()) and fit.noise_sd >= 0, "values")
     _check([row["name"] for row in content["parameters"]] == list(fit.parameters["name"]), "parameters")
     return fit
 
@@ -243,7 +243,9 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
         return FormulaTableCause(source=source, parameters=parameters, **listed)
     restored = getattr(generic, kind)
     _check(isinstance(restored, type) and issubclass(restored, generic.GenericCause), "causes")
-    return restored(**{name: tuple(value) if isinstance(value, list) else value for name, value in own.items()})
+    return restored(
+        **{name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+    )
 
 
 def _restore_source(restore: Any, description: Mapping[str, Any], functions: Functions) -> Any:

@@ -220,8 +220,8 @@ class TableFit(Summarized):
             fitted = ", ".join(self.sessions[:MAX_NAMED]) + " ..." * (len(self.sessions) > MAX_NAMED)
             names = ", ".join(shorten(name) for name in unknown[:MAX_NAMED])
             raise InputError(
-                f"no parameters are known for session {names}; sessions fitted: {fitted}. Fit a table with these "
-                "sessions, or a law whose parameters are shared"
+                f"no parameters are known for session {names}; sessions fitted: {fitted}. Fit a table with "
+                "these sessions, or a law whose parameters are shared"
             )
         return index
 
@@ -238,7 +238,7 @@ class TableFit(Summarized):
         Raises
         ------
         InputError
-            If the file cannot be written or was read for this fit, or if the law or a cause in it is neither a
+            If the file cannot be written or was read for this fit; if the law or a cause in it is neither a
             formula nor a function that can be imported by a name.
         """
         from stickslip_fit.estimation.saved_table_fit import save_table_fit

@@ -1,4 +1,4 @@
-"""What people read of a table's diagnosis: the response's unit, rows and values, never steps or per cent of them."""
+"""What people read of a table's diagnosis: its unit, rows and values, never steps or per cent of them."""
 
 from __future__ import annotations
 
