@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
 
-from stickslip_fit.units import PRISMATIC, UNITS, Interval, from_si
+from stickslip_fit._typing import JointKinds
+from stickslip_fit.units import UNITS, Interval, from_si
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -199,7 +200,7 @@ def format_length(value: float) -> str:
 
 
 def format_coordinate(name: str, value: float) -> str:
-    """One coordinate of a configuration.
+    """One coordinate of a configuration of the published arm.
 
     Examples
     --------
@@ -209,45 +210,71 @@ def format_coordinate(name: str, value: float) -> str:
     return f"{name} = {format_length(value) if name == 'q3' else format_angle(value)}"
 
 
-def format_configuration(row: pd.Series, span: float) -> str:
-    """The configuration of a traverse, and its ends if it does not cover `span`, the joint's full travel.
+def format_configuration(row: pd.Series, machine: JointKinds) -> str:
+    """The configuration of a traverse, and its ends if it does not cover the joint's full travel.
 
-    `row` has joint, q1, q2, q3, theta, psi, start and stop, SI.
+    `row` has joint, q1 to qn, theta, psi, start and stop, SI; what is not known is left out, and on the
+    published arm q1 = 0.
     """
     joint = int(row["joint"])
-    names = ["q1"] if abs(row["q1"]) > ANGLE_TOL else []
-    names += [name for name in ("q2", "q3", "theta", "psi") if name != f"q{joint}"]
-    parts = [f"{name} {(format_length if name == 'q3' else format_angle)(row[name])}" for name in names]
+    names = [*(f"q{other}" for other in machine.joints if other != joint), "theta", "psi"]
+    if machine.has_published_geometry and abs(row["q1"]) <= ANGLE_TOL:
+        names.remove("q1")
+    known = [name for name in names if isfinite(row[name])]
+    parts = [f"{name} {format_position(row[name], _joint_of(name), machine)}" for name in known]
+    span = machine.span(joint)
     if abs(abs(row["stop"] - row["start"]) - span) > SAME_SHARE * span:
-        ends = format_length if joint == PRISMATIC else format_angle
-        parts.append(f"{ends(row['start'])} to {ends(row['stop'])}")
+        parts.append(" to ".join(format_position(row[end], joint, machine) for end in ("start", "stop")))
     return ", ".join(parts)
 
 
-def step_unit(joint: int) -> str:
+def _joint_of(name: str) -> int | None:
+    """The joint whose position a column has; None for the base's orientation."""
+    return int(name[1:]) if name.startswith("q") else None
+
+
+def format_position(value: float, joint: int | None, machine: JointKinds) -> str:
+    """A joint's position, or without a joint an angle of the base, with its unit."""
+    slides = joint is not None and machine.is_prismatic(joint)
+    return format_length(value) if slides else format_angle(value)
+
+
+def format_time(moment: pd.Timestamp) -> str:
+    """A moment; empty where it is not known."""
+    return "" if moment != moment else f"{moment:%Y-%m-%d %H:%M:%S}"
+
+
+def position_unit(joint: int, machine: JointKinds) -> str:
+    """Display unit of a joint's position."""
+    return "mm" if machine.is_prismatic(joint) else "deg"
+
+
+def coordinate_unit(name: str, machine: JointKinds) -> str:
+    """Display unit of a column q1 to qn, theta or psi."""
+    joint = _joint_of(name)
+    return "deg" if joint is None else position_unit(joint, machine)
+
+
+def step_unit(joint: int, machine: JointKinds) -> str:
     """Display unit of a joint's step size."""
-    return "nm" if joint == PRISMATIC else "µrad"
+    return "nm" if machine.is_prismatic(joint) else "µrad"
 
 
-def format_step(value: float, joint: int) -> str:
-    """A step size, or a difference of two, with its unit."""
-    return format_value(value, step_unit(joint))
-
-
-def format_step_range(low: float, high: float, joint: int) -> str:
+def format_step_range(low: float, high: float, unit: str) -> str:
     """An interval of step sizes with its unit."""
-    return f"{format_range(low, high, step_unit(joint))} {step_unit(joint)}"
+    return f"{format_range(low, high, unit)} {unit}"
 
 
-def joint_name(joint: int) -> str:
+def joint_name(joint: int, machine: JointKinds) -> str:
     """A joint with what kind it is.
 
     Examples
     --------
-    >>> joint_name(3)
+    >>> from stickslip_fit.machine import load_machine
+    >>> joint_name(3, load_machine())
     'joint 3 (prismatic)'
     """
-    return f"joint {joint} ({'prismatic' if joint == PRISMATIC else 'rotary'})"
+    return f"joint {joint} ({machine.describe_joint(joint)})"
 
 
 def format_direction(direction: str | None) -> str:

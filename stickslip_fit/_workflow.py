@@ -8,17 +8,20 @@ from stickslip_fit.bayes import Posterior, fit_bayes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result, fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 METHODS = ("least-squares", "student-t", "closed-form", "bayes")
 
 
-def calibrate(log: Log, *, causes_from: Result | None = None) -> Result:
+def calibrate(log: Log, *, laws: Laws | None = None, causes_from: Result | None = None) -> Result:
     """Calibrate every session and direction from the first traverse of each calibration configuration.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes_from : Result, optional
         Of another log: its causes are taken as known, with their uncertainty.
 
@@ -35,21 +38,27 @@ def calibrate(log: Log, *, causes_from: Result | None = None) -> Result:
     --------
     fit : all traverses instead of the first few.
     """
-    return fit_closed_form(log, causes_from=causes_from)
+    return fit_closed_form(log, laws=laws, causes_from=causes_from)
 
 
 @overload
-def fit(log: Log, method: Literal["bayes"], **options: Any) -> Posterior: ...
+def fit(log: Log, method: Literal["bayes"], *, laws: Laws | None = None, **options: Any) -> Posterior: ...
 
 
 @overload
 def fit(
-    log: Log, method: Literal["least-squares", "student-t", "closed-form"] = ..., **options: Any
+    log: Log,
+    method: Literal["least-squares", "student-t", "closed-form"] = ...,
+    *,
+    laws: Laws | None = None,
+    **options: Any,
 ) -> Result: ...
 
 
-def fit(log: Log, method: str = "least-squares", **options: Any) -> Result | Posterior:
-    """Fit the published laws of all joints to a log.
+def fit(
+    log: Log, method: str = "least-squares", *, laws: Laws | None = None, **options: Any
+) -> Result | Posterior:
+    """Fit the laws of all joints to a log.
 
     Parameters
     ----------
@@ -58,6 +67,8 @@ def fit(log: Log, method: str = "least-squares", **options: Any) -> Result | Pos
         Weighted least squares on log steps; the same with Student-t noise of 5 degrees of freedom, which a
         few outlying counts do not move; the closed form of `calibrate`; or a hierarchical Bayesian fit, in
         which the sessions share a campaign's distribution.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     **options
         Those of `estimation.fit_least_squares` (causes, shared, bounds, repeatability),
         `estimation.fit_closed_form` (causes_from) or `bayes.fit_bayes` (causes, priors, seed, ...).
@@ -81,11 +92,11 @@ def fit(log: Log, method: str = "least-squares", **options: Any) -> Result | Pos
     stickslip_fit.errors.InputError: no method 'least squares'; choose one of least-squares, student-t, ...
     """
     if method == "least-squares":
-        return fit_least_squares(log, **options)
+        return fit_least_squares(log, laws=laws, **options)
     if method == "student-t":
-        return fit_least_squares(log, likelihood=StudentT(), **options)
+        return fit_least_squares(log, laws=laws, likelihood=StudentT(), **options)
     if method == "closed-form":
-        return fit_closed_form(log, **options)
+        return fit_closed_form(log, laws=laws, **options)
     if method == "bayes":
-        return fit_bayes(log, **options)
+        return fit_bayes(log, laws=laws, **options)
     raise InputError(f"no method {method!r}; choose one of {', '.join(METHODS)}")

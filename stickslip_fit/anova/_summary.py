@@ -16,12 +16,11 @@ from stickslip_fit._format import (
     format_p_value,
     format_percent,
     format_range,
-    format_step,
     format_step_range,
+    format_value,
     join_words,
     joint_name,
     pluralize,
-    step_unit,
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
@@ -65,11 +64,11 @@ def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]
 
 def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> str:
     changes = any(is_significant(test) for test in factor_tests if test.design.analysis == "day")
-    total, replicate, joint = components.total, components.replicate.deviation, components.joint
+    total, replicate, unit = components.total, components.replicate.deviation, components.unit
     cost, low, high = (sqrt(2.0) * value for value in (total.deviation, total.low, total.high))
     price = (
-        f"the calibration of another session is off by {format_step(cost, joint)} a step rms "
-        f"({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, joint)}), "
+        f"the calibration of another session is off by {format_value(cost, unit)} a step rms "
+        f"({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, unit)}), "
         f"{cost / replicate:.2g} times what one reading differs from the next"
     )
     if changes:
@@ -85,7 +84,7 @@ def _recommend_directions(components: VarianceComponents, factor_tests: Sequence
     differs = any(is_significant(test) for test in factor_tests if test.design.analysis == "direction")
     cost, limit = abs(components.direction) / 2, COST_LIMIT * components.replicate.deviation
     share = format_percent(cost / components.mean)
-    price = f"one set for both is off by {format_step(cost, components.joint)} a step ({share})"
+    price = f"one set for both is off by {format_value(cost, components.unit)} a step ({share})"
     if differs:
         return [f"Keep separate parameters for each direction: {price}."]
     if max(map(abs, (components.direction_low or 0.0, components.direction_high or 0.0))) / 2 > limit:
@@ -126,9 +125,9 @@ def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
     if differing:
         sessions = f"{len(differing)} of {len(within)} sessions" if len(within) > 1 else "the session"
         sizes = sorted(test.effect.difference for test in differing)
-        joint = factor_tests[0].design.joint
+        unit = factor_tests[0].design.unit
         size = (
-            format_step(sizes[0], joint) if len(sizes) == 1 else format_step_range(sizes[0], sizes[-1], joint)
+            format_value(sizes[0], unit) if len(sizes) == 1 else format_step_range(sizes[0], sizes[-1], unit)
         )
         unsure = "; from so few, or so different, sessions it cannot be said of others" if over else ""
         return f"the two directions differ in {sessions}, by {size} ({_adjusted_p_text(differing)}){unsure}."
@@ -172,7 +171,7 @@ def _direction_text(test: FactorTest) -> str:
 
 
 def _difference_text(test: FactorTest) -> str:
-    difference = format_step(test.effect.difference, test.design.joint)
+    difference = format_value(test.effect.difference, test.design.unit)
     return f"{difference} ({format_percent(test.relative_difference)})"
 
 
@@ -181,7 +180,7 @@ def _effect_text(test: FactorTest) -> str:
 
 
 def _detectable_text(test: FactorTest) -> str:
-    return format_step(test.detectable, test.design.joint)
+    return format_value(test.detectable, test.design.unit)
 
 
 def _adjusted_p_text(factor_tests: Sequence[FactorTest]) -> str:
@@ -246,7 +245,7 @@ def summarize_anova(anova: Anova) -> Summary:
     sentences = sentences_by_joint(anova)
     headline = [f"Joint {joint}. {' '.join(lines)}" for joint, lines in sentences.items()]
     sections = [
-        Section(capitalize_first(joint_name(joint)), tables=tuple(_tables(joint, anova)))
+        Section(capitalize_first(joint_name(joint, anova.machine)), tables=tuple(_tables(joint, anova)))
         for joint in sentences
     ]
     cautions = [*list_failed_assumptions(anova.factor_tests), *list_not_testable(anova.not_testable)]
@@ -275,7 +274,7 @@ def _tables(joint: int, anova: Anova) -> list[Table]:
 
 
 def _tests_table(joint: int, tests: Sequence[FactorTest]) -> Table:
-    unit = step_unit(joint)
+    unit = tests[0].design.unit
     columns = (
         *words("question", "session", "largest less smallest"),
         Column("difference (95 %)", unit),
@@ -293,7 +292,13 @@ def _tests_table(joint: int, tests: Sequence[FactorTest]) -> Table:
         note += f" Not shown: {len(tests) - len(shown)} answers within single sessions."
     elif _sessions_not_tested(tests):
         note += " Within a single session: name it with --session."
-    return Table(f"Factors of {joint_name(joint)}", columns, tuple(map(_test_row, shown)), stubs=2, note=note)
+    return Table(
+        f"Factors of {joint_name(joint, tests[0].design.machine)}",
+        columns,
+        tuple(map(_test_row, shown)),
+        stubs=2,
+        note=note,
+    )
 
 
 def _sessions_not_tested(tests: Sequence[FactorTest]) -> bool:
@@ -303,7 +308,7 @@ def _sessions_not_tested(tests: Sequence[FactorTest]) -> bool:
 
 
 def _test_row(test: FactorTest) -> tuple[str, ...]:
-    effect, unit = test.effect, step_unit(test.design.joint)
+    effect, unit = test.effect, test.design.unit
     largest, smallest = test.extreme_levels
     if test.design.analysis != "day":
         largest, smallest = (typeset_text(format_direction(level)) for level in (largest, smallest))
@@ -345,7 +350,7 @@ def _places(tests: Sequence[FactorTest]) -> str:
 
 
 def _squares_table(joint: int, tests: Sequence[FactorTest]) -> Table:
-    unit = step_unit(joint)
+    unit = tests[0].design.unit
     columns = (
         *words("question", "session", "term"),
         Column("SS", f"{unit}²"),
@@ -360,7 +365,12 @@ def _squares_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     ]
     note = "Over sessions of the means of cells."
     return Table(
-        f"Sums of squares of {joint_name(joint)}", columns, tuple(rows), stubs=3, note=note, folded=True
+        f"Sums of squares of {joint_name(joint, tests[0].design.machine)}",
+        columns,
+        tuple(rows),
+        stubs=3,
+        note=note,
+        folded=True,
     )
 
 
@@ -371,7 +381,7 @@ def _squares_row(line: Any, unit: str) -> tuple[str, ...]:
 
 
 def _components_table(components: VarianceComponents) -> Table:
-    unit = step_unit(components.joint)
+    unit = components.unit
     columns = (
         Column("source", text=True),
         *numbers("standard deviation", "95 % interval", unit=unit),
@@ -405,7 +415,7 @@ def _components_table(components: VarianceComponents) -> Table:
         "difference and no standard deviation. Restricted maximum likelihood; an interval that begins at 0 "
         "includes no change at all."
     )
-    caption = f"Where the variation of {joint_name(components.joint)} comes from"
+    caption = f"Where the variation of {joint_name(components.joint, components.machine)} comes from"
     return Table(caption, columns, body, note=note)
 
 
@@ -423,7 +433,7 @@ def summarize_formula(result: FormulaTable) -> Summary:
         "response's SI unit; adjusted for all terms (Holm); omega² partial."
     )
     columns = (Column("term", text=True), *map(Column, heads))
-    caption = f"Analysis of variance, {joint_name(result.joint)}"
+    caption = f"Analysis of variance, {joint_name(result.joint, result.machine)}"
     return Summary(
         result.formula,
         (f"Joint {result.joint}. {_formula_sentence(table)}",),

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit._format import step_unit
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit.anova.contrasts import adjust_holm
@@ -33,6 +32,7 @@ from stickslip_fit.anova.factor_test import FactorTest, run_factor_test
 from stickslip_fit.anova.variance_components import VarianceComponents, estimate_components
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.units import from_si
 
 RECORD_COLUMNS = (
@@ -61,7 +61,7 @@ def to_record(item: FactorTest | NotTestable) -> dict[str, object]:
     record |= {name: getattr(design, name) for name in RECORD_COLUMNS[:5]}
     if isinstance(item, NotTestable):
         return record
-    unit, effect = step_unit(item.design.joint), item.effect
+    unit, effect = item.design.unit, item.effect
     return record | {
         "F": item.statistic,
         "df": [int(df) for df in item.sums.df[1:]],
@@ -90,11 +90,13 @@ class Anova(Summarized):
         Tests that the log does not allow, with the reason.
     components : tuple of VarianceComponents
         Of each joint that has them.
+    machine : Machine
     """
 
     factor_tests: tuple[FactorTest, ...]
     not_testable: tuple[NotTestable, ...]
     components: tuple[VarianceComponents, ...] = ()
+    machine: Machine = field(default_factory=load_machine)
 
     def plot_factor(self, joint: int, factor: str) -> AxesArray:
         """One joint's observations by ``day``, ``direction`` or ``normal-force``.
@@ -131,7 +133,7 @@ def analyze_variance(
     Parameters
     ----------
     log : Log
-    joint : {1, 2, 3}, optional
+    joint : int, optional
         This joint only.
     session : str, optional
         This session only.
@@ -147,13 +149,13 @@ def analyze_variance(
     by_joint = list(rows.groupby("joint"))
     designs = [
         design
-        for number, subset in by_joint
+        for _, subset in by_joint
         for make_designs in (design_day_tests, design_direction_tests, design_normal_force_tests)
-        for design in make_designs(subset, log.machine.span(int(number)), choose)
+        for design in make_designs(subset, log.machine, choose)
     ]
-    components = [estimate_components(subset) for _, subset in by_joint]
+    components = [estimate_components(subset, log.machine) for _, subset in by_joint]
     estimated = tuple(one for one in components if isinstance(one, VarianceComponents))
-    return replace(run_factor_tests(designs), components=estimated)
+    return replace(run_factor_tests(designs), components=estimated, machine=log.machine)
 
 
 def run_factor_tests(designs: Sequence[FactorTestDesign | NotTestable]) -> Anova:

@@ -9,16 +9,19 @@ axis as it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isfinite
 
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import coordinate_unit, step_unit
 from stickslip_fit.anova.contrasts import build_comparison
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import expected_steps, float_column, traverse_length
 from stickslip_fit.logs import Log
-from stickslip_fit.machine import published_load
+from stickslip_fit.logs.schema import position_columns
+from stickslip_fit.machine import Machine, load_machine, published_load
 from stickslip_fit.units import from_si
 
 WITHIN_SESSION_ERROR = "readings within session"
@@ -56,6 +59,8 @@ class FactorTestDesign:
         The variation that differences between levels are compared with.
     observations : DataFrame
         See `step_size_observations`; with a column level, the names of the levels.
+    machine : Machine
+        The nominal one if not given.
     """
 
     analysis: str
@@ -66,6 +71,12 @@ class FactorTestDesign:
     factor: str
     error_term: str
     observations: pd.DataFrame
+    machine: Machine = field(default_factory=load_machine)
+
+    @property
+    def unit(self) -> str:
+        """Display unit of the step size."""
+        return step_unit(self.joint, self.machine)
 
     @property
     def units(self) -> pd.DataFrame:
@@ -118,7 +129,12 @@ MAX_SESSIONS = 12  # with more, only the test over all sessions; one session can
 
 
 def design_session_tests(
-    analysis: str, factor: str, rows: pd.DataFrame, direction: str | None, configuration: str
+    analysis: str,
+    factor: str,
+    rows: pd.DataFrame,
+    direction: str | None,
+    configuration: str,
+    machine: Machine,
 ) -> list[FactorTestDesign | NotTestable]:
     """Tests over all sessions, with sessions as blocks, and within each of them.
 
@@ -136,6 +152,7 @@ def design_session_tests(
         Observations of one joint at one configuration, with a column level.
     direction : str or None
     configuration : str
+    machine : Machine
     """
     joint = int(rows["joint"].iloc[0])
     n_levels = rows.groupby("session", sort=False)["level"].nunique()
@@ -146,7 +163,7 @@ def design_session_tests(
 
     def design(session: str | None, error_term: str, subset: pd.DataFrame) -> FactorTestDesign:
         return FactorTestDesign(
-            analysis, joint, direction, session, configuration, factor, error_term, subset
+            analysis, joint, direction, session, configuration, factor, error_term, subset, machine
         )
 
     designs: list[FactorTestDesign | NotTestable] = []
@@ -174,8 +191,6 @@ def _why_not_between_sessions(over: FactorTestDesign, n_sessions: int) -> str:
     return ""
 
 
-COORDINATE_UNITS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
-CONFIGURATION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "low", "high"]
 ROTATION_COLUMNS = ["q1", "q2", "q3", "load_low", "load_middle", "load_high", "low", "high"]
 _POSITION_DECIMALS, _LOAD_DECIMALS = 10, 6  # finer than anything that can be set
 
@@ -188,8 +203,8 @@ def step_size_observations(log: Log) -> pd.DataFrame:
     DataFrame
         The log's columns with plain text for session and direction, and step_size (rad or m per step),
         rounding (standard deviation that the end stop's check adds to it), low and high (ends of the
-        traverse in order), load_low, load_middle, load_high (published load along it), configuration and
-        orientation (labels of all positions, and of the base's).
+        traverse in order), load_low, load_middle, load_high (published load along it, for a machine of the
+        published geometry), configuration and orientation (labels of all positions, and of the base's).
     """
     rows = log.usable
     table = rows.astype({"session": object, "direction": object})
@@ -198,14 +213,20 @@ def step_size_observations(log: Log) -> pd.DataFrame:
     check_every = np.where(rows["check_every"] > 1, rows["check_every"], 1)
     table["rounding"] = table["step_size"] * check_every / np.sqrt(12.0) / steps
     table["low"], table["high"] = rows[["start", "stop"]].min(axis=1), rows[["start", "stop"]].max(axis=1)
-    table[CONFIGURATION_COLUMNS] = table[CONFIGURATION_COLUMNS].round(_POSITION_DECIMALS) + 0.0
-    for joint in log.joints:
+    columns = configuration_columns(table)
+    table[columns] = table[columns].round(_POSITION_DECIMALS) + 0.0
+    for joint in log.joints if log.machine.has_published_geometry else ():
         subset = table["joint"] == joint
         for name, share in (("low", 0.0), ("middle", 0.5), ("high", 1.0)):
             table.loc[subset, f"load_{name}"] = _observation_loads(table[subset], joint, share)
-    table["configuration"] = _group_labels(table, CONFIGURATION_COLUMNS)
+    table["configuration"] = _group_labels(table, columns)
     table["orientation"] = _group_labels(table, ["joint", "theta", "psi"])
     return table
+
+
+def configuration_columns(rows: pd.DataFrame) -> list[str]:
+    """The columns that make a configuration: positions, orientation and ends of the traverse."""
+    return [*position_columns(rows), "low", "high"]
 
 
 def select_observations(rows: pd.DataFrame, joint: int | None, session: str | None) -> pd.DataFrame:
@@ -227,34 +248,36 @@ def select_observations(rows: pd.DataFrame, joint: int | None, session: str | No
     return rows
 
 
-def describe_design_point(row: pd.Series, span: float, names: list[str]) -> str:
+def describe_design_point(row: pd.Series, machine: Machine, names: list[str]) -> str:
     """The configuration of an observation, in words; of a partial traverse its ends too.
 
     Parameters
     ----------
     row : Series
         An observation.
-    span : float
-        The joint's full travel.
+    machine : Machine
     names : list of str
-        Of q1, q2, q3, theta, psi; the moving joint's own is left out.
+        Of q1 to qn, theta, psi; the moving joint's own, and what is not known, is left out.
     """
-    parts = [format_position(name, row[name]) for name in names if name != f"q{row['joint']}"]
-    if not np.isclose(row["high"] - row["low"], span, rtol=1e-6):
-        unit = COORDINATE_UNITS[f"q{row['joint']}"]
+    shown = [name for name in names if name != f"q{row['joint']}" and isfinite(row[name])]
+    parts = [format_position(name, row[name], machine) for name in shown]
+    if not np.isclose(row["high"] - row["low"], machine.span(int(row["joint"])), rtol=1e-6):
+        unit = coordinate_unit(f"q{row['joint']}", machine)
         parts.append(f"{_format_plain(row['low'], unit)} to {_format_plain(row['high'], unit)} {unit}")
     return ", ".join(parts)
 
 
-def format_position(name: str, value: float) -> str:
+def format_position(name: str, value: float, machine: Machine) -> str:
     """One coordinate.
 
     Examples
     --------
-    >>> format_position("q3", 0.012), format_position("psi", -1.5707963267948966)
+    >>> arm = load_machine()
+    >>> format_position("q3", 0.012, arm), format_position("psi", -1.5707963267948966, arm)
     ('q3 12 mm', 'psi -90 deg')
     """
-    return f"{name} {_format_plain(value, COORDINATE_UNITS[name])} {COORDINATE_UNITS[name]}"
+    unit = coordinate_unit(name, machine)
+    return f"{name} {_format_plain(value, unit)} {unit}"
 
 
 def _format_plain(value: float, unit: str) -> str:
@@ -275,11 +298,8 @@ def _group_labels(rows: pd.DataFrame, by: list[str]) -> pd.Series:
     return "c" + groups.ngroup().astype(str)
 
 
-POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi"]
-
-
 def design_day_tests(
-    rows: pd.DataFrame, span: float, choose: ConfigurationChooser
+    rows: pd.DataFrame, machine: Machine, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
     """One test for each direction: sessions against observations within them, at one configuration.
 
@@ -287,14 +307,13 @@ def design_day_tests(
     ----------
     rows : DataFrame
         Observations of one joint.
-    span : float
-        The joint's full travel, rad or m.
+    machine : Machine
     choose : callable
         Picks the configurations.
     """
     designs: list[FactorTestDesign | NotTestable] = []
-    for subset in choose(rows, CONFIGURATION_COLUMNS):
-        configuration = describe_design_point(subset.iloc[0], span, POSITION_COLUMNS)
+    for subset in choose(rows, configuration_columns(rows)):
+        configuration = describe_design_point(subset.iloc[0], machine, position_columns(rows))
         for direction, observations in subset.groupby("direction"):
             n_sessions = observations["session"].nunique()
             common = ("day", int(rows["joint"].iloc[0]), str(direction), None, configuration)
@@ -306,12 +325,12 @@ def design_day_tests(
                 designs.append(NotTestable(*common, f"{reason}at least"))
             else:
                 levels = observations.assign(level=observations["session"])
-                designs.append(FactorTestDesign(*common, "session", WITHIN_SESSION_ERROR, levels))
+                designs.append(FactorTestDesign(*common, "session", WITHIN_SESSION_ERROR, levels, machine))
     return designs
 
 
 def design_direction_tests(
-    rows: pd.DataFrame, span: float, choose: ConfigurationChooser
+    rows: pd.DataFrame, machine: Machine, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
     """Direction + against -, at one configuration; parameters as of `design_day_tests`."""
     joint = int(rows["joint"].iloc[0])
@@ -320,10 +339,10 @@ def design_direction_tests(
         reason = f"joint {joint} was driven in direction {driven[0]} only"
         return [NotTestable("direction", joint, None, None, None, reason)]
     designs: list[FactorTestDesign | NotTestable] = []
-    for subset in choose(rows, CONFIGURATION_COLUMNS):
+    for subset in choose(rows, configuration_columns(rows)):
         levels = subset.assign(level=subset["direction"])
-        configuration = describe_design_point(subset.iloc[0], span, POSITION_COLUMNS)
-        designs += design_session_tests("direction", "direction", levels, None, configuration)
+        configuration = describe_design_point(subset.iloc[0], machine, position_columns(rows))
+        designs += design_session_tests("direction", "direction", levels, None, configuration, machine)
     return designs
 
 
@@ -332,12 +351,16 @@ NO_ROTATION_REASON = (
     "with the load along it the same (joint 3: drive at q2 -90 deg, psi 0 deg and several theta)"
 )
 
+NO_GEOMETRY_REASON = "the force across a joint's axis follows from the arm's lengths, which the machine lacks"
+
 
 def design_normal_force_tests(
-    rows: pd.DataFrame, span: float, choose: ConfigurationChooser
+    rows: pd.DataFrame, machine: Machine, choose: ConfigurationChooser
 ) -> list[FactorTestDesign | NotTestable]:
     """One test for each direction; parameters as of `design_day_tests`."""
     joint = int(rows["joint"].iloc[0])
+    if not machine.has_published_geometry:
+        return [NotTestable("normal-force", joint, None, None, None, NO_GEOMETRY_REASON)]
     cells = rows.groupby([*ROTATION_COLUMNS, "session", "direction"], dropna=False)["orientation"]
     turned = (
         rows.assign(turned=cells.transform("nunique") > 1)
@@ -349,14 +372,17 @@ def design_normal_force_tests(
     designs: list[FactorTestDesign | NotTestable] = []
     for subset in choose(rows[turned], ROTATION_COLUMNS):
         varied = [name for name in ("theta", "psi") if subset[name].nunique() > 1]
-        fixed = [name for name in POSITION_COLUMNS if name not in varied]
-        names = {key: _orientation_name(part.iloc[0], varied) for key, part in subset.groupby("orientation")}
-        configuration = f"{describe_design_point(subset.iloc[0], span, fixed)}; {' and '.join(varied)} turned"
+        fixed = [name for name in position_columns(rows) if name not in varied]
+        by_orientation = subset.groupby("orientation")
+        names = {key: _orientation_name(part.iloc[0], varied, machine) for key, part in by_orientation}
+        configuration = (
+            f"{describe_design_point(subset.iloc[0], machine, fixed)}; {' and '.join(varied)} turned"
+        )
         levels = subset.assign(level=subset["orientation"].map(names))
         for sign, driven in levels.groupby("direction"):
             if driven["level"].nunique() > 1:
                 designs += design_session_tests(
-                    "normal-force", "orientation", driven, str(sign), configuration
+                    "normal-force", "orientation", driven, str(sign), configuration, machine
                 )
             else:
                 reason = f"direction {sign} was driven in one of these orientations only"
@@ -364,5 +390,5 @@ def design_normal_force_tests(
     return designs
 
 
-def _orientation_name(row: pd.Series, varied: list[str]) -> str:
-    return ", ".join(format_position(name, row[name]) for name in varied)
+def _orientation_name(row: pd.Series, varied: list[str], machine: Machine) -> str:
+    return ", ".join(format_position(name, row[name], machine) for name in varied)

@@ -28,6 +28,7 @@ from stickslip_fit.anova.contrasts import (
     sums_of_squares,
 )
 from stickslip_fit.anova.designs import WITHIN_SESSION_ERROR, FactorTestDesign, NotTestable
+from stickslip_fit.logs.schema import NO_TIMES
 
 CellStatistic = Callable[[Array, IntArray], Array]
 """Of observations, shape (..., n), and their cells; the larger, the less the assumption holds."""
@@ -103,17 +104,23 @@ def check_assumptions(
     Parameters
     ----------
     values, time : array, shape (n,)
-        Step sizes, and when each was observed, seconds.
+        Step sizes, and when each was observed, seconds, NaN where nobody knows.
     level, block : array of int, shape (n,)
         Level and session of each observation.
     """
     cell = np.unique(np.stack([block, level]), axis=1, return_inverse=True)[1].ravel()
+    shape = (_check_normality(values, cell), _check_equal_variance(values, cell))
+    if np.isnan(time).any():
+        reason = f"{NO_TIMES}, so that drift cannot be told from an effect"
+        return (*shape, *(AssumptionCheck(name, "cannot tell", reason) for name in TIME_CHECKS))
     return (
-        _check_normality(values, cell),
-        _check_equal_variance(values, cell),
+        *shape,
         _check_drift(values, time, cell),
         _check_interleaving(time, level, block),
     )
+
+
+TIME_CHECKS = ("drift within a session", "levels in turn")
 
 
 def _check_normality(values: Array, cell: IntArray) -> AssumptionCheck:
@@ -140,7 +147,7 @@ def _check_equal_variance(values: Array, cell: IntArray) -> AssumptionCheck:
 
 def _check_drift(values: Array, time: Array, cell: IntArray) -> AssumptionCheck:
     """Permutation test of residuals against time, within each cell."""
-    name = "drift within a session"
+    name = TIME_CHECKS[0]
     residuals = cell_residuals(values, cell)
     observed = abs(float(residuals @ time))
     if _residual_df(cell) < MIN_RESIDUAL_DF or observed == 0.0:
@@ -158,7 +165,7 @@ def _check_drift(values: Array, time: Array, cell: IntArray) -> AssumptionCheck:
 
 def _check_interleaving(time: Array, level: IntArray, block: IntArray) -> AssumptionCheck:
     """Whether levels took turns within sessions, or were measured one after another in all of them."""
-    name = "levels in turn"
+    name = TIME_CHECKS[1]
     sums = sums_of_squares(time, build_comparison(level, block))
     total = sums.between + sums.within
     if sums.df[1] == 0 or total <= 0:

@@ -8,7 +8,7 @@ type III after all others with sum-to-zero coding. Degrees of freedom are ranks.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from math import prod
 from typing import Any
@@ -26,6 +26,7 @@ from stickslip_fit.anova.grammar import Factor, Term, parse_formula
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.machine import Machine, load_machine
 
 RESIDUAL_NAME = "residual"
 TYPES = (1, 2, 3)
@@ -66,6 +67,7 @@ class FormulaTable(Summarized):
         The terms in the order of the formula, then the residual.
     count : int
         Number of observations.
+    machine : Machine
     """
 
     joint: int
@@ -73,6 +75,7 @@ class FormulaTable(Summarized):
     kind: int
     lines: tuple[AnovaRow, ...]
     count: int
+    machine: Machine = field(default_factory=load_machine)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -118,7 +121,7 @@ def analyze_formula(
     log : Log
     text : str
         See `stickslip_fit.anova.grammar`; it is never evaluated as code.
-    joint : {1, 2, 3}, optional
+    joint : int, optional
         Of this joint only.
     session : str, optional
         Of this session only.
@@ -133,7 +136,9 @@ def analyze_formula(
         no residual scatter, or asks for type III where some combinations of levels are missing.
     """
     rows = add_plain_names(select_observations(step_size_observations(log), joint, session))
-    return tuple(_analyze_joint(subset, int(one), text, kind) for one, subset in rows.groupby("joint"))
+    return tuple(
+        _analyze_joint(subset, int(one), log.machine, text, kind) for one, subset in rows.groupby("joint")
+    )
 
 
 def add_plain_names(rows: pd.DataFrame) -> pd.DataFrame:
@@ -147,7 +152,7 @@ def add_plain_names(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(**{short: rows[name] for name, short in plain.items()})
 
 
-def _analyze_joint(rows: pd.DataFrame, joint: int, text: str, kind: int) -> FormulaTable:
+def _analyze_joint(rows: pd.DataFrame, joint: int, machine: Machine, text: str, kind: int) -> FormulaTable:
     if kind not in TYPES:
         raise InputError(f"type {kind} of sums of squares is none of 1, 2, 3")
     values, terms = model_terms(rows, text, sums_to_zero=kind == 3)
@@ -157,7 +162,7 @@ def _analyze_joint(rows: pd.DataFrame, joint: int, text: str, kind: int) -> Form
         raise InputError(f"joint {joint}: {text!r} leaves no scatter to compare with; leave a term out")
     if kind == 3:
         _check_estimable(terms, lines)
-    return FormulaTable(joint, text, kind, tuple(lines), len(values))
+    return FormulaTable(joint, text, kind, tuple(lines), len(values), machine)
 
 
 def _check_estimable(terms: Sequence[ModelTerm], lines: Sequence[AnovaRow]) -> None:

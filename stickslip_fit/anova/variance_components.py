@@ -7,12 +7,13 @@ quantities (S. Weerahandi, JASA 88:899, 1993), which hold at a variance of 0, to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import step_unit
 from stickslip_fit._typing import Array
 from stickslip_fit.anova.contrasts import (
     build_comparison,
@@ -20,8 +21,9 @@ from stickslip_fit.anova.contrasts import (
     subtract_median,
     sums_of_squares,
 )
-from stickslip_fit.anova.designs import CONFIGURATION_COLUMNS, NotTestable, choose_most_informative
+from stickslip_fit.anova.designs import NotTestable, choose_most_informative, configuration_columns
 from stickslip_fit.anova.factor_test import EXACT_REPEAT_TOL
+from stickslip_fit.machine import Machine, load_machine
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,7 @@ class VarianceComponents:
     direction, direction_low, direction_high : float or None
         Step size in direction + less that in direction -, a fixed effect, with its 95 % interval from the
         variation between sessions.
+    machine : Machine
     """
 
     joint: int
@@ -217,11 +220,19 @@ class VarianceComponents:
     direction: float | None = None
     direction_low: float | None = None
     direction_high: float | None = None
+    machine: Machine = field(default_factory=load_machine)
+
+    @property
+    def unit(self) -> str:
+        """Display unit of the step size."""
+        return step_unit(self.joint, self.machine)
 
 
-def estimate_components(rows: pd.DataFrame) -> VarianceComponents | NotTestable:
+def estimate_components(
+    rows: pd.DataFrame, machine: Machine | None = None
+) -> VarianceComponents | NotTestable:
     """Variance components of one joint's observations at the most informative configuration."""
-    subset = choose_most_informative(rows, CONFIGURATION_COLUMNS)[0]
+    subset = choose_most_informative(rows, configuration_columns(rows))[0]
     joint, configuration = int(subset["joint"].iloc[0]), str(subset["configuration"].iloc[0])
     cells, rounding = build_cell_statistics(subset), EXACT_REPEAT_TOL * float(subset["step_size"].max())
     scatters = cells.within_df > 0 and cells.within > cells.within_df * rounding**2
@@ -231,7 +242,7 @@ def estimate_components(rows: pd.DataFrame) -> VarianceComponents | NotTestable:
     variances, intervals = fit_reml(cells), generalized_pivotal_intervals(cells)
     two = cells.count.shape[1] > 1
     difference = _direction_difference(cells.mean[cells.complete]) if two else (None, None, None)
-    return VarianceComponents(
+    components = VarianceComponents(
         joint,
         configuration,
         float(subset["step_size"].mean()),
@@ -242,6 +253,7 @@ def estimate_components(rows: pd.DataFrame) -> VarianceComponents | NotTestable:
         _build_component(variances.day + variances.day_direction, intervals.total),
         *difference,
     )
+    return components if machine is None else replace(components, machine=machine)
 
 
 def build_cell_statistics(rows: pd.DataFrame) -> CellStatistics:

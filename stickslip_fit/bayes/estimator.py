@@ -60,6 +60,7 @@ from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import check_count
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 
@@ -204,6 +205,7 @@ JOINT_SEED = 100_003  # of draws that concern all joints
 
 def fit_jointly(
     log: Log,
+    laws: Laws | None,
     causes: Sequence[Cause],
     priors: Priors,
     *,
@@ -217,13 +219,13 @@ def fit_jointly(
 
     Least squares chooses the causes' versions, and moments of sudden changes, which are fixed there.
     """
-    start, error, laws = _least_squares_start(fit_least_squares(log, causes=causes))
-    common = priors.causes or weak_cause_priors(next(iter(laws.values())), start, log.usable)
+    start, error, extended = _least_squares_start(fit_least_squares(log, laws=laws, causes=causes))
+    common = priors.causes or weak_cause_priors(next(iter(extended.values())), start, log.usable)
     fixed = common.unstandardize(common.standardize(start))
     data_by_group: dict[Group, GroupData] = {}
     backends: dict[Group, list[Any]] = {}
-    for joint, direction, traverses in iterate_groups(log):
-        group, law = (joint, direction), laws[joint]
+    for joint, direction, traverses in iterate_groups(log, laws):
+        group, law = (joint, direction), extended[joint]
         data_by_group[group] = build_group_data(FixedCauseLaw(law.law, law.causes, fixed), traverses.rows)
         backends[group] = memory_backends()
         if backend is not None:
@@ -378,6 +380,7 @@ def _build_samples(
 def fit_bayes(
     log: Log,
     *,
+    laws: Laws | None = None,
     causes: Sequence[Cause] = (),
     priors: Priors | None = None,
     seed: int = 0,
@@ -387,13 +390,15 @@ def fit_bayes(
     progress: bool = True,
     command: str = "",
 ) -> Posterior:
-    """Fit the published law of every joint to all usable traverses, each session drawn from a campaign.
+    """Fit the law of every joint to all usable traverses, each session drawn from a campaign.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : sequence of Cause, optional
-        Departures from the published laws: one set of parameters for the whole campaign, which ties all
+        Departures from the laws: one set of parameters for the whole campaign, which ties all
         joints and directions together.
     priors : Priors, optional
         `weak_priors` of the log without it.
@@ -431,15 +436,15 @@ def fit_bayes(
     check_count("seed", seed, least=0)
     check_count("target_ess", target_ess)
     check_count("max_steps", max_steps)
-    priors = weak_priors(log) if priors is None else priors
+    priors = weak_priors(log, laws) if priors is None else priors
     if causes:
         settings: dict[str, Any] = {"seed": seed, "target_ess": target_ess, "max_steps": max_steps}
         with progress_bar(progress, desc="all joints", unit=" steps") as bar:
             samples, priors = fit_jointly(
-                log, causes, priors, backend=backend, on_step=bar.update, **settings
+                log, laws, causes, priors, backend=backend, on_step=bar.update, **settings
             )
     else:
-        samples = _fit_separately(log, priors, seed, target_ess, max_steps, backend, progress)
+        samples = _fit_separately(log, laws, priors, seed, target_ess, max_steps, backend, progress)
     tables = [
         sample.quality.assign(joint=joint, direction=direction)
         for (joint, direction), sample in samples.items()
@@ -452,6 +457,7 @@ def fit_bayes(
 
 def _fit_separately(
     log: Log,
+    laws: Laws | None,
     priors: Priors,
     seed: int,
     target_ess: int,
@@ -461,7 +467,7 @@ def _fit_separately(
 ) -> dict[tuple[int, str], PosteriorSample]:
     """Sample every joint and direction by itself."""
     samples = {}
-    for joint, direction, traverses in iterate_groups(log):
+    for joint, direction, traverses in iterate_groups(log, laws):
         prior, name = priors.prior(joint, direction), group_name(joint, direction)
         backends = memory_backends()
         if backend is not None:

@@ -22,7 +22,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import Groups, group_rows, usable_rows
-from stickslip_fit.laws import Rows, StepLaw, published_law, traverse_length
+from stickslip_fit.laws import Laws, Rows, StepLaw, choose_laws, traverse_length
 from stickslip_fit.logs import Log
 
 ROWS_PER_CHUNK = 20_000  # for which the law is evaluated at a time; they fit in the cache
@@ -62,8 +62,8 @@ class GroupData:
         return predict_log_steps(self.law, self.rows.iloc[self.first], distinct)[:, self.replicate_of]
 
 
-def iterate_groups(log: Log) -> Iterator[tuple[int, str, GroupData]]:
-    """Every joint and direction of a log with its usable traverses, under the published law.
+def iterate_groups(log: Log, laws: Laws | None = None) -> Iterator[tuple[int, str, GroupData]]:
+    """Every joint and direction of a log with its usable traverses, under its law; see `choose_laws`.
 
     Raises
     ------
@@ -71,13 +71,13 @@ def iterate_groups(log: Log) -> Iterator[tuple[int, str, GroupData]]:
         If no traverse is usable.
     """
     rows = usable_rows(log)
-    for joint in log.joints:
+    # Both directions have one law, whatever each of them covers.
+    for joint, law in choose_laws(rows, log.machine, laws).items():
         subset = rows[rows["joint"] == joint]
         for direction in ("+", "-"):
             own = subset[subset["direction"] == direction]
             if len(own):
-                # Both directions have one law, whatever reaches each of them covers.
-                yield joint, direction, build_group_data(published_law(joint, subset, log.machine), own)
+                yield joint, direction, build_group_data(law, own)
 
 
 def build_group_data(law: StepLaw, rows: pd.DataFrame) -> GroupData:
@@ -378,7 +378,7 @@ def weak_prior(law: StepLaw, rows: Rows) -> Prior:
     )
 
 
-def weak_priors(log: Log) -> Priors:
+def weak_priors(log: Log, laws: Laws | None = None) -> Priors:
     """The prior of `weak_prior` for every joint and direction of a log; change what you know better.
 
     Raises
@@ -389,7 +389,7 @@ def weak_priors(log: Log) -> Priors:
     return Priors(
         {
             (joint, direction): weak_prior(traverses.law, traverses.rows)
-            for joint, direction, traverses in iterate_groups(log)
+            for joint, direction, traverses in iterate_groups(log, laws)
         }
     )
 

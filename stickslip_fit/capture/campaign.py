@@ -416,7 +416,7 @@ class Campaign:
     def _save(self) -> None:
         rows = self.replay.rows()
         if len(rows):
-            content = format_csv(rows)
+            content = format_csv(rows, self.machine)
             sha256 = hashlib.sha256(content).hexdigest()
             # Recorded first, so that the log is recognized as the capture's own after a crash.
             edited = self._keep_edited()

@@ -52,6 +52,7 @@ from stickslip_fit.causes.base import (
     FactorCause,
     StateCause,
     TermCause,
+    explain_missing,
     extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
@@ -82,6 +83,7 @@ __all__ = [
     "TermCause",
     "covariates",
     "describe",
+    "explain_missing",
     "extend",
     "generic_causes",
     "library",

@@ -16,7 +16,6 @@ import numpy as np
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.laws import State, state_at
 from stickslip_fit.laws.integration import harmonic_counts
-from stickslip_fit.units import PRISMATIC
 
 SINE_TOL = 1e-9  # relative; far above rounding
 GAUSS_ORDER = 10
@@ -157,6 +156,10 @@ class CountableLaw(Protocol):
 
     joint: int
 
+    @property
+    def prismatic(self) -> bool:
+        """See `StepLaw`."""
+
     def panel(self, values: Array) -> float:
         """Widest panel, rad or m, that resolves the step size along a traverse."""
 
@@ -186,7 +189,7 @@ class AdaptiveCounter:
         self.row_values = row_values
         self._prepared: dict[tuple[Any, ...], tuple[StepCounter, State]] = {}
         self._simple_counters: list[type[StepCounter]] = [UniformCounter]
-        if law.joint != PRISMATIC and not law.varies_along_traverse:
+        if not law.prismatic and not law.varies_along_traverse:
             self._simple_counters.append(SinusoidalCounter)
         self._n_halvings = 0
 

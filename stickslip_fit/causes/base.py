@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +29,11 @@ from stickslip_fit.causes.parameters import (
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
+from stickslip_fit.logs.schema import NO_TIMES, has_times
 from stickslip_fit.machine import Machine
 
+EVERY_JOINT = (1, 2, 3)
+HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load"}
 DIFFERENCE_STEP = 1e-5  # of each parameter's scale, in central differences: good to about ten digits
 
 
@@ -52,7 +55,11 @@ class Cause(ABC):
         What a lab can do about it, as the beginning of a sentence ("waiting until it is warm"); empty where
         only an extended law helps.
     joints : tuple of int
-        On which it acts.
+        On which it acts; `EVERY_JOINT` are all joints of any machine.
+    kind : {"", "rotary", "prismatic"}
+        If not empty, it acts on the joints of this kind, and `joints` are those of the published arm.
+    needs_geometry : bool
+        Whether it needs the gravity load or the published arm's dimensions.
     session : str
         The only session in which it acts; empty for all.
     columns : tuple of str
@@ -84,7 +91,9 @@ class Cause(ABC):
     shows_best: ClassVar[str]
     sentence: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
-    joints: ClassVar[tuple[int, ...]] = (1, 2, 3)
+    joints: ClassVar[tuple[int, ...]] = EVERY_JOINT
+    kind: ClassVar[Literal["", "rotary", "prismatic"]] = ""
+    needs_geometry: ClassVar[bool] = False
     session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
@@ -163,15 +172,37 @@ class Cause(ABC):
         """The cause in a log: with the means and ranges of the log that its equation refers to."""
         return self
 
+    def acts_on(self, law: StepLaw) -> bool:
+        """Whether it acts on the joint of a law."""
+        if self.kind:
+            return law.prismatic == (self.kind == "prismatic")
+        return self.joints == EVERY_JOINT or law.joint in self.joints
+
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """Why a log cannot show it, or None where nothing is missing."""
-        if not rows["joint"].isin(self.joints).any():
+        """Why the rows of a log cannot show it, or None where nothing is missing; see `explain_missing`."""
+        every = bool(self.kind) or self.joints == EVERY_JOINT
+        if not every and not rows["joint"].isin(self.joints).any():
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
 
     def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off by chance, (n, q) and (n, 3) -> (n,); none unless overridden."""
         return np.zeros(len(values))
+
+
+def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:
+    """Why a log of a machine cannot show a cause, or None where nothing is missing."""
+    if cause.needs_geometry and not machine.has_published_geometry:
+        return "the machine has no arm lengths, from which loads and recoil follow"
+    if not has_times(rows) and HISTORY_COLUMNS & {*cause.columns}:
+        return NO_TIMES
+    if cause.kind:
+        joints = [joint for joint in machine.joints if machine.kinds[joint - 1] == cause.kind]
+        rows = rows[rows["joint"].isin(joints)]
+        if rows.empty:
+            of = f"joint {' or '.join(map(str, joints))}" if joints else f"a {cause.kind} joint"
+            return f"the log has no traverse of {of}"
+    return cause.explain_missing(rows)
 
 
 class StateCause(Cause):
@@ -263,7 +294,7 @@ class Composition(StepLaw):
         for cause in self.causes:
             columns = range(first, first + len(cause.parameters))
             first = columns.stop
-            if self.joint in cause.joints:
+            if cause.acts_on(self.law):
                 active.append((cause, columns))
         return tuple(active)
 
@@ -276,6 +307,11 @@ class Composition(StepLaw):
         }
         causes[StateCause].sort(key=lambda active: active[0].stage)
         return causes
+
+    @property
+    def prismatic(self) -> bool:
+        """See `StepLaw.prismatic`."""
+        return self.law.prismatic
 
     @property
     def affects_joint(self) -> BoolArray:

@@ -24,6 +24,7 @@ class AngleOffset(StateCause):
 
     angle: ClassVar[str]
 
+    needs_geometry = True
     null_values = (0.0,)
     scale = (radians(1.0),)
     trial_values = np.radians([[1.0], [-1.0], [4.0], [-4.0]])
@@ -103,6 +104,7 @@ class Q1Gravity(StateCause):
     remedy = "calibrating at the q1 that is used"
     joints = (2, 3)
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
+    needs_geometry = True
     null_values = (0.0,)
     scale = (0.5,)
     largest_sizes = ((1.0,),)
@@ -139,6 +141,7 @@ class RecoilAxis(StateCause):
     sentence = "The arm recoils most at q2 = {phi:+}, where the law has it at 0 deg"
     joints = (3,)
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
+    needs_geometry = True
     null_values = (0.0,)
     scale = (radians(2.0),)
     trial_values = np.radians([[2.0], [-2.0], [6.0], [-6.0], [15.0], [-15.0]])
@@ -165,6 +168,7 @@ class RecoilShape(StateCause):
     sentence = "Recoil follows the cosine of q2 to the power {p:.2f}"
     joints = (3,)
     parameters = (CauseParameter("p", "1", "exponent; 1 in the published law", 0.1, 6.0),)
+    needs_geometry = True
     null_values = (1.0,)
     scale = (0.2,)
     trial_values = np.array([[0.6], [0.85], [1.2], [1.8]])

@@ -52,6 +52,7 @@ class SideLoad(FactorCause):
     shows_best = "joint 3 level and upright in orientations that have the same load along the axis"
     sentence = "Joint 3's steps {k:shrink|grow} by {k} where all the load lies across the guide"
     remedy = "calibrating in the orientation that is used"
+    needs_geometry = True
     joints = (3,)
     parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
     null_values = (0.0,)
@@ -95,6 +96,7 @@ class LoadNonlinearity(TermCause):
     )
     shows_best = "joint 3 or 2 at half the full load, upwards and downwards"
     remedy = "calibrating at the loads that are used"
+    needs_geometry = True
     forms = tuple(BEND_SHAPES)
     varies_along_traverse = True
     combine_trials = True
@@ -158,6 +160,7 @@ class LoadHysteresis(FactorCause):
     shows_best = "one configuration after a lifting and after a lowering traverse"
     sentence = "Steps {k:grow|shrink} by {k} after a traverse against full load"
     remedy = "letting a traverse of little load come before each"
+    needs_geometry = True
     columns = ("before_load",)
     parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
     null_values = (0.0,)
@@ -194,6 +197,7 @@ class PayloadChange(StateCause):
     max_trial_factor = 5.0
     shows_best = "joint 3 upright before and after, in both directions"
     remedy = "calibrating anew with each payload"
+    needs_geometry = True
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
@@ -274,6 +278,7 @@ class InertiaQuadratic(TermCause):
     shows_best = "joint 2 at q3 = 6 mm"
     sentence = "Joint 2's steps at q3 = 6 mm are {half_way:+} off the line between those at 0 and 12 mm"
     remedy = "calibrating joint 2 at the q3 that is used"
+    needs_geometry = True
     joints = (2,)
     parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
     null_values = (0.0,)
@@ -321,6 +326,7 @@ class CableTorque(TermCause):
     )
     remedy = "relieving the cable"
     joints = (1, 2)
+    kind = "rotary"
     parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
     null_values = (0.0,)
     scale = (0.01e-6 * 180 / np.pi,)
@@ -329,7 +335,8 @@ class CableTorque(TermCause):
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""
-        return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in self.joints))
+        joints = [joint for joint in machine.joints if not machine.is_prismatic(joint)]
+        return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in joints))
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""

@@ -42,6 +42,7 @@ class BearingRunout(FactorCause):
     sentence = "Rotary steps vary by ± {A} over a turn: a bearing is eccentric"
     remedy = "calibrating over the stretch that is used"
     joints = (1, 2)
+    kind = "rotary"
     parameters = (
         CauseParameter("A", "%", "amplitude of the step size over a turn"),
         CauseParameter("phi", "deg", "where the step size is greatest"),
@@ -61,6 +62,7 @@ class GuideProfileCause(FactorCause):
     """gamma times a factor that depends on the position along the guide alone."""
 
     joints = (PRISMATIC,)
+    needs_geometry = True
     varies_along_traverse = True
 
     @abstractmethod

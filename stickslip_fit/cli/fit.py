@@ -174,13 +174,12 @@ def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
     InputError
         For an unknown name and for a cause that the log cannot show, with those that it can.
     """
-    from stickslip_fit.causes import covariates, library
+    from stickslip_fit.causes import covariates, explain_missing, library
 
     rows = log.usable
     known = {cause.name: cause for cause in (*library(), *covariates(rows))}
-    missing = {
-        name: reason for name, cause in known.items() if (reason := cause.explain_missing(rows)) is not None
-    }
+    reasons = {name: explain_missing(cause, rows, log.machine) for name, cause in known.items()}
+    missing = {name: reason for name, reason in reasons.items() if reason is not None}
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
     issues = [

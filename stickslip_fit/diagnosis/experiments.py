@@ -249,7 +249,7 @@ def _quickest_traverse(
 ) -> tuple[NextTraverse | None, float]:
     best, least = None, np.inf
     for forecast in forecasts:
-        if forecast.law.joint in cause.joints:
+        if cause.acts_on(forecast.law):
             strength = _min_strength(cause, forecast, rows)
             with np.errstate(divide="ignore"):
                 repeats = np.ceil((DETECTION_STRENGTH / strength) ** 2)

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.linearized import (
     whiten,
 )
 from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.units import PRISMATIC
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
@@ -320,7 +321,9 @@ def _compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trial
 
 def acts_on(version: Any, law: Any) -> bool:
     """Whether a cause acts on the joint of a law; every cause acts on a law without a joint."""
-    return not hasattr(law, "joint") or law.joint in version.joints
+    if not hasattr(law, "joint"):
+        return True
+    return version.acts_on(law) if hasattr(version, "acts_on") else law.joint in version.joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,18 +444,20 @@ class AR1:
 
 
 def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesis | AR1]:
-    """Every unstructured alternative for which the rows have the columns."""
+    """Every unstructured alternative for which the rows have the columns; none in time without times."""
     sessions, rows = list(split_sessions(linearized).values()), linearized.rows
     n, scale = len(rows), linearized.scale[:, None]
-    seconds = rows["session_seconds"].to_numpy(float)
-    session = pd.factorize(rows["session"].astype(object))[0]
-    waves = smooth_in_time(seconds, session)
-    common = (*_configuration_indicators(rows), *_harmonics(rows), ("time, the same in each session", waves))
     hypotheses: list[Hypothesis | AR1 | None] = [
         make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
-        for name, columns in common
+        for name, columns in (*_configuration_indicators(rows), *_harmonics(rows))
     ]
-    waves = waves / scale
+    if not has_times(rows):
+        return [one for one in hypotheses if one is not None]
+    seconds = rows["session_seconds"].to_numpy(float)
+    session = pd.factorize(rows["session"].astype(object))[0]
+    waves = smooth_in_time(seconds, session) / scale
+    name = "unknown:time, the same in each session"
+    hypotheses.append(make_hypothesis(name, None, None, linearized.project(waves)))
     hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
     for joint in rows["joint"].unique():
         own = waves * (rows["joint"] == joint).to_numpy()[:, None]
@@ -488,7 +493,7 @@ def _configuration_indicators(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]
 
 def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
     """Harmonics of q2 that joint 3's law lacks, together and one by one."""
-    prismatic = (rows["joint"] == PRISMATIC).to_numpy()
+    prismatic = (rows["joint"] == PRISMATIC).to_numpy() & rows["theta"].notna().to_numpy()
     if not prismatic.any():
         return
     q2 = np.nan_to_num(rows["q2"].to_numpy(float))
@@ -524,6 +529,6 @@ def _ar1_alternatives(rows: pd.DataFrame) -> Iterator[AR1]:
 def number_configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:
     """A number for each configuration: joint, the other joints, base, and the range in either direction."""
     ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1)
-    keys = rows[["joint", "q1", "q2", "q3", "theta", "psi"]].astype(float).fillna(9.0)
+    keys = rows[["joint", *position_columns(rows)]].astype(float).fillna(9.0)
     keys = np.column_stack([keys.to_numpy(), ends]).round(6)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()

@@ -50,6 +50,7 @@ from stickslip_fit.diagnosis.selection import (
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.errors import check_count, check_rate
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
@@ -62,17 +63,20 @@ MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is
 def diagnose(
     log: Log,
     *,
+    laws: Laws | None = None,
     causes: Iterable[Cause] | None = None,
     alpha: float = 0.01,
     seed: int = 0,
     gain: bool = True,
     progress: ProgressCallback = ignore_progress,
 ) -> Diagnosis:
-    """Test the published laws on a log, name the causes of a misfit, and measure what the causes gain.
+    """Test the laws on a log, name the causes of a misfit, and measure what the causes gain.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : iterable of Cause, optional
         Candidates; without it the library and the lab's own columns.
     alpha : float, optional
@@ -92,8 +96,9 @@ def diagnose(
     began = time.perf_counter()
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
-    progress("fitting the published law", 0.0)
-    diagnosis = diagnose_problem(*problem_from_log(log, causes), alpha=alpha, seed=seed, progress=progress)
+    progress("fitting the laws", 0.0)
+    problem, missing = problem_from_log(log, causes, laws)
+    diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis

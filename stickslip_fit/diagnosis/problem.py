@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.causes import Cause, covariates, library
+from stickslip_fit.causes import Cause, covariates, explain_missing, library
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
@@ -35,6 +35,7 @@ from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 MISFIRE = "end-stop-misfire"
@@ -227,9 +228,9 @@ def _are_sizes(versions: Sequence[Any]) -> BoolArray:
 
 
 def problem_from_log(
-    log: Log, causes: Iterable[Cause] | None = None
+    log: Log, causes: Iterable[Cause] | None = None, laws: Laws | None = None
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
-    """A log under the published laws, fitted to each session and direction.
+    """A log under its laws, see `choose_laws`, fitted to each session and direction.
 
     Returns
     -------
@@ -239,12 +240,13 @@ def problem_from_log(
     """
     rows = usable_rows(log)
     candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
-    missing = {cause.name: why for cause in candidates if (why := cause.explain_missing(rows)) is not None}
+    reasons = {cause.name: explain_missing(cause, rows, log.machine) for cause in candidates}
+    missing = {name: why for name, why in reasons.items() if why is not None}
     parts, repeatability = [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)
     backwards = (rows["direction"] == "-").to_numpy()
-    for number, (joint, fit) in enumerate(fit_least_squares(log).joints.items()):
+    for number, (joint, fit) in enumerate(fit_least_squares(log, laws=laws).joints.items()):
         places = np.flatnonzero((rows["joint"] == joint).to_numpy())
         block = fit.group_index(rows.iloc[places])
         responses[places], rounding[places] = fit.law.response(rows.iloc[places])

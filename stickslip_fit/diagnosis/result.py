@@ -187,7 +187,8 @@ class Diagnosis(Summarized):
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
-        return fit_least_squares(log, causes=causes, command=command)
+        laws = {part.law.joint: part.law for part in self.selection.problem.parts}
+        return fit_least_squares(log, laws=laws, causes=causes, command=command)
 
     @property
     def parameters(self) -> pd.DataFrame:

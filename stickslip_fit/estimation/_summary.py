@@ -17,7 +17,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
-from stickslip_fit.estimation.prediction import format_latest_control, latest_control
+from stickslip_fit.estimation.prediction import NO_ORDER, format_latest_control, has_order, latest_control
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
 from stickslip_fit.laws import Parameter
 from stickslip_fit.logs.log import MAX_ROWS, file_names, latest
@@ -31,6 +31,7 @@ FLAGS = {
     "few_replicates": "too few replicates for error bars",
     "repeatability_doubted": "counts scatter unlike the repeatability given",
     "outlier": "an outlying count",
+    "no_times": "the log has no times",
     "chosen": "chosen among the gaps between traverses",
 }
 
@@ -43,7 +44,7 @@ def summarize_fit(result: Result) -> Summary:
     tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
     return Summary(
         title=f"{method} fit of {files}" if files else f"{method} fit",
-        headline=(format_latest_control(latest_control(result)),),
+        headline=(format_latest_control(latest_control(result)) if has_order(result) else NO_ORDER,),
         sections=(Section(tables=tuple(tables)),),
         flags=tuple(flags(result)),
         provenance=result.provenance.lines(),
@@ -99,7 +100,7 @@ def _parameters(result: Result, joint: int) -> Table:
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
-    return Table(f"Parameters of {joint_name(joint)}", columns, rows, stubs=2, note=note)
+    return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
 
 
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:

@@ -11,11 +11,18 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import qr
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes, usable_rows
-from stickslip_fit.estimation.identifiability import configuration_rows, describe_configuration, is_full
+from stickslip_fit.estimation._optimize import RANK_TOL, Groups, group_rows, mean_step_sizes, usable_rows
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
+from stickslip_fit.estimation.identifiability import (
+    configuration_rows,
+    describe_configuration,
+    identifiable_parameters,
+    is_full,
+)
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.load_coefficient import solve_load_coefficient
 from stickslip_fit.estimation.noise import (
@@ -33,24 +40,31 @@ from stickslip_fit.estimation.with_causes import (
     FixedCauses,
     fixed_cause_effect,
     fixed_causes,
+    law_without_causes,
     release_causes,
     solve_with_fixed_causes,
 )
-from stickslip_fit.laws import ConstantStep, Prismatic, Rotary, StepLaw, published_law, traverse_length
+from stickslip_fit.laws import ConstantStep, Laws, Prismatic, Rotary, StepLaw, choose_laws, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 
 FEATURE_TOL = 1e-6
+NOMINAL_SHARE = 0.02  # of the scales
+NOMINAL_STEPS = 10_000  # over a joint's whole range
 POSITION_TOL = 1e-9  # of the range
 MIN_DF = 4  # degrees of freedom; with fewer an interval is several times too wide to be of use
 
 
-def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str = "") -> Result:
+def fit_closed_form(
+    log: Log, *, laws: Laws | None = None, causes_from: Result | None = None, command: str = ""
+) -> Result:
     """Calibrate every session and direction from the first traverse of each calibration configuration.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes_from : Result, optional
         Of another log: its causes are taken as known, and their uncertainty goes into the error bars.
     command : str, optional
@@ -67,19 +81,14 @@ def fit_closed_form(log: Log, *, causes_from: Result | None = None, command: str
     InputError
         If the log has no usable traverse, or `causes_from` is of another machine or knows no causes.
     """
-    rows = usable_rows(log)
-    laws: dict[int, StepLaw] = {
-        joint: published_law(joint, rows[rows["joint"] == joint], log.machine)
-        for joint in log.joints
-        if (rows["joint"] == joint).any()
-    }
+    chosen = choose_laws(usable_rows(log), log.machine, laws)
     known = None
     if causes_from is not None:
         if causes_from.machine.sha256 != log.machine.sha256:
             raise InputError("the causes were fitted for another machine; read the log with that one")
         known = fixed_causes(causes_from)
-        laws = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in laws.items()}
-    return flag_outliers(solve_calibration(log, laws, "closed-form", known=known, command=command), log)
+        chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
+    return flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
 
 
 def solve_calibration(
@@ -121,7 +130,10 @@ def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: 
     """Position in `rows` of each group's first full traverse in each calibration configuration, (g, p).
 
     A traverse serves if it has the configuration's features: the base may lie on either side. -1 for none.
+    Of a law that names no configurations, the traverses that together determine its parameters best.
     """
+    if not law.calibration():
+        return _pick_most_informative(law_without_causes(law), rows, groups, machine)
     full = is_full(rows, machine.span(law.joint), POSITION_TOL).to_numpy()
     features = law.features(rows)
     wanted = law.features(configuration_rows(law.calibration(), law.joint, "+", machine))
@@ -131,6 +143,26 @@ def pick_calibration(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: 
         serves = np.flatnonzero(full & np.all(np.abs(features - target) < FEATURE_TOL * scale, axis=1))
         group, first = np.unique(groups.of_row[serves], return_index=True)
         picked[group, index] = serves[first]
+    return picked
+
+
+def _pick_most_informative(law: StepLaw, rows: pd.DataFrame, groups: Groups, machine: Machine) -> IntArray:
+    """Rows of each group whose responses determine the parameters best, by QR with pivoting, (g, p).
+
+    -1 beyond the rank. The counts are not looked at: the law has its start values for a usual step.
+    """
+    usual = np.array([machine.span(law.joint) / NOMINAL_STEPS])
+    p, scales = len(law.parameters), law.scales(usual)[0]
+    # Off the start values, where an amplitude of 0 would hide its phase.
+    slopes = law.jacobian(rows, law.start_values(usual)[0] + NOMINAL_SHARE * scales) * scales
+    picked = np.full((len(groups), p), -1)
+    for group in range(len(groups)):
+        own = np.flatnonzero((groups.of_row == group) & np.isfinite(slopes).all(axis=1))
+        if len(own):
+            triangle, order = qr(slopes[own].T, mode="r", pivoting=True)
+            size = np.abs(np.diag(triangle))
+            rank = int(np.sum(size > 100 * RANK_TOL * size[0]))
+            picked[group, :rank] = own[order[:rank]]
     return picked
 
 
@@ -196,7 +228,21 @@ def _solve_parameters(
         return np.stack([plain, 1.0 - recoiling / plain, plain * (1.0 - loaded / recoiling)], axis=-1)
     if isinstance(law, Rotary):
         return _solve_rotary(law, rows, machine, picked, steps, gamma)
-    raise TypeError(f"no closed form is known for the law {law.name}")
+    return _solve_numerically(law, rows, picked, steps)
+
+
+def _solve_numerically(law: StepLaw, rows: pd.DataFrame, picked: IntArray, steps: Array) -> Array:
+    """The same equations for a law without a closed form, (g, m) -> (g, p), by least squares."""
+    made = (picked >= 0) & np.isfinite(steps)
+    values = np.full((len(picked), len(law.parameters)), np.nan)
+    if made.any():
+        traverses = rows.iloc[picked[made]].assign(steps=steps[made], check_every=1)
+        problem = single_problem(law, traverses, DEFAULT_OPTIONS)
+        minimum = problem.minimize(np.ones(len(traverses)), problem.start)
+        known, _, _ = identifiable_parameters(minimum.curvature, problem.scales)
+        known &= minimum.converged[:, None]
+        values[made.any(axis=1)] = np.where(known, minimum.values, np.nan)
+    return values
 
 
 def _solve_rotary(
@@ -253,10 +299,13 @@ def _flag_missing_traverses(law: StepLaw, groups: Groups, picked: IntArray, fit:
     for index in np.flatnonzero(~fit.known.all(axis=1)):
         session, direction = groups.table.loc[index, ["session", "direction"]]
         unknown = tuple(name for name, fine in zip(names, fit.known[index], strict=True) if not fine)
-        absent = [law.calibration()[k] for k in np.flatnonzero(picked[index] < 0)]
+        configurations, absent = law.calibration(), np.flatnonzero(picked[index] < 0)
         reason = "no step size above zero gives the counts of its calibration traverses; repeat them"
-        if absent:
-            reason = f"missing: {'; '.join(map(describe_configuration, absent))}"
+        if len(absent):
+            reason = "the session's traverses do not determine them one by one"
+            if configurations:
+                missing = [describe_configuration(configurations[k]) for k in absent]
+                reason = f"missing: {'; '.join(missing)}"
         text = f"{', '.join(unknown)} cannot be calibrated; {reason}"
         flags.append(Flag.at("not_identified", law.joint, direction, session, unknown, text))
     return flags

@@ -6,8 +6,7 @@ smallest subset of the law's calibration configurations that restores full rank 
 
 from __future__ import annotations
 
-from math import degrees, isnan
-from typing import TYPE_CHECKING
+from math import degrees, isnan, nan
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +15,9 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.laws import Configuration, traverse_length
+from stickslip_fit.logs.schema import ORIENTATION
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
-
-if TYPE_CHECKING:
-    pass
 
 
 def identifiable_parameters(
@@ -63,10 +60,7 @@ def configuration_rows(
         {
             "joint": joint,
             "direction": direction,
-            **{
-                name: [getattr(c, name) for c in configurations]
-                for name in ("q1", "q2", "q3", "theta", "psi")
-            },
+            **{name: [getattr(c, name, nan) for c in configurations] for name in _positions(machine)},
             "start": start,
             "stop": stop,
             "session": "",
@@ -74,6 +68,10 @@ def configuration_rows(
             "steps_before": 0,
         }
     )
+
+
+def _positions(machine: Machine) -> list[str]:
+    return [*(f"q{joint}" for joint in machine.joints), *ORIENTATION]
 
 
 def is_full(rows: pd.DataFrame, span: float, rtol: float = 1e-6) -> pd.Series[bool]:

@@ -48,7 +48,7 @@ from stickslip_fit.estimation.noise import (
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
 from stickslip_fit.estimation.with_causes import flag_causes, problems_with_causes, published_problem
-from stickslip_fit.laws import Configuration, StepLaw, published_law
+from stickslip_fit.laws import Configuration, Laws, StepLaw, choose_laws
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -57,6 +57,7 @@ from stickslip_fit.machine import Machine
 def fit_least_squares(
     log: Log,
     *,
+    laws: Laws | None = None,
     causes: Sequence[Cause] = (),
     likelihood: Likelihood = GAUSSIAN,
     shared: Sequence[str] = (),
@@ -64,13 +65,15 @@ def fit_least_squares(
     repeatability: Mapping[tuple[int, str], float] | None = None,
     command: str = "",
 ) -> Result:
-    """Fit the published law of every joint to all usable traverses of a log.
+    """Fit the law of every joint to all usable traverses of a log.
 
     Parameters
     ----------
     log : Log
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : sequence of Cause, optional
-        Departures from the published laws to fit with them: one set of parameters for the whole campaign,
+        Departures from the laws to fit with them: one set of parameters for the whole campaign,
         the same for all joints, directions and sessions.
     likelihood : Likelihood, optional
         `StudentT` where an end stop may have been misheard now and then.
@@ -98,16 +101,15 @@ def fit_least_squares(
     is the repeatability's, pooled over the log by joint and direction, plus the rounding's.
     """
     rows = usable_rows(log)
-    by_joint = {joint: rows[rows["joint"] == joint] for joint in log.joints}
-    by_joint = {joint: subset for joint, subset in by_joint.items() if len(subset)}
-    laws = {joint: published_law(joint, subset, log.machine) for joint, subset in by_joint.items()}
+    chosen = choose_laws(rows, log.machine, laws)
+    by_joint = {joint: rows[rows["joint"] == joint] for joint in chosen}
     options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {})
     if causes:
-        problems, combined = problems_with_causes(causes, laws, by_joint, log.machine, options)
+        problems, combined = problems_with_causes(causes, chosen, by_joint, log.machine, options)
         fits = [iterate_weights(problems, combined, options)]
     else:
-        options.check(laws.values())
-        problems = [single_problem(laws[joint], subset, options) for joint, subset in by_joint.items()]
+        options.check(chosen.values())
+        problems = [single_problem(chosen[joint], subset, options) for joint, subset in by_joint.items()]
         fits = [iterate_weights([problem], problem, options) for problem in problems]
     joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
     flags = [flag for _, _, flags in joints for flag in flags]

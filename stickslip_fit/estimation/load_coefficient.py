@@ -142,7 +142,7 @@ def tabulate_load_coefficients(log: Log, calibration: Result, fit: Result) -> pd
         Eq. 6.6); rad and m. Empty where the log has no such pair.
     """
     joint = Elbow.joint
-    rows = log.usable
+    rows = log.usable if log.machine.has_published_geometry else log.usable[:0]
     rows = rows[(rows["joint"] == joint) & (np.abs(rows["psi"]) < LOAD_TOL)]
     rows = rows[is_full(rows, log.machine.span(joint))]
     swing = np.abs(np.cos(rows["theta"].to_numpy(float)))

@@ -17,6 +17,7 @@ from scipy.special import chdtr, chdtrc, stdtrit
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.laws import StepLaw
+from stickslip_fit.logs.schema import position_columns
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class Flag:
     Attributes
     ----------
     flag : str
-        ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted`` or
-        ``outlier``.
+        ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted``,
+        ``outlier`` or ``no_times``.
     joint : int
     direction, session : str
         An empty session stands for all of them.
@@ -125,7 +126,11 @@ FEW_REPLICATES = (
     "no error bars, since no traverse is left over to show how well one repeats; make each calibration "
     "traverse twice"
 )
-CONFIGURATION_COLUMNS = ["session", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
+
+
+def configuration_columns(rows: pd.DataFrame) -> list[str]:
+    """The columns in which replicates of a session and direction agree."""
+    return ["session", "direction", *position_columns(rows), "start", "stop"]
 
 
 @dataclass(frozen=True)
@@ -156,10 +161,9 @@ def estimate_from_replicates(
     """
     y, rounding = law.response(rows)
     y = y - effect
-    keys = rows[CONFIGURATION_COLUMNS].round(9)
-    configuration = (
-        keys.groupby(CONFIGURATION_COLUMNS, dropna=False, sort=False, observed=True).ngroup().to_numpy()
-    )
+    columns = configuration_columns(rows)
+    keys = rows[columns].round(9)
+    configuration = keys.groupby(columns, dropna=False, sort=False, observed=True).ngroup().to_numpy()
     size = np.bincount(configuration)
     deviation = y - (np.bincount(configuration, y) / size)[configuration]
     noise = {}

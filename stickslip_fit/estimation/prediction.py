@@ -16,18 +16,18 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 from stickslip_fit._format import format_direction
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.result import JointFit, Result, choose_repeatability
+from stickslip_fit.estimation.reweighting import UNTIMED
+from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import (
     StepLaw,
     constant_law,
     expected_steps,
-    published_law,
     rounding_variance,
     traverse_length,
 )
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.units import from_si
-
-POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi"]
 
 
 def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
@@ -101,10 +101,7 @@ def fit_constant_step(log: Log, result: Result) -> Result:
     It is that of the first full traverse in the law's first calibration configuration, without gravity and
     recoil; NaN for a session without such a traverse.
     """
-    rows = log.usable
-    companions = {
-        joint: published_law(joint, rows[rows["joint"] == joint], log.machine) for joint in result.joints
-    }
+    companions = {joint: law_without_causes(fit.law) for joint, fit in result.joints.items()}
     laws: dict[int, StepLaw] = {joint: constant_law(law) for joint, law in companions.items()}
     return solve_calibration(
         log, laws, "constant-step", companion_laws=companions, command=result.provenance.command
@@ -129,7 +126,7 @@ def held_out_errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:
     fresh = ~(law.residuals["used"] | constant.residuals["used"])
     rows = log.usable.loc[fresh.index[fresh]]
     steps = expected_steps(rows["steps"], rows["check_every"])
-    table = rows[["session", "joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]].copy()
+    table = rows[["session", "joint", "direction", *position_columns(rows), "start", "stop"]].copy()
     table["measured"] = traverse_length(rows) / steps
     table["law"] = law.predict(rows)["step_size"]
     table["constant"] = constant.predict(rows)["step_size"]
@@ -148,7 +145,8 @@ def collect_traverses(joint: int, log: Log, calibration: Result, fit: Result) ->
     """
     rows = log.usable
     rows = rows[rows["joint"] == joint].copy()
-    rows[POSITION_COLUMNS] = rows[POSITION_COLUMNS].round(9) + 0.0
+    positions = position_columns(rows)
+    rows[positions] = rows[positions].round(9) + 0.0
     steps = expected_steps(rows["steps"], rows["check_every"])
     rows["centre"] = (rows["start"] + rows["stop"]) / 2
     rows["step_size"] = traverse_length(rows) / steps
@@ -219,8 +217,8 @@ def control_chart(result: Result) -> pd.DataFrame:
         name, joint, direction, session, unit, estimate, low, high (its 95 %), expected_low, expected_high
         (SI) and surprising. The range holds all parameters of a drive that changes from session to session
         as it did so far in 99 of 100 sessions (Student's t, Bonferroni over the session's parameters that
-        have a range); it is NaN with fewer than three earlier sessions. Parameters that are not known, and
-        those that all sessions share, are not listed.
+        have a range); it is NaN with fewer than three earlier sessions, and in a log without times.
+        Parameters that are not known, and those that all sessions share, are not listed.
     """
     table = result.parameters.dropna(subset=["estimate", "session"])
     chart = table[["name", "joint", "direction", "session", "unit", "estimate", "low", "high"]]
@@ -230,13 +228,21 @@ def control_chart(result: Result) -> pd.DataFrame:
     middle, spread = np.full(len(chart), np.nan), np.full(len(chart), np.nan)
     for _, history in histories:
         middle[history.index], spread[history.index] = _predict_next(history.to_numpy(float))
-    has_limits = earlier >= MIN_EARLIER_SESSIONS
+    has_limits = (earlier >= MIN_EARLIER_SESSIONS) & has_order(result)
     n_compared = np.maximum(pd.Series(has_limits).groupby(chart["session"]).transform("sum").to_numpy(), 1)
     df = np.where(has_limits, earlier - 1, 1)
     reach = spread * stdtrit(df, 1 - OUT_OF_CONTROL_LEVEL / 2 / n_compared)
     chart["expected_low"], chart["expected_high"] = middle - reach, middle + reach
     chart["surprising"] = np.abs(chart["estimate"] - middle) > reach
     return chart
+
+
+NO_ORDER = "The log has no times, so that no session can be compared with those before it."
+
+
+def has_order(result: Result) -> bool:
+    """Whether it is known which session came after which."""
+    return all(flag.flag != UNTIMED for flag in result.flags)
 
 
 def latest_control(result: Result) -> pd.DataFrame:

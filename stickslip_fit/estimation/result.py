@@ -347,7 +347,7 @@ def result_to_json(result: Result) -> dict[str, Any]:
         "parameters": parameters_to_json(result.parameters),
         "remarks": [asdict(flag) for flag in result.flags],
         "provenance": asdict(result.provenance),
-        "machine": asdict(result.machine),
+        "machine": _machine_to_json(result.machine),
         "joints": [_joint_to_json(fit) for fit in result.joints.values()],
         "residuals": {
             "row": [int(row) for row in result.residuals.index],
@@ -389,6 +389,13 @@ def parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
         }
         for row in table.itertuples(index=False)
     ]
+
+
+def _machine_to_json(machine: Machine) -> dict[str, Any]:
+    """The machine's fields but those that it does not have, or that every published arm has."""
+    content, arm = asdict(machine), machine.has_published_geometry
+    absent = ("kinds", "joint_names") if arm else ("a1", "l2", "links")
+    return {name: value for name, value in content.items() if name not in absent}
 
 
 def _joint_to_json(fit: JointFit) -> dict[str, Any]:

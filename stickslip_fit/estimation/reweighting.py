@@ -36,10 +36,14 @@ from stickslip_fit.estimation.noise import (
     pool_residuals,
     row_variance,
 )
-from stickslip_fit.estimation.result import Result
-from stickslip_fit.laws import StepLaw, published_law
+from stickslip_fit.estimation.result import ALL_JOINTS, Result
+from stickslip_fit.estimation.with_causes import law_without_causes
+from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.schema import NO_TIMES, has_times
 
+UNTIMED = "no_times"
+NO_TIMES_TEXT = f"{NO_TIMES}: what changes with time or from one traverse to the next stays unknown"
 MAX_PASSES = 100
 WEIGHT_TOL = 1e-6
 
@@ -147,12 +151,12 @@ def flag_outliers(result: Result, log: Log) -> Result:
 
     Where all its residuals are small, no Student-t fit is made.
     """
-    flags = []
-    for joint in result.joints:
+    flags = [] if has_times(log.rows) else [Flag(UNTIMED, ALL_JOINTS, "", "", (), NO_TIMES_TEXT)]
+    for joint, fit in result.joints.items():
         rows = log.usable[log.usable["joint"] == joint]
         residual = result.residuals.loc[rows.index, "residual"].to_numpy()
         if not np.all(np.abs(residual) < SUSPICIOUS_Z * TYPICAL_SIGMA):
-            flags += outliers(published_law(joint, rows, log.machine), rows)
+            flags += outliers(law_without_causes(fit.law), rows)
     return replace(result, flags=(*result.flags, *flags))
 
 

@@ -196,8 +196,14 @@ def _validate(content: dict[str, Any]) -> Any:
 
 
 def _check_machine(machine: Machine) -> None:
-    ends = [machine.ranges[joint] for joint in (1, 2, 3)]
-    _check(all(low < high for low, high in ends), "the machine's ranges")
+    _check(tuple(machine.ranges) == machine.joints and machine.joints != (), "the machine's joints")
+    ends = [machine.ranges[joint] for joint in machine.joints]
+    _check(all(-np.inf < low < high < np.inf for low, high in ends), "the machine's ranges")
+    _check(len(machine.joint_names) in (0, len(machine.kinds)), "the machine's joints")
+    if not machine.has_published_geometry:
+        _check(not machine.links and np.isnan(machine.a1) and np.isnan(machine.l2), "the machine's lengths")
+        return
+    _check(len(machine.links) == 3, "its links")
     _check(all(abs(end) <= tau for end in (*ends[0], *ends[1])), "the machine's ranges")
     lengths = [machine.a1, machine.l2, machine.l2 + ends[2][0], *(abs(link.com) for link in machine.links)]
     _check(max(*lengths, abs(ends[2][0]), abs(ends[2][1])) <= MAX_LENGTH, "the machine's lengths")

@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes import Cause, ExtendedLaw
+from stickslip_fit.causes import Cause, ExtendedLaw, explain_missing
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._problem import (
     DEFAULT_OPTIONS,
@@ -66,7 +66,7 @@ class ResidualProblem:
         changes = []
         for law, problem, own in zip(laws, self.problems, self.values, strict=True):
             values = np.column_stack([own, np.tile(start, (len(own), 1))])
-            affects_joint = law.joint in version.joints
+            affects_joint = version.acts_on(law)
             no_change = np.zeros((len(own), len(trials)))
             changes.append(version.changes(law, problem.rows, values, trials) if affects_joint else no_change)
         return self.project_out_laws(np.concatenate(changes))
@@ -92,7 +92,7 @@ def bind_causes(rows: pd.DataFrame, causes: Sequence[Cause], machine: Machine) -
         For one that the log cannot show, and why.
     """
     for cause in causes:
-        if (reason := cause.explain_missing(rows)) is not None:
+        if (reason := explain_missing(cause, rows, machine)) is not None:
             raise InputError(f"{cause.name} cannot be fitted: {reason}")
     return tuple(cause.bind(rows, machine) for cause in causes)
 
@@ -266,6 +266,11 @@ class FixedCauseLaw(StepLaw):
         self.parameters = law.parameters
 
     @property
+    def prismatic(self) -> bool:
+        """See `StepLaw.prismatic`."""
+        return self.law.prismatic
+
+    @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `StepLaw.columns`."""
         return self.extended.columns
@@ -317,6 +322,11 @@ class FixedCauseLaw(StepLaw):
     def calibration(self) -> tuple[Configuration, ...]:
         """See `StepLaw.calibration`."""
         return self.law.calibration()
+
+
+def law_without_causes(law: StepLaw) -> StepLaw:
+    """The law that causes extend; any other as it is."""
+    return law.law if isinstance(law, ExtendedLaw | FixedCauseLaw) else law
 
 
 def solve_with_fixed_causes(

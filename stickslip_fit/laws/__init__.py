@@ -11,6 +11,7 @@ from stickslip_fit.laws.base import (
     rounding_variance,
     traverse_length,
 )
+from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
 from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
@@ -34,6 +35,8 @@ __all__ = [
     "ConstantStep",
     "Elbow",
     "Law",
+    "LawSource",
+    "Laws",
     "Parameter",
     "Prismatic",
     "Rotary",
@@ -41,6 +44,7 @@ __all__ = [
     "State",
     "StepLaw",
     "TableLaw",
+    "choose_laws",
     "constant_law",
     "describe_law",
     "expected_steps",

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.laws.integration import State, integrate, state_at
+from stickslip_fit.units import PRISMATIC
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class StepLaw(ABC):
     ----------
     name : str
         In reports and saved results.
-    joint : {1, 2, 3}
+    joint : int
     parameters : tuple of Parameter
         p of them; one set for each session and direction.
     columns : tuple of str
@@ -112,6 +113,11 @@ class StepLaw(ABC):
     parameters: tuple[Parameter, ...]
     columns: ClassVar[tuple[str, ...]] = ()
     max_panel: float = np.inf
+
+    @property
+    def prismatic(self) -> bool:
+        """Whether the joint slides rather than turns; as on the published arm unless a law says otherwise."""
+        return self.joint == PRISMATIC
 
     @abstractmethod
     def gamma(self, state: State, values: Array) -> Array:
@@ -152,14 +158,14 @@ class StepLaw(ABC):
         -------
         callable
             From values, shape (p,) or (n, p), to the steps over each traverse, shape (n,), and their
-            derivatives, shape (n, p). It raises InputError if the step size passes through zero; closed
-            forms give NaN there.
+            derivatives, shape (n, p); NaN where the step size is not above 0.
         """
         start, stop = float_column(rows, "start"), float_column(rows, "stop")
         arrays = {name: float_column(rows, name) for name in self.columns}
 
         def count(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(start), len(self.parameters)))
+            stalls = np.zeros(len(start), dtype=bool)
 
             def integrand(owner: IntArray, position: Array) -> Array:
                 row = {name: array[owner] for name, array in arrays.items()}
@@ -168,10 +174,13 @@ class StepLaw(ABC):
                 slopes = self.gamma_slopes(state, values[owner])
                 with np.errstate(divide="ignore", invalid="ignore"):
                     rate = np.where(gamma > 0, 1.0 / gamma, np.nan)[..., None]
-                    return np.concatenate([rate, -slopes * rate**2], axis=-1)
+                    both = np.concatenate([rate, -slopes * rate**2], axis=-1)
+                stalls[owner[~np.isfinite(both).all(axis=(1, 2))]] = True
+                return np.where(stalls[owner, None, None], 0.0, both)
 
             integrals = integrate(integrand, start, stop, max_panel=self.max_panel)
             integrals = integrals * np.sign(stop - start)[:, None]
+            integrals[stalls] = np.nan
             return integrals[:, 0], integrals[:, 1:]
 
         return count

@@ -191,13 +191,14 @@ class State:
 
     Attributes
     ----------
-    joint : {1, 2, 3}
+    joint : int
     position : array
         Of the moving joint, rad or m.
     q1, q2, q3 : array
-        Joint positions, the moving joint's own included.
+        Positions of joints 1 to 3, the moving joint's own included; NaN where unknown. Those of further
+        joints are columns of `row`.
     theta, psi : array
-        Orientation of the base.
+        Orientation of the base; NaN where unknown.
     row : mapping of str to array, shape (n,)
         Other quantities of each traverse, e.g. ``session_seconds``.
     override_load, override_recoil : array or None
@@ -254,5 +255,6 @@ def state_at(joint: int, row: Mapping[str, Any], position: Array) -> State:
         return np.asarray(row.get(name, unknown), dtype=float)[:, None]
 
     pose = {name: column(name) for name in ("q1", "q2", "q3", "theta", "psi")}
-    pose[f"q{joint}"] = position
+    if f"q{joint}" in pose:
+        pose[f"q{joint}"] = position
     return State(joint, position, **pose, row=row)

@@ -296,15 +296,26 @@ class BaseAtOneReach(Base):
 
 
 class ConstantStep(StepLaw):
-    """One step size for every configuration, calibrated in the configuration `measured_in` (thesis Ch. 7)."""
+    """One step size for every configuration (thesis Ch. 7).
+
+    It is calibrated in the configuration `measured_in`, or by any traverse.
+    """
 
     name = "constant"
 
-    def __init__(self, joint: int, measured_in: Configuration) -> None:
+    def __init__(
+        self, joint: int, measured_in: Configuration | None = None, *, prismatic: bool | None = None
+    ) -> None:
         self.joint = joint
         self.measured_in = measured_in
-        unit = "nm" if joint == PRISMATIC else "µrad"
+        self._prismatic = joint == PRISMATIC if prismatic is None else prismatic
+        unit = "nm" if self._prismatic else "µrad"
         self.parameters = (Parameter("gamma", unit, "step size everywhere", lower=0.0),)
+
+    @property
+    def prismatic(self) -> bool:
+        """See `StepLaw.prismatic`."""
+        return self._prismatic
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
@@ -328,7 +339,7 @@ class ConstantStep(StepLaw):
 
     def calibration(self) -> tuple[Configuration, ...]:
         """See `StepLaw.calibration`."""
-        return (self.measured_in,)
+        return () if self.measured_in is None else (self.measured_in,)
 
     def counter(self, rows: Rows) -> Counter:
         """Closed form of `StepLaw.counter`."""
@@ -345,7 +356,8 @@ class ConstantStep(StepLaw):
 def published_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     """The law of `joint` that the rows of its traverses can determine.
 
-    Joint 1's gamma0 and d are linear in the reach, and constants where the rows have one reach.
+    Joint 1's gamma0 and d are linear in the reach, and constants where the rows have one reach. InputError
+    for a machine without the published geometry.
 
     Examples
     --------
@@ -353,6 +365,7 @@ def published_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     >>> published_law(3, {}, load_machine()).name
     'prismatic'
     """
+    machine.require_geometry("the published laws")
     if joint == Prismatic.joint:
         return Prismatic()
     if joint == Elbow.joint:
@@ -386,9 +399,12 @@ def restore_law(description: dict[str, str | int | float], machine: Machine) -> 
         return Elbow(machine) if name == Elbow.name else Base(machine)
     if name == BaseAtOneReach.name:
         return BaseAtOneReach(machine, float(description["q2_rad"]), float(description["q3_m"]))
+    if name == ConstantStep.name:
+        joint = int(description["joint"])
+        return ConstantStep(joint, prismatic=machine.is_prismatic(joint))
     raise InputError(f"the saved law {name!r} is unknown to this version; fit the log again")
 
 
 def constant_law(law: StepLaw) -> ConstantStep:
     """The constant step of thesis Ch. 7 for the joint of `law`, from its first calibration configuration."""
-    return ConstantStep(law.joint, law.calibration()[0])
+    return ConstantStep(law.joint, next(iter(law.calibration()), None), prismatic=law.prismatic)

@@ -6,8 +6,9 @@ need no start values; the others begin where the law says, within their bounds, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import product
 from math import isfinite
 from typing import Any
@@ -18,7 +19,7 @@ import pandas as pd
 from stickslip_fit._expression import Expression
 from stickslip_fit._function import NumericFunction
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Model, Parameter, Rows
 
 MAX_STARTS = 125  # places where a search may begin
@@ -103,7 +104,7 @@ class TableLaw:
 
     def start_values(self, rows: Rows, y: Array) -> Array:
         """Where to begin, shape (p,): the best of some places, with least squares for what is linear."""
-        given = {name: float(value) for name, value in (self.source.start or {}).items()}
+        given = {name: float(value) for name, value in self.source.start.items()}
         model, best, least = self.model(rows), np.ones(len(self.parameters)), np.inf
         first = np.array([given.get(one.name, _middle(one)) for one in self.parameters])
         free = [k for k, one in enumerate(self.parameters) if one.name not in given]
@@ -122,10 +123,6 @@ class TableLaw:
             if squares < least:
                 best, least = values, squares
         return best if isfinite(least) else first
-
-
-def check_table_law(law: TableLaw, frame: pd.DataFrame, session: str | None, start: Mapping[str, float]) -> None:
-    """Refuse what no fit can use."""
 
 
 def find_linear(model: Model, values: Array, among: Iterable[int]) -> list[int]:
@@ -211,3 +208,18 @@ def spread(low: float, high: float, number: int) -> Array:
     """Numbers within bounds, half a spacing away from them: by ratio where these are above 0."""
     shares = (np.arange(number) + 0.5) / number
     return low * (high / low) ** shares if low > 0 else low + (high - low) * shares
+
+
+def similar_name(name: str, names: Iterable[str]) -> str:
+    """The name most like one that is not there; empty where none is.
+
+    Examples
+    --------
+    >>> similar_name("acceleration", ["vel", "acc"]), similar_name("x", ["vel", "acc"])
+    ('acc', '')
+    """
+    names = list(names)
+    begins = [
+        other for other in names if len(other) > 1 and (name.startswith(other) or other.startswith(name))
+    ]
+    return next(iter([*get_close_matches(shorten(name), names, 1), *begins]), "")

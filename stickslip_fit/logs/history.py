@@ -9,11 +9,10 @@ import pandas as pd
 
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
-from stickslip_fit.machine import mean_load
-from stickslip_fit.units import JOINTS
+from stickslip_fit.machine import Machine, mean_load
 
 
-def add_history(rows: pd.DataFrame) -> pd.DataFrame:
+def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFrame:
     """Add the history columns to the rows of a whole log.
 
     Rows of every status count, since each wore the joint and left its load.
@@ -22,6 +21,8 @@ def add_history(rows: pd.DataFrame) -> pd.DataFrame:
     ----------
     rows : DataFrame
         Sorted by time; session, time, joint, direction, steps, q1, q2, theta, psi, start, stop.
+    machine : Machine, optional
+        One of the published geometry if not given; else the load of a traverse is not known.
 
     Returns
     -------
@@ -30,32 +31,37 @@ def add_history(rows: pd.DataFrame) -> pd.DataFrame:
     """
     driven = steps_before(rows["joint"].to_numpy(), rows["steps"].to_numpy())
     session, _ = pd.factorize(rows["session"])
-    return add_session_history(rows, session).assign(steps_before=driven)
+    return add_session_history(rows, session, machine).assign(steps_before=driven)
 
 
-def add_session_history(rows: pd.DataFrame, session: Int64Array) -> pd.DataFrame:
+def add_session_history(
+    rows: pd.DataFrame, session: Int64Array, machine: Machine | None = None
+) -> pd.DataFrame:
     """Add the history within sessions, which `session`, shape (n,), numbers; rows of whole sessions only.
 
     ``before_direction`` ('+', '-', or '' for a joint's first in its session), ``before_load`` (the published
-    load of that traverse, averaged over its positions; 0 for the first) and ``session_seconds`` (since the
-    session's first traverse of any joint).
+    load of that traverse, averaged over its positions; 0 for the first, NaN on a machine without the
+    published geometry) and ``session_seconds`` (since the session's first traverse of any joint).
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
     backwards = (rows["direction"] == "-").to_numpy()
-    direction, load = np.full(len(rows), -1), np.zeros(len(rows))
+    has_load = machine is None or machine.has_published_geometry
+    direction, load = np.full(len(rows), -1), np.full(len(rows), 0.0 if has_load else np.nan)
 
     def fill_joint(number: int) -> None:
         subset = np.flatnonzero(joint == number)
         before = previous_rows(session[subset])
         has_previous = before >= 0
         direction[subset] = np.where(has_previous, backwards[subset][before], -1)
+        if not has_load:
+            return
         names = ("start", "stop", "q1", "q2", "theta", "psi")
         loads = mean_load(number, *(rows[name].to_numpy()[subset] for name in names))
         load[subset] = np.where(has_previous, loads[before], 0.0)
 
     # No two joints share a row, so that threads never write the same one.
-    run_in_threads({f"q{number}": partial(fill_joint, number) for number in JOINTS})
+    run_in_threads({f"q{number}": partial(fill_joint, int(number)) for number in np.unique(joint)})
     began = np.zeros(session.max(initial=0) + 1, np.int64)
     # Rows are in the order of time: assigned from last to first, each session keeps its first time.
     began[session[::-1]] = time[::-1]
@@ -63,6 +69,20 @@ def add_session_history(rows: pd.DataFrame, session: Int64Array) -> pd.DataFrame
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
         session_seconds=np.asarray(time - began[session], np.float64) / 1e9,
+    )
+
+
+def add_unknown_history(rows: pd.DataFrame) -> pd.DataFrame:
+    """Add the history columns to rows of which nobody knows the order: all missing.
+
+    The rows are put in an order that follows from their content alone, by session and joint first.
+    """
+    content = ["session", "joint", "direction", "start", "stop", "steps"]
+    return rows.sort_values(content, ignore_index=True, kind="stable").assign(
+        before_direction=pd.Series(pd.NA, rows.index, dtype="str"),
+        before_load=np.nan,
+        session_seconds=np.nan,
+        steps_before=np.nan,
     )
 
 
@@ -90,7 +110,7 @@ def steps_before(joint: Int64Array, steps: Int64Array) -> Int64Array:
     array([ 0,  0, 10, 30])
     """
     driven = np.zeros(len(joint), np.int64)
-    for number in JOINTS:
+    for number in np.unique(joint):
         subset = np.flatnonzero(joint == number)
         driven[subset] = np.cumsum(steps[subset]) - steps[subset]
     return driven

@@ -19,9 +19,11 @@ import pyarrow as pa
 
 from stickslip_fit._format import (
     MISSING,
+    coordinate_unit,
     format_configuration,
     format_direction,
     format_plain,
+    format_time,
     join_words,
     joint_name,
     pluralize,
@@ -29,24 +31,33 @@ from stickslip_fit._format import (
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
-from stickslip_fit.logs.schema import CHECK_EVERY, CONDITIONS, COVARIATE_PREFIX, FIELD_BY_NAME, check_frame
-from stickslip_fit.machine import Machine
-from stickslip_fit.units import PRISMATIC, SUFFIXES, from_si, to_si
+from stickslip_fit.logs._frame import check_frame
+from stickslip_fit.logs.schema import (
+    CHECK_EVERY,
+    CONDITIONS,
+    COVARIATE_PREFIX,
+    Field,
+    has_times,
+    log_format,
+    position_columns,
+)
+from stickslip_fit.machine import Machine, load_machine
+from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 # Finer than anything that can be set, coarser than what unit conversion rounds off (rad, m).
 _KEY_DECIMALS = 10
 CHANGED = "changed after reading"
-_POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "low", "high"]
 
 
 def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     """Count the traverses of each configuration in the rows of a Log.
 
-    One row per session, joint and configuration, in that order: session, joint, q1, q2, q3 (NaN for the
+    One row per session, joint and configuration, in that order: session, joint, q1 to qn (NaN for the
     moving joint), theta, psi, low and high (the stretch traversed, rad or m), ``+`` and ``-`` (traverses in
     each direction), replicates (those that repeat another of the same direction).
     """
-    table = rows[["session", "joint", "q1", "q2", "q3", "theta", "psi"]].assign(
+    positions = _position_columns(rows)
+    table = rows[["session", "joint", *positions[:-2]]].assign(
         low=np.minimum(rows["start"], rows["stop"]),
         high=np.maximum(rows["start"], rows["stop"]),
         forward=(rows["direction"] == "+").astype(np.int64),
@@ -54,15 +65,17 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     )
     # Adding zero makes -0.0 and 0.0 one configuration.
     with np.errstate(over="ignore"):
-        table[_POSITION_COLUMNS] = table[_POSITION_COLUMNS].round(_KEY_DECIMALS) + 0.0
-    counts = table.groupby(["session", "joint", *_POSITION_COLUMNS], dropna=False, sort=True)[
-        ["forward", "backward"]
-    ]
+        table[positions] = table[positions].round(_KEY_DECIMALS) + 0.0
+    counts = table.groupby(["session", "joint", *positions], dropna=False, sort=True)[["forward", "backward"]]
     counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
     return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
 
 
-def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
+def _position_columns(rows: pd.DataFrame) -> list[str]:
+    return [*position_columns(rows), "low", "high"]
+
+
+def write_log(log: Log | pd.DataFrame, path: str | Path, machine: Machine | None = None) -> None:
     """Write a log as CSV so that reading it gives the same rows.
 
     Quantities are written in the usual units (deg, mm, °C, ms, g), or in another where a value is not exact
@@ -75,6 +88,8 @@ def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
         A Log, or its rows.
     path : str or Path
         Written completely or not at all.
+    machine : Machine, optional
+        Of rows, which do not say whether a joint is rotary or prismatic; the nominal one if not given.
 
     Raises
     ------
@@ -82,12 +97,13 @@ def write_log(log: Log | pd.DataFrame, path: str | Path) -> None:
         If the file cannot be written, or is one that the log was read from.
     """
     rows, files = (log, ()) if isinstance(log, pd.DataFrame) else (log.rows, log.files)
-    write_atomically(path, format_csv(rows), files)
+    known = machine if isinstance(log, pd.DataFrame) else log.machine
+    write_atomically(path, format_csv(rows, known or load_machine()), files)
 
 
-def format_csv(rows: pd.DataFrame) -> bytes:
-    """Rows of a Log as the bytes of a CSV file."""
-    columns = _cell_columns(rows)
+def format_csv(rows: pd.DataFrame, machine: Machine) -> bytes:
+    """Rows of a machine's Log as the bytes of a CSV file."""
+    columns = _cell_columns(rows, machine)
     header = ",".join(map(_quote, columns))
     lines = map(",".join, zip(*columns.values(), strict=True))
     return "\n".join([header, *lines, ""]).encode("utf-8")
@@ -103,21 +119,26 @@ def _text_cells(values: pd.Series) -> list[str]:
     return [quoted[text] for text in values]
 
 
-def _cell_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
+def _cell_columns(rows: pd.DataFrame, machine: Machine) -> dict[str, list[str]]:
     """Column name to cells."""
+    form = log_format(machine)
     columns = {
         "session": _text_cells(rows["session"]),
-        "time": _time_cells(rows["time"]),
+        **({"time": _time_cells(rows["time"])} if has_times(rows) else {}),
         "joint": _number_cells(rows["joint"]),
         "direction": _text_cells(rows["direction"]),
         "steps": _number_cells(rows["steps"]),
     }
-    for name in ("q1", "q2", "q3", "theta", "psi"):
-        columns |= _quantity_column(name, rows[name].to_numpy())
-    for kind, subset in (("angle", rows["joint"] != PRISMATIC), ("length", rows["joint"] == PRISMATIC)):
+    for name in position_columns(rows):
+        if form.by_name[name].required or rows[name].notna().any():
+            columns |= _quantity_column(form.by_name[name], rows[name].to_numpy())
+    slides = rows["joint"].isin([joint for joint in machine.joints if machine.is_prismatic(joint)])
+    for kind, subset in (("angle", ~slides), ("length", slides)):
         for end, inside in (("from", "start"), ("to", "stop")):
             if subset.any():
-                columns |= _quantity_column(f"{end}_{kind}", rows[inside].where(subset).to_numpy())
+                columns |= _quantity_column(
+                    form.by_name[f"{end}_{kind}"], rows[inside].where(subset).to_numpy()
+                )
     return columns | _optional_columns(rows)
 
 
@@ -129,7 +150,7 @@ def _optional_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
         columns["status"] = _text_cells(rows["status"])
     for name in CONDITIONS:
         if rows[name].notna().any():
-            columns |= _quantity_column(name, rows[name].to_numpy())
+            columns |= _quantity_column(CONDITIONS[name], rows[name].to_numpy())
     if (rows["note"] != "").any():
         columns["note"] = _text_cells(rows["note"])
     for name in rows.columns:
@@ -140,9 +161,8 @@ def _optional_columns(rows: pd.DataFrame) -> dict[str, list[str]]:
     return columns
 
 
-def _quantity_column(name: str, values: Array) -> dict[str, list[str]]:
+def _quantity_column(field: Field, values: Array) -> dict[str, list[str]]:
     """One column, in the first unit in which every value has an exact equal."""
-    field = FIELD_BY_NAME[name]
     candidates = [
         (spelling, _convert_exactly(values, SUFFIXES[suffix]))
         for spelling, suffix in zip(field.spellings, field.suffixes, strict=True)
@@ -187,12 +207,12 @@ class Log(Summarized):
     Attributes
     ----------
     rows : DataFrame
-        One row per traverse, sorted by time and joint, SI throughout. ``session``, ``time``, ``joint``,
-        ``direction`` ('+', '-'), ``steps``; ``q1``, ``q2``, ``q3`` (the moving joint's own is NaN),
-        ``theta``, ``psi``; ``start``, ``stop`` (rad or m); ``check_every``; ``status`` ('ok',
-        'interrupted', 'excluded'); ``temperature``, ``humidity``, ``supply``, ``step_period``,
-        ``payload`` (NaN where not given); ``note``; the lab's own columns as ``covariate:<column>``
-        and ``text:<column>``; and history, see `add_history`.
+        One row per traverse, sorted by time and joint, SI throughout. ``session``, ``time`` (NaT in a log
+        without times), ``joint``, ``direction`` ('+', '-'), ``steps``; ``q1`` to ``qn`` (the moving joint's
+        own is NaN), ``theta``, ``psi`` (NaN where not given); ``start``, ``stop`` (rad or m);
+        ``check_every``; ``status`` ('ok', 'interrupted', 'excluded'); ``temperature``, ``humidity``,
+        ``supply``, ``step_period``, ``payload`` (NaN where not given); ``note``; the lab's own
+        columns as ``covariate:<column>`` and ``text:<column>``; and history, see `add_history`.
     sources : tuple of (str, str)
         Name and sha256 of each file.
     file_sha256 : str
@@ -218,7 +238,7 @@ class Log(Summarized):
     rows_as_read: pd.DataFrame | None = None
 
     def __post_init__(self) -> None:
-        check_frame(self.rows)
+        check_frame(self.rows, self.machine)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -245,7 +265,7 @@ class Log(Summarized):
 
     @property
     def sessions(self) -> tuple[str, ...]:
-        """Labels of the sessions, in the order in which they began."""
+        """Labels of the sessions, in the order in which they began; alphabetical in a log without times."""
         return tuple(self.rows["session"].unique())
 
     @property
@@ -259,7 +279,7 @@ class Log(Summarized):
 
         InputError for rows that no file could have given, since a DataFrame can be changed in place.
         """
-        check_frame(self.rows)
+        check_frame(self.rows, self.machine)
         return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
 
     def select(self, mask: npt.ArrayLike) -> Log:
@@ -302,7 +322,6 @@ class Log(Summarized):
 MAX_ROWS = 10  # of a table; the log itself holds the others
 MAX_FILES = 3
 FEW_VALUES = 4
-POSITIONS = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
 NOT_FITTED = ("interrupted", "excluded")
 
 
@@ -343,19 +362,23 @@ def _describe_rows(log: Log) -> str:
     counts = f"{pluralize(len(rows), 'traverse')} in {pluralize(len(log.sessions), 'session')}"
     if rows.empty:
         return f"{counts}."
-    dates = dict.fromkeys(f"{moment:%Y-%m-%d}" for moment in (rows["time"].min(), rows["time"].max()))
-    joints = join_words([joint_name(joint) for joint in log.joints])
+    joints = join_words([joint_name(joint, log.machine) for joint in log.joints])
     states = rows["status"].value_counts()
     unused = [pluralize(int(states[name]), f"{name} traverse") for name in NOT_FITTED if name in states]
     use = f"Not fitted, but part of the history: {join_words(unused)}." if unused else "All are usable."
+    if not has_times(rows):
+        order = "Without times: whatever depends on time or on the order of traverses cannot be tested."
+        return f"{counts}, {joints}. {use} {order}"
+    dates = dict.fromkeys(f"{moment:%Y-%m-%d}" for moment in (rows["time"].min(), rows["time"].max()))
     return f"{counts} ({' to '.join(dates)}), {joints}. {use}"
 
 
 def _session_table(log: Log) -> Table:
     """Time and traverses of each session."""
     kinds = [(joint, sign) for joint in log.joints for sign in ("+", "-")]
+    timed = has_times(log.rows)
     columns = (
-        *words("session", "first traverse", "last traverse"),
+        *words("session", *(("first traverse", "last traverse") if timed else ())),
         *(Column(format_direction(sign), group=f"joint {joint}") for joint, sign in kinds),
         *(Column(name, group="not fitted") for name in NOT_FITTED),
     )
@@ -366,8 +389,7 @@ def _session_table(log: Log) -> Table:
         body.append(
             (
                 str(session),
-                f"{rows['time'].iloc[0]:%Y-%m-%d %H:%M}",
-                f"{rows['time'].iloc[-1]:%Y-%m-%d %H:%M}",
+                *(f"{rows['time'].iloc[place]:%Y-%m-%d %H:%M}" for place in (0, -1) if timed),
                 *(f"{driven.get(kind, 0):,}" for kind in kinds),
                 *(f"{(rows['status'] == name).sum():,}" for name in NOT_FITTED),
             )
@@ -380,7 +402,7 @@ def _coverage_table(log: Log) -> Table | None:
     covered = [_describe_coverage(log, joint) for joint in log.joints]
     if not covered:
         return None
-    columns = words("covered", *map(joint_name, log.joints))
+    columns = words("covered", *(joint_name(joint, log.machine) for joint in log.joints))
     body = tuple((name, *(joint[name] for joint in covered)) for name in covered[0])
     note = "Configurations: in either direction. Replicates: traverses that repeat another of their session."
     return Table("Coverage, usable traverses", columns, body, note=note)
@@ -389,7 +411,7 @@ def _coverage_table(log: Log) -> Table | None:
 def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
     rows, configurations = log.usable, log.configurations()
     rows, configurations = rows[rows["joint"] == joint], configurations[configurations["joint"] == joint]
-    distinct = configurations[_POSITION_COLUMNS].drop_duplicates()
+    distinct = configurations[_position_columns(rows)].drop_duplicates()
     length = (rows["stop"] - rows["start"]).abs()
     covered = {
         "traverses": f"{len(rows):,}",
@@ -397,7 +419,8 @@ def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
         "configurations": f"{len(distinct):,}",
         "replicates": f"{configurations['replicates'].sum():,}",
     }
-    for name, unit in POSITIONS.items():
+    for name in position_columns(rows):
+        unit = coordinate_unit(name, log.machine)
         values = "moves" if name == f"q{joint}" else _format_values(rows[name], unit)
         covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
     return covered
@@ -425,10 +448,10 @@ def _note_table(log: Log) -> Table | None:
     rows = log.rows[(log.rows["note"] != "") | (log.rows["status"] != "ok")]
     body = tuple(
         (
-            f"{row['time']:%Y-%m-%d %H:%M:%S}",
+            format_time(row["time"]),
             str(row["session"]),
             f"{row['joint']} {format_direction(row['direction'])}",
-            format_configuration(row, log.machine.span(row["joint"])),
+            format_configuration(row, log.machine),
             str(row["status"]),
             str(row["note"]),
         )

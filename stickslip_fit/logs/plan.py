@@ -15,11 +15,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._io import write_atomically
-from stickslip_fit._typing import Array, BoolArray, Int64Array
+from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import IssueMessage
 from stickslip_fit.logs.schema import LogCells
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import JOINTS, PRISMATIC, from_si
+from stickslip_fit.units import PRISMATIC, from_si
 
 TraverseOrder = Literal["as-written", "random"]
 NoiseKind = Literal["gaussian", "t5"]
@@ -135,7 +135,14 @@ class Plan:
 
 
 RANGE_TOL = 1e-9  # of a joint's range, for rounding in unit conversion
-_JOINTS_BY_KIND = {"angle": (1, 2), "length": (PRISMATIC,)}
+
+
+def _joints_by_kind(machine: Machine) -> dict[str, list[int]]:
+    """Rotary and prismatic joints."""
+    joints: dict[str, list[int]] = {"angle": [], "length": []}
+    for joint in machine.joints:
+        joints["length" if machine.is_prismatic(joint) else "angle"].append(joint)
+    return {kind: numbers for kind, numbers in joints.items() if numbers}
 
 
 def read_traverses(
@@ -146,7 +153,7 @@ def read_traverses(
     An empty cell is the end of the machine's range. `joint` is 0 where unknown; `forward` is 1 for `+`, -1
     for `-`, 0 where unknown.
     """
-    low, high = (np.array([np.nan, *ends]) for ends in zip(*map(machine.ranges.get, JOINTS), strict=True))
+    low, high = np.array([(np.nan, np.nan), *(machine.ranges[joint] for joint in machine.joints)]).T
     unknown = np.full_like(low, np.nan)
     start = _read_end(cells, machine, joint, "from", np.stack([high, unknown, low])[forward + 1, joint])
     stop = _read_end(cells, machine, joint, "to", np.stack([low, unknown, high])[forward + 1, joint])
@@ -168,13 +175,13 @@ def report_outside_range(cells: LogCells, machine: Machine, field: str, joint: i
 
 def _read_end(cells: LogCells, machine: Machine, joint: Int64Array, stem: str, default: Array) -> Array:
     values = default
-    for kind, joints in _JOINTS_BY_KIND.items():
+    for kind, joints in _joints_by_kind(machine).items():
         field = f"{stem}_{kind}"
         if not cells.has(field):
             continue
-        subset, filled = _is_moving_kind(joint, kind), cells.is_filled(field)
+        subset, filled = np.isin(joint, joints), cells.is_filled(field)
         foreign = ~subset & (joint > 0)
-        cells.add_issue(field, foreign & filled, _wrong_kind_message(joint, stem))
+        cells.add_issue(field, foreign & filled, _wrong_kind_message(machine, joint, stem))
         ends = cells.numbers(field, ignored=foreign)
         for number in joints:
             report_outside_range(cells, machine, field, number, np.where(joint == number, ends, np.nan))
@@ -182,11 +189,12 @@ def _read_end(cells: LogCells, machine: Machine, joint: Int64Array, stem: str, d
     return values
 
 
-def _wrong_kind_message(joint: Int64Array, stem: str) -> IssueMessage:
+def _wrong_kind_message(machine: Machine, joint: Int64Array, stem: str) -> IssueMessage:
     def message(row: int, value: str) -> str:
-        if joint[row] == PRISMATIC:
-            return f"is an angle, but joint 3 is prismatic; write {stem}_mm, and leave this cell empty"
-        return f"is a length, but joint {joint[row]} is rotary; write {stem}_deg, and leave this cell empty"
+        number = int(joint[row])
+        if machine.is_prismatic(number):
+            return f"is an angle, but joint {number} is prismatic; write {stem}_mm, and leave this cell empty"
+        return f"is a length, but joint {number} is rotary; write {stem}_deg, and leave this cell empty"
 
     return message
 
@@ -194,12 +202,12 @@ def _wrong_kind_message(joint: Int64Array, stem: str) -> IssueMessage:
 def _report_bad_length(
     cells: LogCells, machine: Machine, joint: Int64Array, forward: Int64Array, start: Array, stop: Array
 ) -> None:
-    span = np.array([np.nan, *map(machine.span, JOINTS)])
-    for kind in _JOINTS_BY_KIND:
+    span = np.array([np.nan, *map(machine.span, machine.joints)])
+    for kind, joints in _joints_by_kind(machine).items():
         ends = _end_column_names(cells, kind)
         if not ends:
             continue
-        subset, has_end = _is_moving_kind(joint, kind), cells.is_filled(f"to_{kind}")
+        subset, has_end = np.isin(joint, joints), cells.is_filled(f"to_{kind}")
         length = stop - start
         # NaN, which has an issue already, gets no further one.
         zero = subset & (np.abs(length) <= RANGE_TOL * span[joint])
@@ -208,11 +216,6 @@ def _report_bad_length(
         cells.add_issue(f"from_{kind}", zero & ~has_end, message)
         opposite = subset & ~zero & (forward * length < 0)
         cells.add_issue("direction", opposite, _direction_message(kind, ends, start, stop))
-
-
-def _is_moving_kind(joint: Int64Array, kind: str) -> BoolArray:
-    """Where the joint that moves is of this kind."""
-    return joint == PRISMATIC if kind == "length" else (joint > 0) & (joint != PRISMATIC)
 
 
 def _direction_message(kind: str, ends: str, start: Array, stop: Array) -> IssueMessage:

@@ -292,7 +292,7 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     """Read and check a plan, a TOML file with the keys of `PlanFile`.
 
     The machine's ranges are the ends of full traverses and bound every position. InputError has every issue
-    of the file.
+    of the file, or says that plans are for machines of the published geometry.
 
     Examples
     --------
@@ -316,6 +316,7 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     1  2012-03-05      3         - -1.57  -1.57
     2  2012-03-05      3         + -1.57   0.00
     """
+    machine.require_geometry("a plan of a campaign")
     content = read_toml(path, PlanFile, "plan file", machine)
     noise, (shortest, longest), turn = None, content.timing.pause, content.timing.turn
     if content.noise:

@@ -18,27 +18,29 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._files import SourcePath, hash_sources, open_sources
 from stickslip_fit.logs._table import IssueCollector, IssueMessage, label_codes, run_in_threads
-from stickslip_fit.logs.history import add_session_history, steps_before
+from stickslip_fit.logs.history import add_session_history, add_unknown_history, steps_before
 from stickslip_fit.logs.log import Log
 from stickslip_fit.logs.plan import read_traverses, report_outside_range
 from stickslip_fit.logs.schema import (
     CHECK_EVERY,
     CONDITIONS,
     MAX_STEPS,
+    NO_TIMES,
+    ORIENTATION,
     LogCells,
     locate_row,
+    log_format,
     match_columns,
     read_covariates,
     split_by_file,
 )
 from stickslip_fit.machine import Machine, load_machine
-from stickslip_fit.units import JOINTS
 
-_BAD_JOINT_MESSAGE = "is no joint; write 1 or 2 (rotary) or 3 (prismatic)"
 _BAD_COUNT_MESSAGE = "is no positive integer; write the steps driven, such as 12540"
 
 
@@ -56,6 +58,8 @@ class RowKeys:
         0 where the cell is bad.
     valid : array of bool
         Whether session, time and joint are good.
+    has_times : bool
+        Whether there is a time at all; without, `time` is 0 and the order in which rows were made unknown.
     """
 
     labels: tuple[str, ...]
@@ -65,10 +69,13 @@ class RowKeys:
     joint: Int64Array
     steps: Int64Array
     valid: BoolArray
+    has_times: bool = True
 
     @cached_property
     def order(self) -> Int64Array:
         """Rows by time, joint and session: an order that does not depend on that of the files."""
+        if not self.has_times:
+            return np.lexsort((self.joint, self.session))
         if np.all(self.time[1:] > self.time[:-1]):
             return np.arange(len(self.time))
         return np.lexsort((self.session, self.joint, self.time))
@@ -86,6 +93,8 @@ class RowKeys:
     def columns(self) -> dict[str, pd.Series]:
         """The Log's columns; times are in UTC where the log has zones."""
         time = pd.Series(self.time.view("datetime64[ns]"), copy=False)
+        if not self.has_times:
+            time = pd.Series(np.full(len(self.time), np.datetime64("NaT", "ns")))
         return {
             "session": label_codes(self.session, self.labels),
             "time": time.dt.tz_localize("UTC") if self.has_zone.any() else time,
@@ -94,8 +103,9 @@ class RowKeys:
         }
 
 
-def read_row_keys(files: list[LogCells]) -> RowKeys:
+def read_row_keys(files: list[LogCells], machine: Machine) -> RowKeys:
     """Read and check session, time, joint and steps."""
+    has_times = _check_time_columns(files)
 
     def counts(field: str, message: str, maximum: int = MAX_STEPS) -> Int64Array:
         return np.concatenate([cells.counts(field, message, maximum=maximum, needed=True) for cells in files])
@@ -104,12 +114,12 @@ def read_row_keys(files: list[LogCells]) -> RowKeys:
         {
             "sessions": lambda: _read_sessions(files),
             "times": lambda: [cells.times("time") for cells in files],
-            "joint": lambda: counts("joint", _BAD_JOINT_MESSAGE, 3),
+            "joint": lambda: counts("joint", _bad_joint_message(machine), len(machine.joints)),
             "steps": lambda: counts("steps", _BAD_COUNT_MESSAGE),
         }
     )
     labels, session = read["sessions"]
-    timed = ~np.concatenate([time.empty | time.bad for time in read["times"]])
+    timed = ~np.concatenate([time.empty | time.bad for time in read["times"]]) | (not has_times)
     identity = RowKeys(
         labels=labels,
         session=session,
@@ -118,10 +128,34 @@ def read_row_keys(files: list[LogCells]) -> RowKeys:
         joint=read["joint"],
         steps=read["steps"],
         valid=timed & (read["joint"] > 0) & np.array([bool(label) for label in labels], np.bool_)[session],
+        has_times=has_times,
     )
+    if not has_times:
+        return identity
     _report_mixed_zones(files, identity.has_zone & timed, ~identity.has_zone & timed)
     _report_duplicates(files, identity)
     return identity
+
+
+def _bad_joint_message(machine: Machine) -> str:
+    """What to write for a joint, by the machine's kinds."""
+    by_kind: dict[str, list[str]] = {}
+    for joint in machine.joints:
+        by_kind.setdefault(machine.kinds[joint - 1], []).append(str(joint))
+    choices = [f"{join_words(joints, 'or')} ({kind})" for kind, joints in by_kind.items()]
+    return f"is no joint; write {' or '.join(choices)}"
+
+
+def _check_time_columns(files: list[LogCells]) -> bool:
+    """Whether the log has times; an issue for each file without, where others have them."""
+    timed = [cells.has("time") for cells in files]
+    required = any(cells.layout.form.by_name["time"].required for cells in files)
+    if any(timed) and not all(timed) and not required:
+        message = "is missing here, and other files have it; give all files their times, or none"
+        for cells, has_it in zip(files, timed, strict=True):
+            if not has_it:
+                cells.issues.add(cells.table.file, message, cells.table.header_line, "time")
+    return required or any(timed)
 
 
 def _read_sessions(files: list[LogCells]) -> tuple[tuple[str, ...], Int64Array]:
@@ -183,6 +217,8 @@ def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike |
 
     InputError for a bound that is no date or time or has a zone where the log has none, and for no session.
     """
+    if not identity.has_times:
+        raise InputError(f"{NO_TIMES}: leave --since and --until out")
     zoned = bool(identity.has_zone.any())
     began = np.full(len(identity.labels), np.iinfo(np.int64).max)
     np.minimum.at(began, identity.session, identity.time)
@@ -242,9 +278,10 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
     columns = run_in_threads(
         {
             "direction": lambda: label_codes(direction, DIRECTIONS),
-            **{f"q{other}": partial(_read_position, cells, machine, joint, other) for other in JOINTS},
-            "theta": lambda: cells.numbers("theta", needed=True),
-            "psi": lambda: cells.numbers("psi", needed=True),
+            **{
+                f"q{other}": partial(_read_position, cells, machine, joint, other) for other in machine.joints
+            },
+            **{name: partial(cells.numbers, name, needed=True) for name in ORIENTATION},
             "traverse": lambda: read_traverses(cells, machine, joint, forward),
             "check_every": lambda: _read_check_every(cells, steps),
             "status": lambda: _read_status(cells),
@@ -258,7 +295,11 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
 
 def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: int) -> Array:
     """Position of another joint; the moving joint's own cell is ignored."""
-    field = f"q{other}"
+    field, others = f"q{other}", (joint > 0) & (joint != other)
+    if not cells.has(field) and not cells.layout.form.by_name[field].required and others.any():
+        column = cells.layout.form.by_name[field].spellings[0]
+        message = f"is missing; where joint {other} stands is needed where another joint moves"
+        cells.issues.add(cells.table.file, message, cells.table.header_line, column)
     position = cells.numbers(field, needed=joint > 0, ignored=joint == other)
     report_outside_range(cells, machine, field, other, position)
     return position
@@ -320,16 +361,16 @@ def read_log(
     """
     machine = machine or load_machine()
     issues = IssueCollector()
-    sources = open_sources(source, issues)
+    sources, form = open_sources(source, issues), log_format(machine)
     tables = [source.table for source in sources.files]
     layouts = [
-        match_columns(table.names, table.file, table.header_line, issues, table.type_faults)
+        match_columns(table.names, table.file, table.header_line, issues, table.type_faults, form)
         for table in tables
     ]
     files = [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
     if not files:
         issues.raise_if_any()
-    identity = kept = read_row_keys(files)
+    identity = kept = read_row_keys(files, machine)
     chosen = np.ones(len(identity.time), np.bool_)
     if since is not None or until is not None:
         issues.raise_if_any()
@@ -337,8 +378,11 @@ def read_log(
         files, kept = _select_rows(files, chosen), identity.select(chosen)
     columns, notes = _build_columns(files, kept, machine)
     issues.raise_if_any()
-    rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order])
-    rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
+    if kept.has_times:
+        rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order], machine)
+        rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
+    else:
+        rows = add_unknown_history(_order_columns(columns, kept.order))
     return Log(
         rows=rows,
         sources=tuple((file.table.file, file.sha256) for file in sources.files),

@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import inf, isfinite, pi
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, pi
 from types import MappingProxyType
 from typing import Any
 
@@ -20,7 +21,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError
 from stickslip_fit.logs._table import (
     MAX_COLUMNS,
     FileTable,
@@ -33,7 +34,8 @@ from stickslip_fit.logs._table import (
     parse_times,
     to_text,
 )
-from stickslip_fit.units import JOINTS, SUFFIXES, from_si, to_si
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 ANGLE_SUFFIXES = ("deg", "rad")
 LENGTH_SUFFIXES = ("mm", "m", "um", "nm")
@@ -121,10 +123,106 @@ FIELDS = (
     Condition("payload", "payload", ("g", "kg"), limits=(0.0, 100.0), label="payload", beyond=0.02),
     Field("note", "note"),
 )
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """The quantities that a machine's logs may have, and how their columns are spelt."""
+
+    fields: tuple[Field, ...]
+
+    @cached_property
+    def by_name(self) -> dict[str, Field]:
+        """Each quantity by its name in the package."""
+        return {field.name: field for field in self.fields}
+
+    @cached_property
+    def by_spelling(self) -> dict[str, Field]:
+        """Each quantity by the names that its column may have."""
+        return {spelling: field for field in self.fields for spelling in field.spellings}
+
+    @cached_property
+    def stems_with_unit(self) -> frozenset[str]:
+        """What a column begins with that has to end in a unit."""
+        return frozenset(field.stem for field in self.fields if field.suffixes)
+
+    def guess_field(self, name: str) -> Field | None:
+        """The quantity that a column with nearly its name may be."""
+        return self._by_normalized.get(_normalize_name(name))
+
+    @cached_property
+    def _by_normalized(self) -> dict[str, Field]:
+        return {field.stem: field for field in reversed(self.fields)} | {
+            _normalize_name(spelling): field for spelling, field in self.by_spelling.items()
+        }
+
+
+def _normalize_name(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+ARM_FORMAT = LogFormat(FIELDS)
+_OF_ARM_ONLY = ("q1", "q2", "q3", "theta", "psi", "time", "joint")
+_JOINT_COLUMN = re.compile(r"q[0-9]+(?:_.*)?")
+
+
+def log_format(machine: Machine) -> LogFormat:
+    """The columns of a machine's logs: `FIELDS` for the published arm.
+
+    Without the published geometry, joint K has the column ``qK`` in the units of its kind, and neither the
+    base's orientation nor the time has to be there.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> log_format(load_machine()).fields is FIELDS
+    True
+    """
+    if machine.has_published_geometry:
+        return ARM_FORMAT
+    kinds = {kind for kind, _ in _unit_suffixes(machine)}
+    positions = (
+        Field(f"q{joint}", f"q{joint}", suffixes)
+        for joint, (_, suffixes) in zip(machine.joints, _unit_suffixes(machine), strict=True)
+    )
+    fields: list[Field] = []
+    for field in FIELDS:
+        if field.name == "q1":
+            fields += positions
+        elif field.name == "joint":
+            fields.append(replace(field, limits=(1, len(machine.joints))))
+        elif field.name in _OF_ARM_ONLY:
+            fields += [] if field.name in ("q2", "q3") else [replace(field, required=False)]
+        elif field.stem not in ("from", "to") or field.name.rpartition("_")[2] in kinds:
+            fields.append(field)
+    return LogFormat(tuple(fields))
+
+
+def _unit_suffixes(machine: Machine) -> list[tuple[str, tuple[str, ...]]]:
+    """Kind of position and unit suffixes of each joint."""
+    length, angle = ("length", LENGTH_SUFFIXES), ("angle", ANGLE_SUFFIXES)
+    return [length if machine.is_prismatic(joint) else angle for joint in machine.joints]
+
+
+def position_columns(rows: pd.DataFrame) -> list[str]:
+    """The columns of a log's rows with positions of the joints and the orientation of the base."""
+    joints = [str(name) for name in rows.columns if _POSITION.fullmatch(str(name))]
+    return [*joints, *ORIENTATION]
+
+
+_POSITION = re.compile(r"q[0-9]+")
+ORIENTATION = ("theta", "psi")
+NO_TIMES = "the log has no times"
+
+
+def has_times(rows: pd.DataFrame) -> bool:
+    """Whether it is known when the traverses of a log were made, and so in which order."""
+    return not rows["time"].isna().any()
+
+
 # Of the lab's own columns; squares of larger numbers overflow.
 OWN_LIMITS = (-1e100, 1e100)
 CHECK_EVERY = 5  # where the cell is empty
-FIELD_BY_NAME = {field.name: field for field in FIELDS}
 CONDITIONS = {field.name: field for field in FIELDS if isinstance(field, Condition)}
 COVARIATE_PREFIX = "covariate:"  # begins the names of the lab's own columns that hold numbers
 
@@ -133,9 +231,7 @@ CONDITION_SPELLINGS = {
     for condition in CONDITIONS.values()
     for suffix in condition.suffixes
 }
-_FIELD_BY_SPELLING = {spelling: field for field in FIELDS for spelling in field.spellings}
 _COUNT_FIELDS = ("joint", "steps", "check_every")
-_STEMS_WITH_UNIT = {field.stem for field in FIELDS if field.suffixes}
 _UNNAMED_MESSAGE = "has no name; give it one, or delete the column"
 # Row labels that pandas adds to a Parquet file.
 _ROW_LABELS = re.compile(r"__index_level_\d+__")
@@ -156,6 +252,7 @@ class ColumnLayout:
     known: dict[str, SourceColumn]
     unknown: tuple[str, ...]
     notes: tuple[str, ...]
+    form: LogFormat = ARM_FORMAT
 
 
 def match_columns(
@@ -164,6 +261,7 @@ def match_columns(
     line: int | None,
     issues: IssueCollector,
     type_faults: Mapping[str, str] = MappingProxyType({}),
+    form: LogFormat = ARM_FORMAT,
 ) -> ColumnLayout:
     """Match the header `names` of a file, in line `line`, to the format.
 
@@ -181,12 +279,12 @@ def match_columns(
     notes: list[str] = []
     intended: set[str] = set()
     for name, count in Counter(name for name in names if name.strip()).items():
-        field = _FIELD_BY_SPELLING.get(name)
+        field = form.by_spelling.get(name)
         repeated = f"stands {count} times in the header; rename or delete all but one" if count > 1 else None
-        message = repeated or explain_bad_unit(name) or type_faults.get(name)
+        message = repeated or explain_bad_unit(name, form) or type_faults.get(name)
         if message:
             issues.add(file, message, line, name)
-            intended |= _intended_fields(name)
+            intended |= _intended_fields(name, form)
         elif _ROW_LABELS.fullmatch(name):
             notes.append(f"{file}: column {name} holds pandas' row labels and is left out")
         elif field is None:
@@ -202,63 +300,68 @@ def match_columns(
             )
     unnamed = [position for position, name in enumerate(names, start=1) if not name.strip()]
     issues.add_lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
-    for field in FIELDS:
+    for field in form.fields:
         if field.required and field.name not in known and field.name not in intended:
-            message = f"is missing; every log needs it{_spelling_hint(field, unknown)}"
+            message = f"is missing; every log needs it{_spelling_hint(field, unknown, form)}"
             issues.add(file, message, line, field.spellings[0])
-    notes += _note_lookalikes(file, known, unknown)
-    return ColumnLayout(known, tuple(unknown), tuple(notes))
+    notes += _note_lookalikes(file, known, unknown, form)
+    return ColumnLayout(known, tuple(unknown), tuple(notes), form)
 
 
 def holds_numbers(name: str) -> bool:
     """Whether a name is a column of the format that holds numbers."""
-    field = _FIELD_BY_SPELLING.get(name)
+    field = ARM_FORMAT.by_spelling.get(name)
     return field is not None and (bool(field.suffixes) or field.name in _COUNT_FIELDS)
 
 
 def is_known(name: str) -> bool:
     """Whether a name is a column of the format."""
-    return name in _FIELD_BY_SPELLING
+    return name in ARM_FORMAT.by_spelling
 
 
-def explain_bad_unit(name: str) -> str | None:
-    """What is wrong with the unit of a column's name, if anything.
+def explain_bad_unit(name: str, form: LogFormat = ARM_FORMAT) -> str | None:
+    """What is wrong with the unit of a column's name, or with the joint that it names, if anything.
 
     Examples
     --------
     >>> explain_bad_unit("temperature")
     'has no unit; write temperature_C or temperature_K'
     """
-    if name in _FIELD_BY_SPELLING:
+    if name in form.by_spelling:
         return None
     stem, _, suffix = name.rpartition("_")
-    if name in _STEMS_WITH_UNIT:
-        return f"has no unit; write {_unit_choices(name)}"
-    if stem in _STEMS_WITH_UNIT:
-        return f"{suffix!r} is no unit of {stem}; write {_unit_choices(stem)}"
+    if name in form.stems_with_unit:
+        return f"has no unit; write {_unit_choices(name, form)}"
+    if stem in form.stems_with_unit:
+        return f"{suffix!r} is no unit of {stem}; write {_unit_choices(stem, form)}"
+    if form is not ARM_FORMAT and _JOINT_COLUMN.fullmatch(name):
+        last = int(form.by_name["joint"].limits[1])
+        return f"the machine has no such joint, but 1 to {last}; correct the column or the machine file"
     return None
 
 
-def _unit_choices(stem: str) -> str:
-    spellings = [spelling for spelling, field in _FIELD_BY_SPELLING.items() if field.stem == stem]
+def _unit_choices(stem: str, form: LogFormat) -> str:
+    spellings = [spelling for spelling, field in form.by_spelling.items() if field.stem == stem]
     return " or ".join([", ".join(spellings[:-1])] * (len(spellings) > 1) + spellings[-1:])
 
 
-def _intended_fields(name: str) -> set[str]:
+def _intended_fields(name: str, form: LogFormat) -> set[str]:
     """Fields that a column with a bad name was meant for, which are then not called missing too."""
-    return {field.name for field in FIELDS if field.stem in (name, name.rpartition("_")[0])}
+    return {field.name for field in form.fields if field.stem in (name, name.rpartition("_")[0])}
 
 
-def _spelling_hint(field: Field, unknown: list[str]) -> str:
-    similar = (name for name in unknown if _guess_field(name) is field)
+def _spelling_hint(field: Field, unknown: list[str], form: LogFormat) -> str:
+    similar = (name for name in unknown if form.guess_field(name) is field)
     return next((f" (found {name!r}: write {_closest_spelling(name, field)})" for name in similar), "")
 
 
-def _note_lookalikes(file: str, known: dict[str, SourceColumn], unknown: list[str]) -> list[str]:
+def _note_lookalikes(
+    file: str, known: dict[str, SourceColumn], unknown: list[str], form: LogFormat
+) -> list[str]:
     """Notes on columns that are kept as the lab's own though their names nearly are optional fields."""
     notes = []
     for other in unknown:
-        field = _guess_field(other)
+        field = form.guess_field(other)
         if field and not field.required and field.name not in known:
             spelling = _closest_spelling(other, field)
             notes.append(
@@ -267,22 +370,9 @@ def _note_lookalikes(file: str, known: dict[str, SourceColumn], unknown: list[st
     return notes
 
 
-def _guess_field(name: str) -> Field | None:
-    return _FIELD_BY_NORMALIZED.get(_normalize_name(name))
-
-
 def _closest_spelling(name: str, field: Field) -> str:
     same = [spelling for spelling in field.spellings if _normalize_name(spelling) == _normalize_name(name)]
     return (same or field.spellings)[0]
-
-
-def _normalize_name(name: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-
-
-_FIELD_BY_NORMALIZED = {field.stem: field for field in reversed(FIELDS)} | {
-    _normalize_name(spelling): field for spelling, field in _FIELD_BY_SPELLING.items()
-}
 
 
 @dataclass(frozen=True)
@@ -322,7 +412,7 @@ class LogCells:
             values = to_si(parsed.values, self.layout.known[field].unit)
         usable = np.isfinite(values) & np.logical_not(ignored)
         bad = ~(usable | ignored)
-        outside = usable & is_outside(values, FIELD_BY_NAME[field].limits)
+        outside = usable & is_outside(values, self.layout.form.by_name[field].limits)
         self.add_issue(field, outside, self._limits_message(field))
         usable &= ~outside
         self.add_issue(field, bad & ~parsed.empty, _bad_number_message)
@@ -368,7 +458,7 @@ class LogCells:
 
     def _limits_message(self, field: str) -> str:
         unit = self.layout.known[field].unit
-        low, high = (from_si(limit, unit) for limit in FIELD_BY_NAME[field].limits)
+        low, high = (from_si(limit, unit) for limit in self.layout.form.by_name[field].limits)
         return f"is outside the limits, {low:g} to {high:g} {unit}; correct it, or the column's unit"
 
     def _column(self, field: str) -> pa.Array:
@@ -455,64 +545,3 @@ def _text_column(cells: LogCells, name: str) -> pa.Array:
 def _raw_column(cells: LogCells, name: str) -> pa.Array:
     missing = pa.nulls(cells.table.count, pa.large_string())
     return cells.table.column(name) if name in cells.layout.unknown else missing
-
-
-_MAY_BE_EMPTY = ("q1", "q2", "q3", *CONDITIONS)
-_ROW_NUMBERS = ("joint", "steps", "check_every", "theta", "psi", "start", "stop", *_MAY_BE_EMPTY)
-_ROW_TEXTS = {"direction": ("+", "-"), "status": ("ok", "interrupted", "excluded")}
-
-
-def check_frame(rows: pd.DataFrame) -> None:
-    """Refuse rows of a Log that no file could have given, such as a count of 0 or NaN.
-
-    InputError has an issue for each column, with the labels of its first rows.
-    """
-    needed = {*_ROW_NUMBERS, *_ROW_TEXTS, "session", "time"}
-    if missing := sorted(needed - set(rows)):
-        raise InputError(f"the rows of a log need the columns {', '.join(missing)}; see Log.rows")
-    own = [name for name in rows if str(name).startswith(COVARIATE_PREFIX)]
-    faults = {"time": _wrong_times(rows["time"]), "session": rows["session"].isna().to_numpy()}
-    faults |= {name: ~rows[name].isin(choices).to_numpy() for name, choices in _ROW_TEXTS.items()}
-    faults |= {name: _wrong_numbers(rows, name) for name in (*_ROW_NUMBERS, *own)}
-    issues = []
-    for name, wrong in faults.items():
-        if wrong.any():
-            labels = ", ".join(map(str, rows.index[wrong][:MAX_LABELS]))
-            more = f" and {wrong.sum() - MAX_LABELS:,} more" if wrong.sum() > MAX_LABELS else ""
-            where = f"{'row' if wrong.sum() == 1 else 'rows'} {labels}{more}"
-            message = f"not allowed in {where}; give {_describe_values(name)}"
-            issues.append(InputIssue(message, column=name, value=str(rows[name].to_numpy()[wrong][0])))
-    if issues:
-        raise InputError(issues)
-
-
-MAX_LABELS = 5  # of rows with one fault
-
-
-def _wrong_times(time: pd.Series) -> BoolArray:
-    return np.full(len(time), not pd.api.types.is_datetime64_any_dtype(time)) | time.isna().to_numpy()
-
-
-def _wrong_numbers(rows: pd.DataFrame, name: str) -> BoolArray:
-    if not pd.api.types.is_numeric_dtype(rows[name]) or pd.api.types.is_bool_dtype(rows[name]):
-        return np.ones(len(rows), np.bool_)
-    values = rows[name].to_numpy(dtype=np.float64, na_value=np.nan)
-    needed = name not in CONDITIONS and name in _ROW_NUMBERS
-    if name in ("q1", "q2", "q3"):
-        needed = rows["joint"].isin({*JOINTS} - {int(name[1])}).to_numpy()
-    return np.isinf(values) | (np.isnan(values) & needed) | is_outside(values, _row_limits(name))
-
-
-def _row_limits(name: str) -> tuple[float, float]:
-    if name in ("start", "stop"):
-        return (-inf, inf)
-    return FIELD_BY_NAME[name].limits if name in FIELD_BY_NAME else OWN_LIMITS
-
-
-def _describe_values(name: str) -> str:
-    if name in _ROW_TEXTS:
-        return " or ".join(_ROW_TEXTS[name])
-    if name in ("session", "time"):
-        return {"session": "a label", "time": "datetime64"}[name]
-    low, high = _row_limits(name)
-    return f"a number, {low:g} to {high:g}, SI" if isfinite(low) else "a finite number, SI"

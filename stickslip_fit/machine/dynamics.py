@@ -29,6 +29,7 @@ def inertia_matrix(machine: Machine, q: npt.ArrayLike) -> Array:
     >>> float(inertia_matrix(load_machine(), [0.0, 0.0, 0.0])[2, 2])
     0.005
     """
+    machine.require_geometry("the arm's inertia")
     _, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
     upper, fore, hand = machine.links
     sine, cosine, out = np.sin(q2), np.cos(q2), _hand_distance(machine, q3)
@@ -70,6 +71,7 @@ def coriolis_matrix(machine: Machine, q: npt.ArrayLike, qdot: npt.ArrayLike) -> 
     >>> float(coriolis_matrix(load_machine(), [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])[2, 1])
     -0.0001125
     """
+    machine.require_geometry("Coriolis terms")
     q, qdot = np.broadcast_arrays(np.asarray(q, float), np.asarray(qdot, float))
     _, q2, q3 = np.moveaxis(q, -1, 0)
     rate1, rate2, rate3 = np.moveaxis(qdot, -1, 0)
@@ -110,6 +112,7 @@ def gravity_scale(machine: Machine, q: npt.ArrayLike, g: float = STANDARD_GRAVIT
     >>> float(gravity_scale(load_machine(), [0.0, 0.0, 0.0], g=10.0)[2])
     0.05
     """
+    machine.require_geometry("the gravity load")
     _, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
     upper, fore, hand = machine.links
     elbow = fore.mass * fore.com + hand.mass * _hand_distance(machine, q3)
@@ -147,6 +150,7 @@ def gravity_forces(
     >>> float(gravity_forces(load_machine(), [0.0, 0.0, 0.0], theta=0.0, psi=0.0, g=10.0)[2])
     0.05
     """
+    machine.require_geometry("the gravity load")
     q1, q2, _ = np.moveaxis(np.asarray(q, float), -1, 0)
     loads = np.broadcast_arrays(*(full_load(joint, q1, q2, theta, psi) for joint in JOINTS))
     return gravity_scale(machine, q, g) * np.stack(loads, axis=-1)

@@ -32,6 +32,7 @@ def reach(machine: Machine, q2: npt.ArrayLike, q3: npt.ArrayLike) -> Array:
     >>> float(reach(load_machine(), q2=-np.pi / 2, q3=0.0))
     0.0375
     """
+    machine.require_geometry("the arm's reach")
     return -(machine.l2 + np.asarray(q3, float)) * np.sin(q2)
 
 
@@ -44,6 +45,7 @@ def forward(machine: Machine, q: npt.ArrayLike) -> Array:
     >>> forward(load_machine(), [0.0, -np.pi / 2, 0.0]).round(6)
     array([0.05, 0.  , 0.  ])
     """
+    machine.require_geometry("the position of the tip")
     q1, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
     radial = machine.a1 + reach(machine, q2, q3)
     height = (machine.l2 + q3) * np.cos(q2)
@@ -61,6 +63,7 @@ def jacobian(machine: Machine, q: npt.ArrayLike) -> Array:
     >>> float(jacobian(load_machine(), [0.0, -np.pi / 2, 0.0])[1, 0].round(6))
     0.05
     """
+    machine.require_geometry("the motion of the tip")
     q1, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
     radial = machine.a1 + reach(machine, q2, q3)
     radial_by_q2 = -(machine.l2 + q3) * np.cos(q2)
@@ -106,6 +109,7 @@ def inverse(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLike | None 
     90.00 deg, 14.04 deg, 5.793 mm
     -90.00 deg, 19.05 deg, 6.933 mm
     """
+    machine.require_geometry("the joints' positions for a target")
     point = _check_three_numbers(target, "a target", "x, y, z in m")
     solutions = _joint_solutions(machine, point, _undetermined_q1(machine, near))
     positions = [
@@ -134,6 +138,7 @@ def nearest_solution(machine: Machine, target: npt.ArrayLike, near: npt.ArrayLik
     >>> np.degrees(q).round(6)
     array([  0., -90.,   0.])
     """
+    machine.require_geometry("the joints' positions for a target")
     present = np.array(_check_three_numbers(near, "the joints' positions", "q1, q2, q3 in rad, rad, m"))
     spans = np.array([machine.span(joint) for joint in JOINTS])
     return min(inverse(machine, target, present), key=lambda q: float(np.sum(np.abs(q - present) / spans)))

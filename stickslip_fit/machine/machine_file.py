@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from math import inf, tau
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from annotated_types import Len
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from stickslip_fit._toml import Give, Quantity, TomlTable
+from stickslip_fit._toml import Give, Quantity, TomlTable, chosen_by
 
 
 def _rising(ends: list[float]) -> list[float]:
@@ -72,3 +72,51 @@ class MachineFile(TomlTable):
             advice = "with joint 3 at its lowest the tip must stay clear of joint 2's axis: l2 + q3 > 0"
             self.refuse((advice, ("geometry", "l2_mm")))
         return self
+
+
+MAX_TURNS, MAX_TRAVEL = 100 * tau, 100.0  # rad, m
+MAX_JOINTS = 30
+KIND = Give('give "rotary" or "prismatic"')
+
+
+class JointTable(TomlTable, extra="ignore"):
+    """A joint by itself; the unit of its range follows from its kind."""
+
+    kind: Annotated[Literal["rotary", "prismatic"], KIND]
+    name: Annotated[str, Give("give the joint's name in quotes")] = ""
+    """Your own name of the joint."""
+    range: Ends
+
+
+class RotaryTable(JointTable, extra="forbid"):
+    """A joint that turns."""
+
+    kind: Annotated[Literal["rotary"], KIND]
+    range: Annotated[
+        Ends,
+        Quantity(("deg", "rad"), (-MAX_TURNS, MAX_TURNS), "give [lowest, highest] within 100 turns"),
+    ]
+    """Lowest and highest position between the mechanical stops; may be more than a turn."""
+
+
+class PrismaticTable(JointTable, extra="forbid"):
+    """A joint that slides."""
+
+    kind: Annotated[Literal["prismatic"], KIND]
+    range: Annotated[
+        Ends, Quantity(("mm", "m", "µm"), (-MAX_TRAVEL, MAX_TRAVEL), "give [lowest, highest] within 100 m")
+    ]
+    """Lowest and highest position between the mechanical stops."""
+
+
+AnyJoint = Annotated[
+    JointTable, chosen_by("kind", {"rotary": RotaryTable, "prismatic": PrismaticTable}, JointTable)
+]
+
+
+class JointsFile(TomlTable):
+    """A machine of joints 1 to n, base to tip, without lengths and masses."""
+
+    name: Annotated[str, Give("give the machine's name in quotes")] = ""
+    """The file's name if left out."""
+    joint: Annotated[list[AnyJoint], Len(1, MAX_JOINTS), Give("give one to 30 [[joint]] tables, base to tip")]

@@ -27,6 +27,7 @@ from stickslip_fit._format import format_direction, format_plain
 from stickslip_fit._io import write_atomically
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue, shorten
+from stickslip_fit.machine import Machine
 
 DPI = 200  # an inch; sharp on any screen, and shown at `SHOWN` an inch
 SCREEN_DPI = 100
@@ -224,9 +225,10 @@ class PointStyle:
     colour: str
 
 
-def direction_styles(joint: int) -> dict[str, PointStyle]:
-    """The two directions as colours."""
-    words = {"+": "outward", "-": "inward"} if joint == 3 else {"+": "increasing", "-": "decreasing"}
+def direction_styles(joint: int, machine: Machine) -> dict[str, PointStyle]:
+    """The two directions of a joint as colours."""
+    slides = machine.is_prismatic(joint)
+    words = {"+": "outward", "-": "inward"} if slides else {"+": "increasing", "-": "decreasing"}
     return {
         sign: PointStyle(f"{format_direction(sign)} ({words[sign]})", DIRECTION_COLOURS[sign])
         for sign in "+-"

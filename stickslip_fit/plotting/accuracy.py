@@ -22,6 +22,7 @@ from stickslip_fit._format import (
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
+from stickslip_fit.machine import Machine
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     INK,
@@ -53,7 +54,7 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
         )
     joints = sorted(errors["joint"].unique())
     quantiles = [
-        f"{joint_name(joint)}: {_format_quantile(errors, joint, 'law')} by the law, "
+        f"{joint_name(joint, fit.machine)}: {_format_quantile(errors, joint, 'law')} by the law, "
         f"{_format_quantile(errors, joint, 'constant')} by the constant step"
         for joint in joints
     ]
@@ -66,10 +67,10 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
         for joint in joints
         for sign in ("+", "-")
     }
-    return make_picture(key, title, caption, draw_errors(errors, noise))
+    return make_picture(key, title, caption, draw_errors(errors, noise, fit.machine))
 
 
-def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float]) -> Figure:
+def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float], machine: Machine) -> Figure:
     """One panel for each joint."""
     joints = sorted(errors["joint"].unique())
     with report_style():
@@ -81,7 +82,7 @@ def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float]) -> Fi
         ]
         figure, axes = make_figure([2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5)
         for axis, joint in zip(axes[0], joints, strict=True):
-            axis.set_title(joint_name(joint))
+            axis.set_title(joint_name(joint, machine))
             for direction, colour in DIRECTION_COLOURS.items():
                 subset = errors[(errors["joint"] == joint) & (errors["direction"] == direction)]
                 for model, line in (("law", "-"), ("constant", "--")):
@@ -117,24 +118,23 @@ def _cumulative_shares(errors: pd.DataFrame, model: str) -> tuple[np.ndarray, np
 MAX_CONFIGURATIONS = 12
 
 
-def configurations_picture(summary: pd.DataFrame, machine_span: float) -> Picture:
+def configurations_picture(summary: pd.DataFrame, machine: Machine) -> Picture:
     """The configurations in which the law is worst.
 
     Parameters
     ----------
     summary : DataFrame
         As `estimation.summarize_errors` returns it for one joint, by direction and configuration.
-    machine_span : float
-        Full travel of the joint, rad or m.
+    machine : Machine
     """
     joint = int(summary["joint"].iloc[0])
     worst = summary.sort_values("law_rms_relative", ascending=False).head(MAX_CONFIGURATIONS)
     labels = [
-        f"{format_configuration(row, machine_span)} ({format_direction(row['direction'])})"
+        f"{format_configuration(row, machine)} ({format_direction(row['direction'])})"
         for _, row in worst.iterrows()
     ]
     first = worst.iloc[0]
-    title = f"Error by configuration, worst first, {joint_name(joint)}"
+    title = f"Error by configuration, worst first, {joint_name(joint, machine)}"
     caption = (
         f"The {len(worst)} of {len(summary):,} configurations and directions in which the law is furthest "
         f"off (rms over sessions and replicates). Worst: {format_percent(first['law_rms_relative'])} at "
@@ -202,7 +202,7 @@ def draw_load_coefficients(table: pd.DataFrame, fit: Result) -> Figure:
     sessions = list(table["session"].unique())
     with report_style():
         legend = [
-            *sweep_entries(direction_styles(2), sessions),
+            *sweep_entries(direction_styles(2, fit.machine), sessions),
             make_legend_entry("Eq. 6.6", INK, marker="x"),
             make_legend_entry("iteration, one pass", INK, marker="+"),
         ]

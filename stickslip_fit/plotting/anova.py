@@ -15,7 +15,6 @@ from stickslip_fit._format import (
     join_words,
     joint_name,
     pluralize,
-    step_unit,
     typeset_text,
 )
 from stickslip_fit.anova import FactorTest
@@ -46,8 +45,11 @@ def factor_pictures(joint: int, factor_tests: Sequence[FactorTest]) -> list[Pict
     for factor, (title, describe) in _CAPTIONS.items():
         subset = _select_tests(joint, factor, factor_tests)
         if subset:
-            figure = "4.6" if factor == "normal-force" else "4.4" if joint == PRISMATIC else "5.1"
-            title = f"Step size by {title}, {joint_name(joint)} (as Fig. {figure} of the thesis)"
+            machine = subset[0].design.machine
+            title = f"Step size by {title}, {joint_name(joint, machine)}"
+            if machine.has_published_geometry:
+                figure = "4.6" if factor == "normal-force" else "4.4" if joint == PRISMATIC else "5.1"
+                title += f" (as Fig. {figure} of the thesis)"
             pictures.append(
                 make_picture(f"{factor}-{joint}", title, describe(subset), plot_factor(joint, factor, subset))
             )
@@ -128,19 +130,20 @@ def draw_days(factor_tests: Sequence[FactorTest], sessions: Sequence[str]) -> Fi
             sign = str(test.design.direction)
             rows = test.design.observations
             places = _number_places(rows["session"], sessions)
-            _draw_observations(axis, rows, places, DIRECTION_COLOURS[sign], 0.0)
+            _draw_observations(axis, rows, places, DIRECTION_COLOURS[sign], 0.0, test.design.unit)
             _draw_means(
                 axis, test, [sessions.index(name) if name in sessions else -1 for name in test.levels]
             )
-            axis.set_ylabel(f"direction {format_direction(sign)} ({step_unit(test.design.joint)})")
+            axis.set_ylabel(f"direction {format_direction(sign)} ({test.design.unit})")
         label_sessions(axes[-1, 0], sessions, vertical=_is_crowded(sessions))
     return figure
 
 
 def draw_directions(factor_tests: Sequence[FactorTest], sessions: Sequence[str]) -> Figure:
     """Both directions of each session side by side."""
-    rows = pd.concat([test.design.observations for test in factor_tests]).drop_duplicates("time")
-    unit = step_unit(factor_tests[0].design.joint)
+    rows = pd.concat([test.design.observations for test in factor_tests])
+    rows = rows[~rows.index.duplicated()]
+    unit = factor_tests[0].design.unit
     with report_style():
         legend = [*direction_entries(marker="o"), make_legend_entry("mean", INK, marker="_", line="-")]
         figure, axes = make_figure([1.9], 1, legend, top=0.11, bottom=_label_height(sessions))
@@ -148,7 +151,7 @@ def draw_directions(factor_tests: Sequence[FactorTest], sessions: Sequence[str])
         for sign, aside in (("+", -FAN_HALF_WIDTH), ("-", FAN_HALF_WIDTH)):
             subset = rows[rows["direction"] == sign]
             places = _number_places(subset["session"], sessions)
-            _draw_observations(axis, subset, places, DIRECTION_COLOURS[sign], aside)
+            _draw_observations(axis, subset, places, DIRECTION_COLOURS[sign], aside, unit)
         means = rows.groupby(["session", "direction"])["step_size"].mean().unstack()
         for place, name in enumerate(sessions):
             pair = from_si(means.loc[name, ["+", "-"]].to_numpy(float), unit)
@@ -172,14 +175,14 @@ def draw_rotations(factor_tests: Sequence[FactorTest]) -> Figure:
             bottom=0.14 + TITLE_LINE * n_lines,
         )
         for axis, test in zip(axes[0], factor_tests, strict=True):
-            design, unit = test.design, step_unit(test.design.joint)
+            design, unit = test.design, test.design.unit
             rows = design.observations
             order = list(rows.drop_duplicates("level").sort_values(["theta", "psi"])["level"])
             cells = rows.groupby(["session", "level"])["step_size"].mean()
             centred = rows["step_size"] - rows["session"].map(cells.groupby("session").mean())
             colour = DIRECTION_COLOURS[str(design.direction)]
             places = _number_places(rows["level"], order)
-            _draw_observations(axis, rows.assign(step_size=centred), places, colour, 0.0)
+            _draw_observations(axis, rows.assign(step_size=centred), places, colour, 0.0, unit)
             _draw_means(axis, test, [order.index(name) for name in test.levels], centred=True)
             axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
             axis.set_xticks(range(len(order)), [typeset_text(name).replace(", ", "\n") for name in order])
@@ -190,7 +193,7 @@ def draw_rotations(factor_tests: Sequence[FactorTest]) -> Figure:
 
 
 def _draw_observations(
-    axis: Axes, rows: pd.DataFrame, places: np.ndarray, colour: str, offset: float
+    axis: Axes, rows: pd.DataFrame, places: np.ndarray, colour: str, offset: float, unit: str
 ) -> None:
     """Observations of one level fan out in the order in which they were made."""
     points = rows.assign(place=places)[places >= 0]
@@ -199,13 +202,13 @@ def _draw_observations(
     by_place = points.groupby("place")["place"]
     share = (by_place.cumcount() + 0.5) / by_place.transform("size") - 0.5
     points = thin_rows(points.assign(x=points["place"] + offset + FAN_HALF_WIDTH * share), MAX_POINTS)
-    y = from_si(points["step_size"].to_numpy(), step_unit(int(rows["joint"].iloc[0])))
+    y = from_si(points["step_size"].to_numpy(), unit)
     axis.plot(points["x"], y, ls="", marker="o", ms=2.8, mew=0, alpha=0.65, color=colour)
 
 
 def _draw_means(axis: Axes, test: FactorTest, places: Sequence[int], *, centred: bool = False) -> None:
     """Means of the levels with their intervals, beside the observations."""
-    unit, place = step_unit(test.design.joint), np.array(places)
+    unit, place = test.design.unit, np.array(places)
     shown = place >= 0
     means = test.effect.means - (test.effect.means.mean() if centred else 0.0)
     y, error = from_si(means, unit)[shown], from_si(test.effect.half_width, unit)[shown]

@@ -22,6 +22,7 @@ from stickslip_fit.diagnosis.separability import (
     confusion_rate,
 )
 from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting._style import (
     BLUE,
     FIGURE_WIDTH,
@@ -237,7 +238,9 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     if selected.misfit is None:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
     shape = compute_shape(selected, diagnosis.selection.problem.linearize())
-    return draw_finding(chosen, selected, shape, compare_residuals(diagnosis.selection, diagnosis.seed))[1]
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    return draw_finding(chosen, selected, shape, comparison, machine)[1]
 
 
 MAX_RATE, DARK_RATE = 0.5, 0.3  # a toss of a coin; white numbers from there on

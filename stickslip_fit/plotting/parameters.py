@@ -20,6 +20,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import JointFit, Result
 from stickslip_fit.estimation.prediction import control_chart
+from stickslip_fit.machine import Machine
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     FIGURE_WIDTH,
@@ -52,7 +53,7 @@ OUTSIDE_LABEL = "outside"
 
 def control_picture(joint: int, fit: Result) -> Picture:
     """The control chart of one joint's parameters, session by session."""
-    key, title = f"parameters-{joint}", f"Parameters of {joint_name(joint)} by session"
+    key, title = f"parameters-{joint}", f"Parameters of {joint_name(joint, fit.machine)} by session"
     chart = control_chart(fit)
     chart = chart[chart["joint"] == joint]
     sessions = list(fit.joints[joint].groups["session"].unique())
@@ -95,11 +96,12 @@ def draw_control(result: Result, chart: pd.DataFrame) -> Figure:
         top, *parts = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         add_legend(top, legend)
         for part, (sessions, subset) in zip(parts, blocks, strict=True):
-            _draw_control_joint(part, subset[subset["session"].isin(sessions)], sessions)
+            name = joint_name(int(subset["joint"].iloc[0]), result.machine)
+            _draw_control_joint(part, name, subset[subset["session"].isin(sessions)], sessions)
     return figure
 
 
-def _draw_control_joint(part: SubFigure, chart: pd.DataFrame, sessions: list[str]) -> None:
+def _draw_control_joint(part: SubFigure, title: str, chart: pd.DataFrame, sessions: list[str]) -> None:
     names, directions = chart["name"].unique(), [sign for sign in "+-" if (chart["direction"] == sign).any()]
     axes = make_grid(
         part,
@@ -114,9 +116,7 @@ def _draw_control_joint(part: SubFigure, chart: pd.DataFrame, sessions: list[str
         share_x=True,
         share_y=False,
     )
-    part.suptitle(
-        joint_name(int(chart["joint"].iloc[0])), x=0.005, y=1.0, ha="left", va="top", fontweight="bold"
-    )
+    part.suptitle(title, x=0.005, y=1.0, ha="left", va="top", fontweight="bold")
     for row, sign in enumerate(directions):
         for column, name in enumerate(names):
             subset = chart[(chart["name"] == name) & (chart["direction"] == sign)]
@@ -224,7 +224,7 @@ def plot_forest(result: Result, joint: int, campaign: pd.DataFrame | None = None
     if campaign is not None:
         bands = pd.concat([bands, campaign[campaign["joint"] == joint]])
     sessions = [str(name) for name in result.joints[joint].groups["session"].unique()]
-    title = joint_name(joint)
+    title = joint_name(joint, result.machine)
     if len(sessions) > FOREST_MAX_SESSIONS:
         title += f", the latest {FOREST_MAX_SESSIONS} of {len(sessions):,} sessions"
         sessions = sessions[-FOREST_MAX_SESSIONS:]
@@ -317,7 +317,7 @@ def plot_covariance_corner(result: Result, joint: int, direction: str, session: 
     from scipy.stats import t as student_t
 
     fit, index, which = _find_group(result, joint, direction, session)
-    data = _make_corner_data(fit, index, which, "from the covariance (Student's t, ellipses)")
+    data = _make_corner_data(result.machine, fit, index, which, "from the covariance (Student's t, ellipses)")
     factor = data.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
     covariance = fit.covariance[index][np.ix_(which, which)] * factor * factor[:, None]
     df = fit.repeatability[direction].df
@@ -341,7 +341,7 @@ def plot_draws_corner(posterior: Posterior, joint: int, direction: str, session:
 
     fit, index, which = _find_group(posterior.result, joint, direction, session)
     name = str(fit.groups["session"].iloc[index])
-    data = _make_corner_data(fit, index, which, "draws of the posterior")
+    data = _make_corner_data(posterior.result.machine, fit, index, which, "draws of the posterior")
     place = posterior.sessions(joint, direction).index(name)
     scale = data.error / np.sqrt(np.diagonal(fit.covariance[index])[which])
     draws = posterior.draws(joint, direction, "parameters")[:, place, which] * scale
@@ -388,7 +388,9 @@ def _find_group(
     return fit, index, which
 
 
-def _make_corner_data(fit: JointFit, index: int, which: npt.NDArray[np.intp], kind: str) -> CornerData:
+def _make_corner_data(
+    machine: Machine, fit: JointFit, index: int, which: npt.NDArray[np.intp], kind: str
+) -> CornerData:
     parameters = [fit.law.parameters[k] for k in which]
     numbers = np.column_stack(
         [fit.values[index], np.sqrt(np.diagonal(fit.covariance[index])), fit.interval[index]]
@@ -397,7 +399,7 @@ def _make_corner_data(fit: JointFit, index: int, which: npt.NDArray[np.intp], ki
         [from_si(row, parameter.unit) for row, parameter in zip(numbers, parameters, strict=True)], float
     ).T
     session, sign = (str(fit.groups[name].iloc[index]) for name in ("session", "direction"))
-    where = f"{joint_name(fit.law.joint)}, direction {format_direction(sign)}"
+    where = f"{joint_name(fit.law.joint, machine)}, direction {format_direction(sign)}"
     return CornerData(
         labels=tuple(
             parameter.name if parameter.unit == "1" else f"{parameter.name} ({parameter.unit})"

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from stickslip_fit._format import format_percent, joint_name, pluralize, step_unit
+from stickslip_fit._format import coordinate_unit, format_percent, joint_name, pluralize, step_unit
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
@@ -24,8 +24,8 @@ from stickslip_fit.diagnosis.selection import SelectedCause
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.laws import expected_steps, traverse_length
 from stickslip_fit.logs import Log
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
-from stickslip_fit.machine import mean_load
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
+from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     GREY,
@@ -48,11 +48,11 @@ FIT_MAX_POINTS = 900  # of a joint
 LIMIT_QUANTILE, FIT_LIMIT_ZOOM = 0.98, 1.6  # of a scale, see `robust_limit`
 
 
-def fit_residuals_picture(rows: pd.DataFrame) -> Picture:
+def fit_residuals_picture(rows: pd.DataFrame, machine: Machine) -> Picture:
     """All traverses of a joint, by how far they are from the least-squares law."""
     joint = int(rows["joint"].iloc[0])
-    key, title = f"departures-{joint}", f"What the law leaves over, {joint_name(joint)}"
-    if not _fit_covariates(rows):
+    key, title = f"departures-{joint}", f"What the law leaves over, {joint_name(joint, machine)}"
+    if not _fit_covariates(rows, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
     sample, sizes = thin_rows(rows, FIT_MAX_POINTS), rows["departure"].abs()
     of_all = "" if len(sample) == len(rows) else f" of {len(rows):,}, chosen at random"
@@ -64,14 +64,14 @@ def fit_residuals_picture(rows: pd.DataFrame) -> Picture:
         f"{format_percent(float(sizes.median()))} of the law."
         + (f" {pluralize(n_beyond, 'point')} beyond the scale, drawn at its edge." if n_beyond else "")
     )
-    return make_picture(key, title, caption, draw_fit_residuals(sample, limit))
+    return make_picture(key, title, caption, draw_fit_residuals(sample, limit, machine))
 
 
-def draw_fit_residuals(rows: pd.DataFrame, limit: float) -> Figure:
+def draw_fit_residuals(rows: pd.DataFrame, limit: float, machine: Machine) -> Figure:
     """One panel for each quantity that varied."""
     joint = int(rows["joint"].iloc[0])
-    quantities = _fit_covariates(rows)
-    styles = direction_styles(joint).values()
+    quantities = _fit_covariates(rows, machine)
+    styles = direction_styles(joint, machine).values()
     with report_style():
         legend = [make_legend_entry(style.label, style.colour, marker="o") for style in styles]
         figure, axes = make_figure([1.55], len(quantities), legend, top=0.12)
@@ -90,17 +90,17 @@ def draw_fit_residuals(rows: pd.DataFrame, limit: float) -> Figure:
     return figure
 
 
-def _fit_covariates(rows: pd.DataFrame) -> dict[str, np.ndarray]:
+def _fit_covariates(rows: pd.DataFrame, machine: Machine) -> dict[str, np.ndarray]:
     """The quantities that varied, by axis label, in its unit; of the moving joint the traverse's middle."""
     joint = int(rows["joint"].iloc[0])
-    units = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
     quantities = {}
-    for name, unit in units.items():
+    for name in position_columns(rows):
+        unit = coordinate_unit(name, machine)
         moving = name == f"q{joint}"
         label = f"{'middle of ' if moving else ''}{name} ({'°' if unit == 'deg' else unit})"
         quantities[label] = from_si(rows["centre" if moving else name].to_numpy(float), unit)
     quantities[SESSION_HOURS] = from_si(rows["session_seconds"].to_numpy(float), "h")
-    return {label: x for label, x in quantities.items() if np.ptp(x) > 1e-6}
+    return {label: x for label, x in quantities.items() if len(x) and np.ptp(x) > 1e-6}
 
 
 PERIOD_PATTERN = re.compile(r"period of ([0-9.]+) (min|traverses)")
@@ -167,9 +167,9 @@ def plot_readings(log: Log) -> Figure:
         for axis, joint in zip(axes[:, 0], joints, strict=True):
             for sign, colour in DIRECTION_COLOURS.items():
                 subset = np.flatnonzero((rows["joint"] == joint) & (rows["direction"] == sign))
-                y = from_si(step[subset], step_unit(joint))
+                y = from_si(step[subset], step_unit(joint, log.machine))
                 axis.plot(subset, y, DIRECTION_MARKERS[sign], color=colour, ms=2.2, mew=0)
-            axis.set_ylabel(f"joint {joint} ({step_unit(joint)})")
+            axis.set_ylabel(f"joint {joint} ({step_unit(joint, log.machine)})")
             axis.grid(visible=False, axis="x")
         _draw_sessions(axes[:, 0], log)
         figure.align_ylabels(axes[:, 0])
@@ -213,30 +213,33 @@ def find_label(column: str) -> str:
     return HISTORY_LABELS.get(column) or column.removeprefix(COVARIATE_PREFIX)
 
 
-def collect_covariates(rows: pd.DataFrame) -> dict[str, Array]:
+def collect_covariates(rows: pd.DataFrame, machine: Machine) -> dict[str, Array]:
     """The quantities that varied over n traverses, by axis label, in its unit; NaN where not known."""
-    return {label: values for label, values in _compute_covariates(rows) if _varies(values)}
+    return {label: values for label, values in _compute_covariates(rows, machine) if _varies(values)}
 
 
-def _compute_covariates(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
+def _compute_covariates(rows: pd.DataFrame, machine: Machine) -> Iterator[tuple[str, Array]]:
     joint = rows["joint"].to_numpy()
     middle = ((rows["start"] + rows["stop"]) / 2).to_numpy(float)
     yield SESSION_HOURS, from_si(rows["session_seconds"].to_numpy(float), "h")
     for name, condition in CONDITIONS.items():
         yield condition.axis, from_si(rows[name].to_numpy(float), condition.unit)
-    yield "load along the axis", _compute_load(rows)
-    yield "q2 (°)", from_si(np.where(joint == 2, middle, rows["q2"].to_numpy(float)), "deg")
-    yield "q3 (mm)", from_si(np.where(joint == 3, middle, rows["q3"].to_numpy(float)), "mm")
-    yield "q1 (°)", from_si(np.where(joint == 1, middle, rows["q1"].to_numpy(float)), "deg")
-    yield "theta (°)", from_si(rows["theta"].to_numpy(float), "deg")
-    yield "psi (°)", from_si(rows["psi"].to_numpy(float), "deg")
+    if machine.has_published_geometry:
+        yield "load along the axis", _compute_load(rows)
+    # The published laws depend most on joints 2 and 3.
+    first = [name for name in ("q2", "q3") if machine.has_published_geometry]
+    for name in dict.fromkeys([*first, *position_columns(rows)]):
+        unit, values = coordinate_unit(name, machine), rows[name].to_numpy(float)
+        values = np.where(joint == int(name[1:]), middle, values) if name.startswith("q") else values
+        yield f"{name} ({'°' if unit == 'deg' else unit})", from_si(values, unit)
     yield "steps (thousands)", rows["steps"].to_numpy(float) / 1e3
     yield LOAD_BEFORE, rows["before_load"].to_numpy(float)
-    yield REVERSED, is_reversed(rows["before_direction"], rows["direction"]).astype(float)
+    if has_times(rows):
+        yield REVERSED, is_reversed(rows["before_direction"], rows["direction"]).astype(float)
     for column in rows.columns:
         if column.startswith(COVARIATE_PREFIX):
             yield column.removeprefix(COVARIATE_PREFIX), rows[column].to_numpy(float)
-    if rows["session"].nunique() > 1:
+    if rows["session"].nunique() > 1 and has_times(rows):
         yield CONCATENATED_HOURS, concatenate_sessions(rows)
     yield OWN_STEPS, rows["steps_before"].to_numpy(float) / 1e6
 
@@ -276,7 +279,7 @@ BEFORE_LABEL = "the traverse before (%)"
 
 
 def finding_picture(
-    finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison
+    finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison, machine: Machine
 ) -> Picture:
     """Residuals before and after one finding, over the quantity that carries it.
 
@@ -288,11 +291,12 @@ def finding_picture(
     shape : array, shape (n,)
         Its effect on each row, in any unit.
     comparison : ResidualComparison
+    machine : Machine
     """
     is_named = selected.version is not None
     title = f"{finding.cause}: what is left over{' before and after' if is_named else ''}"
     key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
-    label, figure = draw_finding(finding, selected, shape, comparison)
+    label, figure = draw_finding(finding, selected, shape, comparison, machine)
     before, after = (
         format_percent(float(np.sqrt(np.mean(side**2)))) for side in (comparison.before, comparison.after)
     )
@@ -308,14 +312,14 @@ def finding_picture(
 
 
 def draw_finding(
-    finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison
+    finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison, machine: Machine
 ) -> tuple[str, Figure]:
     """Joints side by side, before above after: the label of the finding's carrier, and the figure."""
     rows = comparison.rows
     joints = [joint for joint in finding.joints if (rows["joint"] == joint).any()]
     subset = rows["joint"].isin(joints).to_numpy()
     label, values = fold_phase(finding.carrier, rows, shape) or _find_carrier_values(
-        selected, shape, comparison, subset
+        selected, shape, comparison, subset, machine
     )
     sides = [("after", comparison.after, comparison.null_after)]
     if selected.version is not None:
@@ -328,7 +332,7 @@ def draw_finding(
         limit = max(robust_limit(residuals, LIMIT_QUANTILE, LIMIT_ZOOM), SMALLEST_LIMIT)
         masks = [(rows["joint"] == joint).to_numpy() & np.isfinite(values) for joint in joints]
         for column, (joint, subset) in enumerate(zip(joints, masks, strict=True)):
-            axes[0, column].set_title(joint_name(joint))
+            axes[0, column].set_title(joint_name(joint, machine))
             axes[-1, column].set_xlabel(label)
             _set_ticks(axes[-1, column], label, values[subset], 7 if len(joints) < 3 else 4)
             for axis, (_, residual, null) in zip(axes[:, column], sides, strict=True):
@@ -343,7 +347,11 @@ def draw_finding(
 
 
 def _find_carrier_values(
-    selected: SelectedCause, shape: Array, comparison: ResidualComparison, subset: BoolArray
+    selected: SelectedCause,
+    shape: Array,
+    comparison: ResidualComparison,
+    subset: BoolArray,
+    machine: Machine,
 ) -> tuple[str, Array]:
     """The quantity that carries a finding: its label and values."""
     assert selected.misfit is not None
@@ -351,7 +359,7 @@ def _find_carrier_values(
     if isinstance(best, AR1):
         return BEFORE_LABEL, np.where(best.before >= 0, 100 * comparison.after[best.before], np.nan)
     rows = comparison.rows
-    columns = _select_covariates(rows, subset)
+    columns = _select_covariates(rows, subset, machine)
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
     columns = {label: columns[label] for label in own if label in columns} | columns
     groups = 2 * rows["joint"].to_numpy() + (rows["direction"] == "-").to_numpy()
@@ -361,12 +369,12 @@ def _find_carrier_values(
     return label, columns[label]
 
 
-def residuals_overview_picture(joint: int, comparison: ResidualComparison) -> Picture:
+def residuals_overview_picture(joint: int, comparison: ResidualComparison, machine: Machine) -> Picture:
     """A joint's residuals against each quantity that varied."""
     extended = bool(np.any(comparison.before != comparison.after))
     subset = (comparison.rows["joint"] == joint).to_numpy()
-    key, title = f"everything-{joint}", f"Residuals against each quantity, {joint_name(joint)}"
-    if not _select_covariates(comparison.rows, subset):
+    key, title = f"everything-{joint}", f"Residuals against each quantity, {joint_name(joint, machine)}"
+    if not _select_covariates(comparison.rows, subset, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
     rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
     before = " Dotted: the means under the published law." if extended else ""
@@ -375,14 +383,14 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison) -> Pi
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
         f"nothing is wrong.{before}"
     )
-    return make_picture(key, title, caption, draw_residuals_overview(joint, comparison))
+    return make_picture(key, title, caption, draw_residuals_overview(joint, comparison, machine))
 
 
-def draw_residuals_overview(joint: int, comparison: ResidualComparison) -> Figure:
+def draw_residuals_overview(joint: int, comparison: ResidualComparison, machine: Machine) -> Figure:
     """A panel for each quantity."""
     rows, before, after = comparison.rows, comparison.before, comparison.after
     subset = (rows["joint"] == joint).to_numpy()
-    columns = _select_covariates(rows, subset)
+    columns = _select_covariates(rows, subset, machine)
     legend = [entry for entry in _residual_entries() if entry.get_label() != TRAVERSE_LABEL]
     heights = [1.15] * -(-len(columns) // N_COLUMNS)
     with report_style():
@@ -459,10 +467,10 @@ def _draw_bin_means(
     return largest
 
 
-def _select_covariates(rows: pd.DataFrame, subset: BoolArray) -> dict[str, Array]:
+def _select_covariates(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> dict[str, Array]:
     """The quantities that varied in a subset of the rows, for all rows."""
-    varied = collect_covariates(rows[subset])
-    return {label: values for label, values in collect_covariates(rows).items() if label in varied}
+    varied = collect_covariates(rows[subset], machine)
+    return {label: values for label, values in collect_covariates(rows, machine).items() if label in varied}
 
 
 def _set_ticks(axis: Axes, label: str, values: Array, most: int) -> None:

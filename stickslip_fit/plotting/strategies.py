@@ -51,7 +51,8 @@ def pareto_picture(comparison: Comparison, joint: int) -> Picture:
         "Dashed: repeatability. Below either line lies what was lucky in this log; below the solid one also "
         "what looks back on other sessions."
     )
-    title = f"What accuracy costs, {joint_name(joint)}: calibration time against held-out error"
+    name = joint_name(joint, comparison.machine)
+    title = f"What accuracy costs, {name}: calibration time against held-out error"
     return make_picture(f"pareto-{joint}", title, caption, plot_pareto(comparison, [joint]))
 
 
@@ -81,7 +82,7 @@ def plot_pareto(comparison: Comparison, joints: Sequence[int] | None = None) -> 
             [2.6], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5, across=0.42, share_y="none"
         )
         for axis, joint in zip(axes[0], joints, strict=True):
-            axis.set_title(joint_name(joint))
+            axis.set_title(joint_name(joint, comparison.machine))
             _draw_limits(axis, comparison.bounds[comparison.bounds["joint"] == joint])
             set_log_axis(axis.xaxis, ticks=MINUTE_TICKS)
             _draw_strategies(axis, accuracy[accuracy["joint"] == joint], markers, len(joints))
@@ -254,7 +255,7 @@ def plot_study_errors(study: SimulationStudy) -> Figure:
                 _draw_scenario(axis, table[table["joint"] == joint], scenario, first, markers)
                 axis.axhline(100 * study.plan.good_enough, color=GREY, ls="--", lw=0.9)
         for joint, axis in zip(study.joints, axes[0], strict=True):
-            axis.set_title(joint_name(joint), pad=17.0)
+            axis.set_title(joint_name(joint, study.plan.machine), pad=17.0)
         figure.supxlabel("calibration time of a session (min)", y=0.01, va="bottom", size=8, color=INK)
         figure.supylabel("rms error of the mean step size (%)", x=0.005, ha="left", size=8, color=INK)
     return figure

@@ -316,9 +316,9 @@ def sweep_picture(spec: SweepFigure, rows: pd.DataFrame, fit: Result) -> Picture
     joint = int(rows["joint"].iloc[0])
     figure = draw_panels(
         panels,
-        direction_styles(joint),
+        direction_styles(joint, fit.machine),
         x_label=spec.sweep.label,
-        unit=step_unit(joint),
+        unit=step_unit(joint, fit.machine),
         angle=spec.sweep.unit == "deg",
     )
     more = f" {pluralize(left_out, 'further panel')} left out." if left_out else ""
@@ -329,14 +329,14 @@ def write_caption(panels: Sequence[SweepPanel], rows: pd.DataFrame, fit: Result)
     """What the panels show, in numbers."""
     points = pd.concat([panel.points for panel in panels])
     joint = int(rows["joint"].iloc[0])
-    unit, size = step_unit(joint), points["step_size"]
+    unit, size = step_unit(joint, fit.machine), points["step_size"]
     low, high = from_si(size.min(), unit), from_si(size.max(), unit)
     n_traverses, left_out = points.index.nunique(), sum(panel.left_out for panel in panels)
     n_shown, n_sessions = points["session"].nunique(), rows["session"].nunique()
     sessions = f" in {pluralize(n_shown, 'session')}" if n_sessions > 1 else ""
     if n_sessions > MAX_RECENT_SESSIONS:
         sessions = f" in the latest {n_shown} of {n_sessions} sessions"
-    traverses = f"{pluralize(n_traverses, 'traverse')} of {joint_name(joint)}{sessions}"
+    traverses = f"{pluralize(n_traverses, 'traverse')} of {joint_name(joint, fit.machine)}{sessions}"
     sentences = [f"{traverses}: {low:,.0f} to {high:,.0f} {unit}."]
     if left_out:
         sentences.append(f"{left_out:,} more are left out at random.")
@@ -344,7 +344,7 @@ def write_caption(panels: Sequence[SweepPanel], rows: pd.DataFrame, fit: Result)
         worst = rows.loc[points["departure"].abs().idxmax()]
         sentences.append(
             f"Furthest from the law: {format_percent(worst['departure'], signed=True)} in direction "
-            f"{format_direction(worst['direction'])}, {format_configuration(worst, fit.machine.span(joint))}."
+            f"{format_direction(worst['direction'])}, {format_configuration(worst, fit.machine)}."
         )
     if n_beyond := count_beyond_scale(panels):
         sentences.append(f"{pluralize(n_beyond, 'point')} beyond the lower scale (×).")
@@ -402,7 +402,7 @@ def zeta_picture(rows: pd.DataFrame, fit: Result) -> Picture:
     base = find_sweep_sessions(select_fixed(flat, {"q2": LEVEL_Q2}), ZETA_BY_BASE, ["q2"])
     arm = select_fixed(flat[flat["session"].isin(base["session"])], {"psi": 0.0})
     panels = []
-    for direction, kind in direction_styles(3).items():
+    for direction, kind in direction_styles(3, fit.machine).items():
         by_base, by_arm = (part[part["direction"] == direction] for part in (base, arm))
         if min(by_base["psi"].nunique(), by_arm["q2"].nunique()) >= MIN_VALUES:
             turned_base = make_panel(kind.label, by_base.assign(kind="base"), ZETA_BY_BASE, fit, "kind")

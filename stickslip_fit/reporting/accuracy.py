@@ -24,59 +24,62 @@ from stickslip_fit.estimation.prediction import assess_held_out
 from stickslip_fit.estimation.result import choose_repeatability, has_enough_replicates
 from stickslip_fit.laws import expected_steps
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine
 
-CONFIGURATION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "start", "stop"]
 MAX_SESSIONS, MAX_CONFIGURATIONS = 12, 15
 MIN_TRAVERSES = 3  # traverses whose rms has an interval worth printing
 NO_VALUE = "–"
 
 
-def direction_table(errors: pd.DataFrame, joint: int) -> Table:
+def direction_table(errors: pd.DataFrame, joint: int, machine: Machine) -> Table:
     """One row for each direction, and one for both together."""
-    subset = errors[errors["joint"] == joint]
+    subset, unit = errors[errors["joint"] == joint], step_unit(joint, machine)
     each, both = summarize_errors(subset, ["joint", "direction"]), summarize_errors(subset, ["joint"])
-    body = [(format_direction(row["direction"]), *_error_cells(row, joint)) for _, row in each.iterrows()]
-    body += [("both", *_error_cells(row, joint)) for _, row in both.iterrows()] if len(each) > 1 else []
+    body = [(format_direction(row["direction"]), *_error_cells(row, unit)) for _, row in each.iterrows()]
+    body += [("both", *_error_cells(row, unit)) for _, row in both.iterrows()] if len(each) > 1 else []
     return Table(
-        f"Accuracy of {joint_name(joint)} by direction", _error_columns(joint, "direction"), tuple(body)
+        f"Accuracy of {joint_name(joint, machine)} by direction",
+        _error_columns(unit, "direction"),
+        tuple(body),
     )
 
 
-def session_table(errors: pd.DataFrame, joint: int) -> Table:
+def session_table(errors: pd.DataFrame, joint: int, machine: Machine) -> Table:
     """One row for each session and direction."""
-    subset = errors[errors["joint"] == joint]
+    subset, unit = errors[errors["joint"] == joint], step_unit(joint, machine)
     order = list(dict.fromkeys(subset["session"]))
     shown = order[-MAX_SESSIONS:]
     summary = summarize_errors(subset[subset["session"].isin(shown)], ["session", "direction"])
     summary = summary.sort_values("session", key=lambda names: names.map(order.index), kind="stable")
     body = (
-        (str(row["session"]), format_direction(row["direction"]), *_error_cells(row, joint))
+        (str(row["session"]), format_direction(row["direction"]), *_error_cells(row, unit))
         for _, row in summary.iterrows()
     )
     note = f"The latest {len(shown)} of {len(order)} sessions." if len(shown) < len(order) else ""
     return _make_table(
-        f"Accuracy of {joint_name(joint)} by session", joint, ("session", "direction"), body, note
+        f"Accuracy of {joint_name(joint, machine)} by session", unit, ("session", "direction"), body, note
     )
 
 
 def summarize_configurations(errors: pd.DataFrame, joint: int) -> pd.DataFrame:
     """Summary of a joint's errors by configuration and direction, the law's worst first."""
     subset = errors[errors["joint"] == joint]
-    subset = subset.assign(**{name: subset[name].round(9) + 0.0 for name in CONFIGURATION_COLUMNS})
-    summary = summarize_errors(subset, ["joint", "direction", *CONFIGURATION_COLUMNS])
+    positions = [*position_columns(subset), "start", "stop"]
+    subset = subset.assign(**{name: subset[name].round(9) + 0.0 for name in positions})
+    summary = summarize_errors(subset, ["joint", "direction", *positions])
     return summary.sort_values("law_rms_relative", ascending=False, kind="stable")
 
 
 def configuration_table(summary: pd.DataFrame, machine: Machine) -> Table:
     """One row for each of the configurations and directions in which the law is worst."""
     joint = int(summary["joint"].iloc[0])
-    shown = summary.head(MAX_CONFIGURATIONS)
+    shown, unit = summary.head(MAX_CONFIGURATIONS), step_unit(joint, machine)
     body = (
         (
-            format_configuration(row, machine.span(joint)),
+            format_configuration(row, machine),
             format_direction(row["direction"]),
-            *_error_cells(row, joint),
+            *_error_cells(row, unit),
         )
         for _, row in shown.iterrows()
     )
@@ -87,7 +90,7 @@ def configuration_table(summary: pd.DataFrame, machine: Machine) -> Table:
     )
     heads = ("configuration", "direction")
     return _make_table(
-        f"Accuracy of {joint_name(joint)} by configuration, worst first", joint, heads, body, note
+        f"Accuracy of {joint_name(joint, machine)} by configuration, worst first", unit, heads, body, note
     )
 
 
@@ -104,13 +107,12 @@ def explain_tables(errors: pd.DataFrame) -> str:
 
 
 def _make_table(
-    caption: str, joint: int, heads: tuple[str, ...], body: Iterable[tuple[str, ...]], note: str
+    caption: str, unit: str, heads: tuple[str, ...], body: Iterable[tuple[str, ...]], note: str
 ) -> Table:
-    return Table(caption, _error_columns(joint, *heads), tuple(body), stubs=len(heads), note=note)
+    return Table(caption, _error_columns(unit, *heads), tuple(body), stubs=len(heads), note=note)
 
 
-def _error_columns(joint: int, *heads: str) -> tuple[Column, ...]:
-    unit = step_unit(joint)
+def _error_columns(unit: str, *heads: str) -> tuple[Column, ...]:
     return (
         *(Column(head, text=True) for head in heads),
         Column("traverses"),
@@ -121,8 +123,7 @@ def _error_columns(joint: int, *heads: str) -> tuple[Column, ...]:
     )
 
 
-def _error_cells(row: pd.Series, joint: int) -> tuple[str, ...]:
-    unit = step_unit(joint)
+def _error_cells(row: pd.Series, unit: str) -> tuple[str, ...]:
 
     def shown(name: str) -> str:
         return format_number(row[name], unit)
@@ -152,7 +153,7 @@ def write_headline(log: Log, calibration: Result, errors: pd.DataFrame) -> list[
     """How well the law predicts, whether that is as good as can be, and what is missing."""
     kept = check_coverage(log, calibration, errors).groupby(errors["joint"]).mean()
     return [
-        *_describe_predictions(errors),
+        *_describe_predictions(errors, log.machine),
         *_describe_coverage(kept, assess_held_out(log, calibration), errors),
         *_describe_untested(errors, calibration),
         _describe_missing(calibration),
@@ -201,7 +202,7 @@ def headline_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFr
             *(format_percent(share, with_unit=False) for share in shares),
             format_percent(noise.value, with_unit=False) + borrowed,
         )
-        body.append((joint_name(joint), format_direction(sign), *cells))
+        body.append((joint_name(joint, log.machine), format_direction(sign), *cells))
     note = (
         "An error is predicted less measured step size. Inside its 95 %: traverses within the interval that "
         "the calibration gives. Repeatability: how much a repeated traverse scatters."
@@ -212,13 +213,13 @@ def headline_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFr
     return Table(caption, columns, tuple(body), stubs=2, note=note)
 
 
-def _describe_predictions(errors: pd.DataFrame) -> list[str]:
+def _describe_predictions(errors: pd.DataFrame, machine: Machine) -> list[str]:
     if errors.empty:
         return []
     totals = summarize_errors(errors, ["joint"])
     law = [
         f"{format_percent(row.law_rms_relative)} rms for joint {row.joint} "
-        f"({format_value(row.law_rms, step_unit(row.joint))})"
+        f"({format_value(row.law_rms, step_unit(row.joint, machine))})"
         for row in totals.itertuples()
     ]
     constant = [format_percent(share) for share in totals["constant_rms_relative"]]

@@ -87,7 +87,7 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
     note = f"± one standard error. {DISAGREEMENT_MARK} outside the closed form's 95 % interval. {meanings}."
     if len(shown) < len(sessions):
         note += f" The latest {len(shown)} of {len(sessions)} sessions; a saved fit holds all."
-    return Table(f"Parameters of {joint_name(joint)}", columns, tuple(body), stubs=3, note=note)
+    return Table(f"Parameters of {joint_name(joint, fit.machine)}", columns, tuple(body), stubs=3, note=note)
 
 
 def _parameter_cell(row: pd.Series, which: str) -> str:
@@ -116,7 +116,7 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
                     _repeatability_cells(replicates) if replicates.source == "replicates" else ("–", "–")
                 )
                 cells = (*of_replicates, *_repeatability_cells(joint_fit.repeatability[sign]))
-                body.append((joint_name(joint), format_direction(sign), *cells))
+                body.append((joint_name(joint, fit.machine), format_direction(sign), *cells))
     note = (
         "Standard deviation of a traverse's count, relative, rounding left out. Replicates made hours apart "
         "also hold what drifted between them; residuals also hold what the law lacks."

@@ -142,10 +142,10 @@ def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> s
         [
             shorten(str(row["session"]), 20),
             f"{row['joint']} {row['direction']}",
-            format_configuration(row, result.machine.span(int(row["joint"]))),
+            format_configuration(row, result.machine),
             f"{row['steps']:,.0f}",
             f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else "–",
-            format_value(row["step_size"], step_unit(int(row["joint"])), 2),
+            format_value(row["step_size"], step_unit(int(row["joint"]), result.machine), 2),
         ]
         for _, row in both.iterrows()
     ]

@@ -17,6 +17,7 @@ import pandas as pd
 
 from stickslip_fit._format import (
     STEP_DECIMALS,
+    capitalize_first,
     format_configuration,
     format_direction,
     joint_name,
@@ -41,9 +42,12 @@ from stickslip_fit.estimation import (
 )
 from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
-from stickslip_fit.estimation.prediction import POSITION_COLUMNS, collect_traverses
+from stickslip_fit.estimation.prediction import collect_traverses
 from stickslip_fit.estimation.result import choose_repeatability
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.schema import has_times, position_columns
+from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.accuracy import configurations_picture, errors_picture, load_coefficient_picture
@@ -132,6 +136,7 @@ def report(
     anova: Anova | None = None,
     diagnosis: Diagnosis | None = None,
     comparison: Comparison | None = None,
+    laws: Laws | None = None,
     causes: Sequence[Cause] = (),
     sections: Collection[str] = SLOW_SECTIONS,
     command: str = "",
@@ -151,6 +156,8 @@ def report(
     diagnosis : Diagnosis, optional
     comparison : Comparison, optional
         Of strategies; made of the default ones on the latest 12 sessions.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     causes : sequence of Cause, optional
         Extend the laws of what is made.
     sections : collection of {"diagnosis", "strategies"}, optional
@@ -172,15 +179,17 @@ def report(
     found: Diagnosis | InputError | None = diagnosis
     compared: Comparison | InputError | None = comparison
     if diagnosis is None and "diagnosis" in sections:
-        found = _try_section(lambda: diagnose(log, progress=lambda step, done: progress(step, 0.7 * done)))
+        found = _try_section(
+            lambda: diagnose(log, laws=laws, progress=lambda step, done: progress(step, 0.7 * done))
+        )
     if comparison is None and "strategies" in sections:
         progress("comparing strategies", 0.7)
-        compared = _try_section(lambda: _compare_strategies(log, causes, command))
+        compared = _try_section(lambda: _compare_strategies(log, laws, causes, command))
     progress("fitting and drawing", 0.9)
     if fit is None:
-        fit = fit_least_squares(log, causes=causes, command=command)
+        fit = fit_least_squares(log, laws=laws, causes=causes, command=command)
     if calibration is None:
-        calibration = fit_closed_form(log, causes_from=fit if causes else None, command=command)
+        calibration = fit_closed_form(log, laws=laws, causes_from=fit if causes else None, command=command)
     html = _render(log, calibration, fit, anova or analyze_variance(log), found, compared, command)
     return Report(_write_title(log), html, log.files)
 
@@ -202,12 +211,12 @@ def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
         return InputError(f"its numbers did not converge ({error}); look for gross errors in the log")
 
 
-def _compare_strategies(log: Log, causes: Sequence[Cause], command: str) -> Comparison:
+def _compare_strategies(log: Log, laws: Laws | None, causes: Sequence[Cause], command: str) -> Comparison:
     log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
     strategies = default_strategies()
     if causes:
-        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes))
-    return compare_strategies(log, strategies, command=command)
+        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes, laws=laws))
+    return compare_strategies(log, strategies, laws=laws, command=command)
 
 
 def _render(
@@ -222,7 +231,7 @@ def _render(
     errors = held_out_errors(log, calibration, fit_constant_step(log, calibration))
     coefficients = tabulate_load_coefficients(log, calibration, fit)
     both = compare_estimators(calibration, fit)
-    traverses = make_traverses_payload(log, calibration, fit)
+    traverses, is_arm = make_traverses_payload(log, calibration, fit), log.machine.has_published_geometry
     return load_template("report.html.j2").render(
         title=_write_title(log),
         answer=write_headline(log, calibration, errors),
@@ -235,7 +244,7 @@ def _render(
         figures=_figure_groups(log, calibration, fit, errors, coefficients),
         accuracy_explained=explain_tables(errors),
         accuracy=_accuracy_sections(errors, log),
-        claims=claims_table(errors) if len(errors) else None,
+        claims=claims_table(errors, log.machine) if len(errors) and is_arm else None,
         factors=make_anova_section(anova),
         diagnosed=make_diagnosis_section(diagnosis) if isinstance(diagnosis, Diagnosis) else None,
         not_diagnosed=_explain_missing(diagnosis),
@@ -266,11 +275,11 @@ def _accuracy_sections(errors: pd.DataFrame, log: Log) -> list[tuple[str, list[T
     """A heading and three tables for each joint that has errors."""
     sections = []
     for joint in sorted(errors["joint"].unique()):
-        tables = [direction_table(errors, joint)]
+        tables = [direction_table(errors, joint, log.machine)]
         if len(log.sessions) > 1:
-            tables.append(session_table(errors, joint))
+            tables.append(session_table(errors, joint, log.machine))
         tables.append(configuration_table(summarize_configurations(errors, joint), log.machine))
-        sections.append((joint_name(joint).capitalize(), tables))
+        sections.append((capitalize_first(joint_name(joint, log.machine)), tables))
     return sections
 
 
@@ -281,14 +290,16 @@ def _figure_groups(
     accuracy = [errors_picture(errors, calibration, fit)]
     for joint in sorted(errors["joint"].unique()):
         summary = summarize_configurations(errors, joint)
-        accuracy.append(configurations_picture(summary, log.machine.span(joint)))
+        accuracy.append(configurations_picture(summary, log.machine))
     groups = [("Accuracy", accuracy)]
     for joint in fit.joints:
         rows = collect_traverses(joint, log, calibration, fit)
-        sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
-        d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
-        pictures = [fit_residuals_picture(rows), *sweeps, *d, control_picture(joint, fit)]
-        groups.append((joint_name(joint).capitalize(), pictures))
+        sweeps, d = [], []
+        if log.machine.has_published_geometry:
+            sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
+            d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
+        pictures = [fit_residuals_picture(rows, fit.machine), *sweeps, *d, control_picture(joint, fit)]
+        groups.append((capitalize_first(joint_name(joint, log.machine)), pictures))
     return groups
 
 
@@ -324,7 +335,7 @@ def make_traverses_payload(log: Log, calibration: Result, fit: Result) -> dict[s
         each quantity its values times `per`; None where not known.
     """
     sessions = list(log.sessions)
-    begin = log.rows["time"].min()
+    begin = log.rows["time"].min() if has_times(log.rows) else pd.Timestamp(0)
     joints = [_joint_payload(joint, log, calibration, fit, sessions, begin) for joint in fit.joints]
     return {"sessions": sessions, "begun": int(begin.timestamp()), "joints": joints}
 
@@ -345,16 +356,15 @@ def _joint_payload(
     joint: int, log: Log, calibration: Result, fit: Result, sessions: Sequence[str], begin: pd.Timestamp
 ) -> dict[str, Any]:
     traverses = collect_traverses(joint, log, calibration, fit)
-    rows, unit = thin_traverses(traverses), step_unit(joint)
-    configuration, texts = _number_configurations(rows, log.machine.span(joint))
+    rows, unit = thin_traverses(traverses), step_unit(joint, log.machine)
+    configuration, texts = _number_configurations(rows, log.machine)
     repeatability = [choose_repeatability(joint, sign, calibration, fit).value for sign in "+-"]
-    quantities = collect_covariates(rows) or {
-        SESSION_HOURS: from_si(rows["session_seconds"].to_numpy(float), "h")
-    }
+    seconds = np.nan_to_num(rows["session_seconds"].to_numpy(float))
+    quantities = collect_covariates(rows, log.machine) or {SESSION_HOURS: from_si(seconds, "h")}
     per = 10 ** (STEP_DECIMALS[unit] + 1)
     return {
         "joint": joint,
-        "name": joint_name(joint),
+        "name": joint_name(joint, log.machine),
         "unit": unit,
         "all": len(traverses),
         "repeatability": [round(value, 6) if isfinite(value) else None for value in repeatability],
@@ -362,7 +372,7 @@ def _joint_payload(
         "configurations": texts,
         "row": [int(row) for row in rows.index],
         "session": rows["session"].astype(object).map({name: k for k, name in enumerate(sessions)}).tolist(),
-        "time": [int(seconds) for seconds in (rows["time"] - begin).dt.total_seconds()],
+        "time": _scale_to_integers(np.floor((rows["time"] - begin).dt.total_seconds().to_numpy(float)), 1.0),
         "sign": "".join(map(format_direction, rows["direction"])),
         "configuration": configuration,
         "steps": rows["steps"].astype(int).tolist(),
@@ -375,12 +385,12 @@ def _joint_payload(
     }
 
 
-def _number_configurations(rows: pd.DataFrame, span: float) -> tuple[list[int], list[str]]:
+def _number_configurations(rows: pd.DataFrame, machine: Machine) -> tuple[list[int], list[str]]:
     """The number of each row's configuration, and all configurations in words."""
-    names = ["joint", *POSITION_COLUMNS, "start", "stop"]
+    names = ["joint", *position_columns(rows), "start", "stop"]
     codes = rows.groupby(names, sort=False, dropna=False).ngroup()
     first = rows.loc[~codes.duplicated(), names]
-    texts = [format_configuration(row, span) for _, row in first.iterrows()]
+    texts = [format_configuration(row, machine) for _, row in first.iterrows()]
     unique = list(dict.fromkeys(texts))  # both directions of a full traverse have the same text
     return [unique.index(texts[code]) for code in codes], unique
 
@@ -425,14 +435,15 @@ def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
 def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     """A diagnosis with its figures."""
     comparison, linearized = number_residuals(diagnosis), diagnosis.selection.problem.linearize()
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     selected = {cause.cause: cause for cause in diagnosis.selection.selected}
     pictures = [
-        finding_picture(finding, cause, compute_shape(cause, linearized), comparison)
+        finding_picture(finding, cause, compute_shape(cause, linearized), comparison, machine)
         for finding in diagnosis.findings
         if (cause := selected[finding.cause]).misfit is not None
     ]
     joints = sorted(comparison.rows["joint"].unique())
-    pictures += [residuals_overview_picture(int(joint), comparison) for joint in joints]
+    pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
     summary = diagnosis.summary()
     findings, alternatives, untestable = summary.sections
     sections = (
@@ -461,10 +472,9 @@ def number_residuals(diagnosis: Diagnosis) -> ResidualComparison:
 def make_comparison_section(comparison: Comparison, sessions_in_log: int = 0) -> Summary:
     """A comparison of strategies with its figures; says where it is over fewer than the log's sessions."""
     summary, sections = comparison.summary(), []
+    joint_of = {capitalize_first(joint_name(one, comparison.machine)): one for one in comparison.joints}
     for section in summary.sections:
-        joint = next(
-            (joint for joint in comparison.joints if section.title.lower() == joint_name(joint)), None
-        )
+        joint = joint_of.get(section.title)
         figures = (pareto_picture(comparison, joint),) if joint else section.figures
         sections.append(replace(section, figures=figures))
     n_compared = len({*comparison.costs["session"], *comparison.left_out["session"]} - {""})

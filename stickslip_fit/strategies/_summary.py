@@ -128,7 +128,11 @@ def summarize_comparison(comparison: Comparison) -> Summary:
             implied_table(comparison, joint),
             claimed_table(comparison, joint),
         )
-        sections.append(Section(capitalize_first(joint_name(joint)), tables=tuple(filter(None, tables))))
+        sections.append(
+            Section(
+                capitalize_first(joint_name(joint, comparison.machine)), tables=tuple(filter(None, tables))
+            )
+        )
     missing = left_out_table(comparison)
     answers = [f"Joint {joint}. {write_headline(comparison, joint)}" for joint in comparison.joints]
     return Summary(
@@ -184,12 +188,12 @@ def strategies_table(comparison: Comparison, joint: int) -> Table:
         )
         for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
     )
-    return Table(f"Strategies for {joint_name(joint)}", columns, rows, note=NOTE)
+    return Table(f"Strategies for {joint_name(joint, comparison.machine)}", columns, rows, note=NOTE)
 
 
 def errors_table(comparison: Comparison, joint: int) -> Table:
     """One joint's absolute errors."""
-    unit = step_unit(joint)
+    unit = step_unit(joint, comparison.machine)
     headings = ("rms", "95 % interval", "bias", "95 % interval", "worst", "typical worst")
     columns = (Column("strategy", text=True), *(Column(head, unit) for head in headings))
     rows = tuple(
@@ -201,7 +205,7 @@ def errors_table(comparison: Comparison, joint: int) -> Table:
         )
         for _, row in _rows_of_joint(comparison.accuracy(), joint).iterrows()
     )
-    caption = f"{capitalize_first(joint_name(joint))}: errors of the step size"
+    caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: errors of the step size"
     return Table(caption, columns, rows, folded=True)
 
 
@@ -228,7 +232,7 @@ def _directions_table(comparison: Comparison, joint: int) -> Table | None:
             cells.append(format_percent(row["rms_relative"], with_unit=False))
             cells.append(format_percent_range(row["rms_relative_low"], row["rms_relative_high"]))
         body.append((str(strategy), *cells))
-    caption = f"{capitalize_first(joint_name(joint))}: relative error by direction"
+    caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: relative error by direction"
     return Table(caption, (Column("strategy", text=True), *headings), tuple(body), folded=True)
 
 
@@ -240,7 +244,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
     max_rows : int, optional
         Configurations shown of each strategy.
     """
-    table, unit = worst_configurations(comparison, joint), step_unit(joint)
+    table, unit = worst_configurations(comparison, joint), step_unit(joint, comparison.machine)
     columns = (
         *words("strategy", "configuration", "direction"),
         Column("traverses"),
@@ -248,11 +252,10 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
         *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
-    low, high = comparison.machine.ranges[joint]
     body = tuple(
         (
             strategy,
-            format_configuration(row, high - low),
+            format_configuration(row, comparison.machine),
             format_direction(str(row["direction"])),
             f"{int(row['traverses']):,}",
             format_number(row["rms"], unit),
@@ -264,7 +267,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
         for strategy in comparison.compared(joint)
         for _, row in table[table["strategy"] == strategy].head(max_rows).iterrows()
     )
-    caption = f"{capitalize_first(joint_name(joint))}: where each strategy errs most"
+    caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: where each strategy errs most"
     return Table(caption, columns, body, note=WORST_NOTE, folded=True)
 
 

@@ -19,7 +19,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.identifiability import identifiable_parameters
-from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
+from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.plan import Timing
 from stickslip_fit.machine import Machine
@@ -200,7 +200,7 @@ class Strategy(Protocol):
 
 def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
     """The earliest traverse of each configuration."""
-    return rows[~rows[CONFIGURATION_COLUMNS].round(9).duplicated()]
+    return rows[~rows[configuration_columns(rows)].round(9).duplicated()]
 
 
 def make_least_squares_predictor(task: CalibrationTask, law: StepLaw, measured: pd.DataFrame) -> Predictor:

@@ -23,6 +23,7 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Table, numbers, words
+from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.designs import ClosedForm, ConstantStepStrategy
 from stickslip_fit.units import PRISMATIC, to_si
 
@@ -110,13 +111,14 @@ def claims_of(joint: int) -> tuple[Claim, ...]:
     return PRISMATIC_CLAIMS if joint == PRISMATIC else ROTARY_CLAIMS
 
 
-def claims_table(errors: pd.DataFrame) -> Table:
+def claims_table(errors: pd.DataFrame, machine: Machine) -> Table:
     """Each claim with the share of this log's traverses within it.
 
     Parameters
     ----------
     errors : DataFrame
         joint; measured, and predicted by law and by constant: mean step size, rad or m.
+    machine : Machine
     """
     columns = (
         *words("joint", "model"),
@@ -132,7 +134,13 @@ def claims_table(errors: pd.DataFrame) -> Table:
             error = predicted / subset["measured"] - 1.0 if relative else predicted - subset["measured"]
             worst = error.iloc[np.argmax(error.abs())]
             worst_text = format_percent(worst, signed=True) if relative else format_value(worst, claim.unit)
-            row = (joint_name(int(joint)), claim.model, claim.label, claim.format_kept(error), worst_text)
+            row = (
+                joint_name(int(joint), machine),
+                claim.model,
+                claim.label,
+                claim.format_kept(error),
+                worst_text,
+            )
             body.append(row)
     return Table("The thesis's claims and this log", columns, tuple(body), stubs=2, note=NOTE)
 
@@ -163,7 +171,7 @@ def implied(claim: Claim, unit: str) -> str:
 
 def implied_table(comparison: Comparison, joint: int) -> Table:
     """Each claim, what the printed numbers make of it, and the accuracy of the strategy that it is about."""
-    unit = step_unit(joint)
+    unit = step_unit(joint, comparison.machine)
     shared = comparison.shared[comparison.shared["joint"] == joint]
     accuracy = comparison.accuracy().set_index(["joint", "strategy"])
     columns = (
@@ -186,7 +194,8 @@ def implied_table(comparison: Comparison, joint: int) -> Table:
                 texts = format_value(own["rms"], unit), format_value(own["worst"], unit)
             cells = (*texts, claim.format_kept(errors[claim.kind]))
         body.append((f"{claim.model} {claim.label}", implied(claim, unit), name, *cells))
-    caption = f"{joint_name(joint).capitalize()}: what the thesis claims, implies, and what is reached"
+    name = joint_name(joint, comparison.machine).capitalize()
+    caption = f"{name}: what the thesis claims, implies, and what is reached"
     return Table(caption, columns, tuple(body), note=typeset_text(NOTES[unit]))
 
 
@@ -198,5 +207,5 @@ def claimed_table(comparison: Comparison, joint: int) -> Table:
     for strategy in comparison.compared(joint):
         own = subset[subset["strategy"] == strategy]
         body.append((strategy, *(claim.format_kept(own[claim.kind]) for claim in claims)))
-    caption = f"{joint_name(joint).capitalize()}: traverses within what the thesis claims"
+    caption = f"{joint_name(joint, comparison.machine).capitalize()}: traverses within what the thesis claims"
     return Table(caption, (Column("strategy", text=True), *columns), tuple(body), note=typeset_text(NOTE))

@@ -20,6 +20,7 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation.result import AxesArray, Provenance, build_provenance
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.base import SessionSelector, Strategy, handling_seconds, other_sessions
@@ -167,6 +168,7 @@ def compare_strategies(
     log: Log,
     strategies: Sequence[Strategy] | None = None,
     *,
+    laws: Laws | None = None,
     session_selector: SessionSelector = other_sessions,
     command: str = "",
 ) -> Comparison:
@@ -181,6 +183,8 @@ def compare_strategies(
     ----------
     strategies : sequence of Strategy, optional
         By default those of `default_strategies`.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     session_selector : callable, optional
         Which other sessions a session's calibration may use; `earlier_sessions` as on the day.
     command : str, optional
@@ -192,11 +196,12 @@ def compare_strategies(
         If two strategies have one name, no traverse of the log is usable, a strategy chooses what is not
         offered, or nothing shows how well a traverse repeats.
     """
+    log.machine.require_geometry("a comparison of calibration strategies")
     strategies = default_strategies() if strategies is None else strategies
     names = [strategy.name for strategy in strategies]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"strategies need names that differ, and there must be one; these are {names}")
-    cases = list(make_cases(log, session_selector))
+    cases = list(make_cases(log, session_selector, laws))
     handling_time = handling_seconds(log.rows)
     tables = evaluate_strategies(cases, strategies)
     sessions = find_shared_sessions(tables)

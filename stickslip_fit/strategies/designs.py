@@ -15,6 +15,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._optimize import RANK_TOL, group_rows
 from stickslip_fit.estimation.closed_form import pick_calibration
@@ -126,11 +127,14 @@ def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:
     """
     required = task.law.calibration()[: len(law.parameters)]
     picked = pick_calibration(task.law, task.offered, group_rows(task.offered), task.machine)[0]
-    picked = picked[: len(required)]
+    picked = picked[: len(law.parameters)]
+    if np.all(picked >= 0):
+        return picked
+    if not required:
+        names = join_words([parameter.name for parameter in law.parameters])
+        raise NotApplicable(f"the session's traverses do not determine {names}")
     missing = [describe_configuration(required[k]) for k in np.flatnonzero(picked < 0)]
-    if missing:
-        raise NotApplicable(f"the session lacks {'; '.join(missing)}")
-    return picked
+    raise NotApplicable(f"the session lacks {'; '.join(missing)}")
 
 
 PRIOR_INFORMATION = 1e-9  # of a traverse's information

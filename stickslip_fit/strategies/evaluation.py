@@ -18,7 +18,7 @@ from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.closed_form import MIN_DF
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.noise import estimate_from_replicates
-from stickslip_fit.laws import StepLaw, expected_steps, published_law, traverse_length
+from stickslip_fit.laws import Laws, StepLaw, choose_laws, expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
     CalibrationTask,
@@ -61,8 +61,10 @@ class EvaluationTables:
     left_out: pd.DataFrame
 
 
-def make_cases(log: Log, session_selector: SessionSelector) -> Iterator[EvaluationCase]:
-    """One for each joint, session and direction of a log.
+def make_cases(
+    log: Log, session_selector: SessionSelector, laws: Laws | None = None
+) -> Iterator[EvaluationCase]:
+    """One for each joint, session and direction of a log; `laws` of your own as of `choose_laws`.
 
     Raises
     ------
@@ -70,11 +72,8 @@ def make_cases(log: Log, session_selector: SessionSelector) -> Iterator[Evaluati
         If the log has no usable traverse, or a joint's repeatability cannot be estimated.
     """
     rows = usable_rows(log)
-    for joint in log.joints:
+    for joint, law in choose_laws(rows, log.machine, laws).items():
         subset = rows[rows["joint"] == joint]
-        if subset.empty:
-            continue
-        law = published_law(joint, subset, log.machine)
         noise = _estimate_repeatability(law, subset, log)
         for direction in ("+", "-"):
             own = subset[subset["direction"] == direction]

@@ -21,6 +21,7 @@ from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.closed_form import MIN_DF
 from stickslip_fit.estimation.noise import pool_residuals
 from stickslip_fit.estimation.with_causes import DIFFERENCE_STEP, FixedCauseLaw, FixedCauses, fixed_causes
+from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
     CalibrationTask,
@@ -193,7 +194,10 @@ def _estimate_repeatability(law: FixedCauseLaw, task: CalibrationTask) -> float:
 
 
 def causes_from_other_sessions(
-    log: Log, causes: Sequence[Cause], session_selector: SessionSelector = other_sessions
+    log: Log,
+    causes: Sequence[Cause],
+    session_selector: SessionSelector = other_sessions,
+    laws: Laws | None = None,
 ) -> dict[str, FixedCauses | str]:
     """Causes by session, fitted to the other sessions that it may use; the reason where they cannot be."""
     known: dict[str, FixedCauses | str] = {}
@@ -203,7 +207,7 @@ def causes_from_other_sessions(
             known[session] = "there is no other session to fit its causes on"
             continue
         try:
-            result = fit_least_squares(log.select(log.rows["session"].isin(others)), causes=causes)
+            result = fit_least_squares(log.select(log.rows["session"].isin(others)), laws=laws, causes=causes)
             known[session] = fixed_causes(result)
         except InputError as error:
             known[session] = f"its causes cannot be fitted on the other sessions: {error}"

@@ -31,7 +31,7 @@ def summarize_study(study: SimulationStudy) -> Summary:
     """Which strategy survives what, joint by joint; where the tip ends; who takes no part."""
     sections = [Section(paragraphs=(typeset_text(_heading(study)),))]
     sections += [
-        Section(capitalize_first(joint_name(joint)), tables=(_joint_table(study, joint),))
+        Section(capitalize_first(joint_name(joint, study.plan.machine)), tables=(_joint_table(study, joint),))
         for joint in study.joints
     ]
     tips = study.tips()
@@ -72,7 +72,7 @@ def _heading(study: SimulationStudy) -> str:
 
 def _joint_table(study: SimulationStudy, joint: int) -> Table:
     """One joint's strategies in each scenario."""
-    unit = step_unit(joint)
+    unit = step_unit(joint, study.plan.machine)
     columns = (
         *words("scenario", "strategy"),
         Column("each way", group="a session"),
@@ -82,7 +82,7 @@ def _joint_table(study: SimulationStudy, joint: int) -> Table:
         *numbers("held", "failed", unit="%"),
     )
     rows = tuple(_cells(row, unit) for _, row in _rows_of_joint(study.accuracy(), joint).iterrows())
-    return Table(f"Strategies for {joint_name(joint)}", columns, rows, stubs=2)
+    return Table(f"Strategies for {joint_name(joint, study.plan.machine)}", columns, rows, stubs=2)
 
 
 def _cells(row: pd.Series, unit: str) -> tuple[str, ...]:

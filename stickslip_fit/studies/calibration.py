@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import COVERAGE
-from stickslip_fit.laws import StepLaw, constant_law, published_law, traverse_length
+from stickslip_fit.laws import StepLaw, choose_laws, constant_law, traverse_length
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, draw_random_paths, step_model_from_parameters
 from stickslip_fit.simulation.campaign import GROUPS
 from stickslip_fit.simulation.truth import Group
@@ -148,8 +148,7 @@ def make_task(study: StudyPlan, cell: DesignCell, rows: pd.DataFrame) -> Calibra
 def _make_cells(study: StudyPlan, nominal: SimulatedCampaigns) -> Iterator[DesignCell]:
     rows = nominal.rows[nominal.rows["status"] == "ok"]
     labels = [session.label for session in study.plan.sessions]
-    for joint in sorted(rows["joint"].unique()):
-        law = published_law(joint, rows[rows["joint"] == joint], study.machine)
+    for joint, law in choose_laws(rows, study.machine).items():
         for direction in ("+", "-"):
             subset = rows[(rows["joint"] == joint) & (rows["direction"] == direction)]
             for label in labels:

@@ -18,7 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.base import extend_by
-from stickslip_fit.estimation.noise import CONFIGURATION_COLUMNS
+from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.laws import StepLaw, observed_count, traverse_length
 from stickslip_fit.logs.plan import Plan, PlannedSession
 from stickslip_fit.logs.reader import DIRECTIONS
@@ -91,7 +91,7 @@ def _draw_campaign(
 def _scatter_groups(plan: Plan) -> tuple[IntArray, IntArray]:
     """Each row's configuration, without the session, and its joint and direction, as group numbers."""
     rows = plan.rows()
-    columns = [name for name in CONFIGURATION_COLUMNS if name != "session"]
+    columns = [name for name in configuration_columns(rows) if name != "session"]
     keys = rows[columns].round(9).assign(joint=rows["joint"])
     configuration = keys.groupby(list(keys), dropna=False, sort=False).ngroup().to_numpy()
     group = keys.groupby(["joint", "direction"], sort=False).ngroup().to_numpy()

@@ -20,7 +20,7 @@
   const counted = (value) => value.toLocaleString("en");
   const decimals = (value, digits) => value.toFixed(digits).replace("-", MINUS);
   const departure = (joint, k) => joint.law[k] === null ? null : 100 * (joint.seen[k] / joint.law[k] - 1);
-  const moment = (joint, k) =>
+  const moment = (joint, k) => joint.time[k] === null ? "" : ", " +
     new Date(1000 * (data.begun + joint.time[k])).toISOString().slice(0, 19).replace("T", " ");
 
   function told(joint, k) {
@@ -30,7 +30,7 @@
     const law = off === null ? "the law is not known" : `law ${size(joint.law[k])}`;
     const less = off === null ? "" : `, residual ${off > 0 ? "+" : ""}${decimals(off, 2)}${SPACE}%`;
     return [
-      `Session ${data.sessions[joint.session[k]]}, ${moment(joint, k)}`,
+      `Session ${data.sessions[joint.session[k]]}${moment(joint, k)}`,
       `${joint.name}, direction ${joint.sign[k]}; ${joint.configurations[joint.configuration[k]]}`,
       `${counted(joint.steps[k])} steps, step size ${size(joint.seen[k])}; ${law}${less}`,
       ...(note ? [`Note: ${note}`] : []),
