@@ -80,7 +80,7 @@ class LawEntries(TomlTable):
 
 
 @dataclass(frozen=True)
-class LawFile:
+class TableLawFile:
     """A law, causes of one's own, and the column of each role that the file names."""
 
     law: Law
@@ -88,7 +88,7 @@ class LawFile:
     roles: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_law_file(path: str | Path) -> LawFile:
+def read_law_file(path: str | Path) -> TableLawFile:
     """Read a law, its causes and the roles of columns from a TOML file.
 
     Raises
@@ -128,4 +128,4 @@ def read_law_file(path: str | Path) -> LawFile:
             issues += [InputIssue(str(issue), name) for issue in error.problems]
     if issues:
         raise InputError(issues)
-    return LawFile(law, tuple(causes), {role: column for role, column in entries.roles.items()})
+    return TableLawFile(law, tuple(causes), {role: column for role, column in entries.roles.items()})

@@ -287,9 +287,8 @@ def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
     left_out = len(rows.columns) - MAX_PANELS
     caption = (
         f"Mean residuals{' with all that was found in the law' if extended else ''}, by classes of each "
-        "column; "
-        f"{_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of 100 tables "
-        "in which nothing is wrong."
+        f"column; {_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of "
+        "100 tables in which nothing is wrong."
         + " Dotted: the means under the law as it was." * extended
         + f" {pluralize(left_out, 'column')} left out." * (left_out > 0)
     )

@@ -99,6 +99,7 @@ def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
         ssf.Law("F ~ M*acc + Fv*vel + Fc*sign(vel) + offset + light*lamp"),
         causes=[BY_DIRECTION],
         generic_causes=(),
+        gain=False,
     )
     kinds, _ = number_time_blocks(diagnosis.selection.problem.rows, 1.0)
     held = np.concatenate([held for _, held in splits_of(diagnosis, kinds)])
