@@ -1,131 +1,181 @@
-"""A law of one's own as a TOML file: the formula, what its names are, causes, and the roles of columns.
+"""read_law_file: laws of one's own and causes as formulas, and the roles of a table's columns, from TOML.
 
-::
-
-    formula = "F ~ M*acc + Fv*vel + Fc*sign(vel) + offset"
-
-    [units]
-    F = "N"
-    M = "kg"
-    Fv = "N s/m"
-
-    [[cause]]
-    name = "viscous-by-direction"
-    formula = "+ dFv*abs(vel)"
-    parameters = "dFv in N s/m"
-
-    [roles]
-    time = "t"
-    direction = "way"
+Formulas only: no file names a Python function, so that reading one runs nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Self
 
-from annotated_types import Len
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from stickslip_fit._input import format_path
-from stickslip_fit._toml import Give, Text, TomlTable, read_toml
+from stickslip_fit._toml import Give, Misfit, Text, TomlTable, read_toml
 from stickslip_fit.causes.formula import FormulaCause
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Law
 
-NUMBER = Give("give a number")
-Ends = Annotated[list[float], Len(2, 2)]
+_End = Annotated[float, Field(allow_inf_nan=True)]
+_Units = Annotated[dict[str, str], Give('give units as text, e.g. M = "kg"')]
+_Bounds = Annotated[dict[str, list[_End]], Give("give a lower and an upper bound, e.g. tau = [1, inf]")]
+_Start = Annotated[dict[str, float], Give("give numbers, e.g. tau = 10")]
+_Size = Annotated[dict[str, float], Give("give numbers, e.g. size = { A = 1 }")]
+_Shared = Annotated[list[str] | str, Give('give a list of parameters, or "all"')]
 
 
-class CauseEntry(TomlTable):
-    """A cause of one's own; see `ssf.Cause`."""
+class FormulaTable(TomlTable):
+    """A law as a formula, and what is known of its names."""
 
-    name: Annotated[Text, Give("give the cause a name")]
-    formula: Annotated[Text, Give("begin with + (adds), * (multiplies) or 'column =' (in its place)")]
-    parameters: Annotated[Text, Give('name each parameter with its unit, e.g. "A in %, tau in min"')]
-    by: Annotated[str, Give("name a column: one set of parameters for each of its values")] = ""
-    bounds: Annotated[dict[str, Ends], Give("give the lowest and the highest value, e.g. tau = [1, 60]")] = (
-        Field(default_factory=dict)
-    )
-    size: Annotated[float | None, NUMBER] = None
-    phrase: Annotated[str, Give("say in a few words what is the matter")] = ""
-    remedy: Annotated[str, Give("say in a few words what cures it")] = ""
-    shows_best: Annotated[str, Give("say in which data it shows best")] = ""
+    formula: Text | None = None
+    """As in "F ~ M*acc + Fv*vel"; of a joint "gamma ~ a - c*load"."""
+    name: str = ""
+    units: _Units = {}
+    """Of columns and parameters."""
+    bounds: _Bounds = {}
+    """Lower and upper bound of a parameter; inf and -inf for none."""
+    start: _Start = {}
+    """Where the search for a parameter begins."""
+    shared: _Shared = []
+    """Parameters with one value for the whole table."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.formula is not None:
+            _refuse_faults(self, self.law)
+        return self
+
+    def law(self) -> Law:
+        """The law; InputError where there is none to be read."""
+        bounds = {name: _bounds(ends) for name, ends in self.bounds.items()}
+        shared = self.shared if isinstance(self.shared, str) else tuple(self.shared)
+        return Law(
+            str(self.formula),
+            units=self.units,
+            bounds=bounds,
+            start=self.start,
+            shared=shared,
+            name=self.name,
+        )
 
 
-class LawEntries(TomlTable):
-    """The file as a whole."""
+class FormulaCauseTable(TomlTable):
+    """A cause as a formula."""
 
-    formula: Annotated[Text, Give('write the response, ~ and its law, e.g. "F ~ Fv*vel + offset"')]
-    name: Annotated[str, Give("name the law")] = ""
-    units: Annotated[dict[str, str], Give('give units of columns and parameters, e.g. F = "N"')] = Field(
-        default_factory=dict
-    )
-    bounds: Annotated[dict[str, Ends], Give("give the lowest and the highest value, e.g. Fv = [0, 10]")] = (
-        Field(default_factory=dict)
-    )
-    start: Annotated[dict[str, float], Give("give a number for each parameter")] = Field(default_factory=dict)
-    shared: Annotated[
-        list[str] | Literal["all"], Give('name the parameters that all sessions share, or "all"')
-    ] = Field(default_factory=list)
-    cause: Annotated[list[CauseEntry], Give("write each cause as a table [[cause]]")] = Field(
-        default_factory=list
-    )
-    roles: Annotated[
-        dict[Literal["session", "time", "position", "direction", "group"], str],
-        Give("name columns for session, time, position, direction or group"),
-    ] = Field(default_factory=dict)
+    name: Text
+    formula: Text
+    """As in "+ dFv*abs(vel)" or "* (1 + k*(T - 293))"."""
+    parameters: Text
+    """With their units: "A in %, tau in min"."""
+    by: str = ""
+    """A column: one set of parameters for each of its values."""
+    bounds: _Bounds = {}
+    """Of parameters that enter nonlinearly, in their units."""
+    size: _Size = {}
+    """Sizes that matter, in the parameters' units."""
+    phrase: str = ""
+    physics: str = ""
+    sentence: str = ""
+    remedy: str = ""
+    shows_best: str = ""
+    joints: Annotated[list[int], Give("give joints, e.g. joints = [1, 2]")] = []
+    """Of a log, on which it acts; all by default."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _refuse_faults(self, self.cause)
+        return self
+
+    def cause(self) -> FormulaCause:
+        """The cause."""
+        words = ("phrase", "physics", "sentence", "remedy", "shows_best")
+        return FormulaCause(
+            self.name, self.formula, self.parameters, by=self.by, bounds=dict(self.bounds), size=self.size or None,
+            joints=tuple(self.joints), **{word: getattr(self, word) for word in words},
+        )  # fmt: skip
+
+
+class RolesTable(TomlTable):
+    """What columns of a table are."""
+
+    session: Text | None = None
+    time: Text | None = None
+    position: Text | None = None
+    direction: Text | None = None
+    group: Text | None = None
+
+
+class FormulaFile(FormulaTable):
+    """A file of formulas: a law of a table, or of the joints of a log; causes; roles of columns."""
+
+    cause: list[FormulaCauseTable] = []
+    roles: RolesTable
+    joint: Annotated[dict[str, FormulaTable], Give("write it as tables: [joint.1], [joint.2]")] = {}
+
+    @model_validator(mode="after")
+    def _check_joints(self) -> Self:
+        faults: list[Misfit] = []
+        for key, table in self.joint.items():
+            if not (key.isdecimal() and int(key) > 0):
+                faults.append(("name a joint by its number: [joint.2]", ("joint", key)))
+            elif table.formula is None:
+                faults.append(('give its formula, e.g. "gamma ~ a - c*load"', ("joint", key)))
+        if self.formula is None and not self.joint:
+            faults.append(
+                ('give a formula, e.g. "F ~ a + b*x", or one for each joint in [joint.1]', ("formula",))
+            )
+        self.refuse(*faults)
+        return self
 
 
 @dataclass(frozen=True)
-class TableLawFile:
-    """A law, causes of one's own, and the column of each role that the file names."""
+class LawsAndCauses:
+    """What a file of formulas holds.
 
-    law: Law
-    causes: tuple[FormulaCause, ...] = ()
-    roles: Mapping[str, str] = field(default_factory=dict)
+    Attributes
+    ----------
+    law : Law or None
+        Of a table.
+    laws : mapping of int to Law
+        Of a log's joints.
+    causes : tuple of FormulaCause
+    roles : mapping of str to str
+        Columns by role: session, time, position, direction, group.
+    """
+
+    law: Law | None
+    laws: Mapping[int, Law]
+    causes: tuple[FormulaCause, ...]
+    roles: Mapping[str, str]
 
 
-def read_law_file(path: str | Path) -> TableLawFile:
-    """Read a law, its causes and the roles of columns from a TOML file.
+def read_law_file(path: str | Path) -> LawsAndCauses:
+    """Read a TOML file with the keys of `FormulaFile`.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has keys that a law file has not, or formulas that cannot be read.
+        With every fault: file, line, key, value, and what to do.
     """
-    entries = read_toml(path, LawEntries, "law (TOML)")
-    name, issues, causes = format_path(path), [], []
+    content = read_toml(path, FormulaFile, "law file")
+    roles = {name: getattr(content.roles, name) for name in RolesTable.model_fields}
+    return LawsAndCauses(
+        law=None if content.formula is None else content.law(),
+        laws={int(joint): table.law() for joint, table in content.joint.items()},
+        causes=tuple(table.cause() for table in content.cause),
+        roles={name: column for name, column in roles.items() if column is not None},
+    )
+
+
+def _bounds(ends: list[float]) -> Any:
+    """Bounds of a law, which checks that there are two."""
+    return tuple(end if abs(end) < float("inf") else None for end in ends)
+
+
+def _refuse_faults(table: TomlTable, build: Any) -> None:
+    """Refuse a table whose content cannot be used, at the formula."""
     try:
-        law = Law(
-            entries.formula,
-            units=entries.units,
-            bounds={one: (low, high) for one, (low, high) in entries.bounds.items()},
-            start=entries.start,
-            shared=entries.shared if isinstance(entries.shared, str) else tuple(entries.shared),
-            name=entries.name,
-        )
+        build()
     except InputError as error:
-        issues += [InputIssue(str(issue), name) for issue in error.problems]
-    for entry in entries.cause:
-        try:
-            causes.append(
-                FormulaCause(
-                    entry.name,
-                    entry.formula,
-                    entry.parameters,
-                    by=entry.by,
-                    bounds={one: (low, high) for one, (low, high) in entry.bounds.items()},
-                    size=entry.size,
-                    phrase=entry.phrase,
-                    remedy=entry.remedy,
-                    shows_best=entry.shows_best,
-                )
-            )
-        except InputError as error:
-            issues += [InputIssue(str(issue), name) for issue in error.problems]
-    if issues:
-        raise InputError(issues)
-    return TableLawFile(law, tuple(causes), {role: column for role, column in entries.roles.items()})
+        table.refuse(*[(problem.message, ("formula",)) for problem in error.problems])

@@ -26,7 +26,7 @@ from stickslip_fit.cli._options import (
     parse_path,
     reference_law,
 )
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,6 +152,9 @@ def diagnose_table(
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
     file = read_law_file(law)
+    if file.law is None:
+        message = "has laws of a log's joints alone; give the table's law as formula, above all [tables]"
+        raise InputError(InputIssue(message, str(law)))
     given = {
         "session": session,
         "time": time,
