@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from stickslip_fit.bayes import Posterior, load_posterior
     from stickslip_fit.causes import FormulaCause as Cause
     from stickslip_fit.causes.law_file import LawsAndCauses, read_law_file
-    from stickslip_fit.diagnosis import Diagnosis, diagnose, next_experiment
+    from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, fit_table, next_experiment
     from stickslip_fit.errors import InputError
-    from stickslip_fit.estimation import Result, held_out_errors, load_result
+    from stickslip_fit.estimation import Result, TableFit, held_out_errors, load_result, load_table_fit
     from stickslip_fit.laws import Law
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
@@ -45,9 +45,9 @@ _HOMES = {
     "anova": ("Anova", "analyze_formula", "analyze_variance"),
     "bayes": ("Posterior", "load_posterior"),
     "causes.law_file": ("LawsAndCauses", "read_law_file"),
-    "diagnosis": ("Diagnosis", "diagnose", "next_experiment"),
+    "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
     "errors": ("InputError",),
-    "estimation": ("Result", "held_out_errors", "load_result"),
+    "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit"),
     "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),

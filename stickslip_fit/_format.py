@@ -330,6 +330,77 @@ def keep_units(text: str) -> str:
     return _BREAK_BEFORE_UNIT.sub(NO_BREAK_SPACE, text)
 
 
+SIGNIFICANT_DIGITS = 3
+POWERS_SHOWN = range(-3, 6)  # of ten, of numbers that are written without one
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def format_significant(value: float, digits: int = SIGNIFICANT_DIGITS) -> str:
+    """A number of any size to some significant digits, in whatever unit it is.
+
+    Examples
+    --------
+    >>> [format_significant(value) for value in (0.012345, -12.3456, 12345.6, 3.2e-9)]
+    ['0.0123', '−12.3', '12,346', '3.20×10⁻⁹']
+    """
+    if not isfinite(value):
+        return UNKNOWN_VALUE
+    power = _power_of(value)
+    return _with_decimals(value, digits - 1 - power, power)
+
+
+def format_measured(interval: Interval, unit: str = "") -> str:
+    """An estimate in a unit that is not converted, down to the second digit of its uncertainty.
+
+    Examples
+    --------
+    >>> format_measured(Interval(-0.51234, -0.55, -0.47), "N s/m"), format_measured(Interval(2.0, 1.0, 3.0))
+    ('−0.512 N s/m', '2.0')
+    """
+    power, decimals = _common_scale(interval)
+    if not isfinite(interval.estimate):
+        return UNKNOWN_VALUE
+    return f"{_with_decimals(interval.estimate, decimals, power)}{_beside(unit)}"
+
+
+def format_measured_range(interval: Interval) -> str:
+    """An interval to as many digits as `format_measured` shows of its estimate; `MISSING` where unknown.
+
+    Examples
+    --------
+    >>> format_measured_range(Interval(-0.51234, -0.55, -0.47))
+    '−0.550 to −0.470'
+    >>> format_measured_range(Interval(3e-9, 2e-9, 4e-9))
+    '2.0×10⁻⁹ to 4.0×10⁻⁹'
+    """
+    if not (isfinite(interval.low) and isfinite(interval.high)):
+        return MISSING
+    power, decimals = _common_scale(interval)
+    return " to ".join(_with_decimals(end, decimals, power) for end in (interval.low, interval.high))
+
+
+def _common_scale(interval: Interval) -> tuple[int, int]:
+    """Power of ten and decimals for an estimate and both ends of its interval."""
+    known = [abs(x) for x in (interval.estimate, interval.low, interval.high) if isfinite(x)]
+    power = _power_of(max(known, default=0.0))
+    half = abs(interval.high - interval.low) / 2
+    if not isfinite(half) or half <= 0:
+        return power, SIGNIFICANT_DIGITS - 1 - power
+    return power, 1 - floor(log10(half))
+
+
+def _power_of(value: float) -> int:
+    return floor(log10(abs(value))) if value else 0
+
+
+def _with_decimals(value: float, decimals: int, power: int) -> str:
+    """A number to this many decimals; as a multiple of a power of ten where that is not in `POWERS_SHOWN`."""
+    if power in POWERS_SHOWN:
+        return _thousands(_true_minus(f"{value:.{max(decimals, 0)}f}"))
+    shown = f"{value / 10.0**power:.{min(max(decimals + power, 0), 9)}f}"
+    return f"{_true_minus(shown)}×10{str(power).translate(_SUPERSCRIPTS)}"
+
+
 def _decimals_of(interval: Interval, unit: str, further: int = 0) -> int:
     values = interval.estimate, interval.low, interval.high
     estimate, low, high = (float(from_si(x, unit)) if unit in UNITS else x for x in values)

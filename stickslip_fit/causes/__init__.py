@@ -57,11 +57,13 @@ from stickslip_fit.causes.base import (
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
+from stickslip_fit.causes.generic import GenericCause, generic_causes
 from stickslip_fit.causes.geometry import *  # noqa: F403
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.registry import FAMILIES, covariates, describe, library, restore
+from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause
 from stickslip_fit.causes.temporal import *  # noqa: F403
 
@@ -73,15 +75,19 @@ __all__ = [
     "ExtendedTableLaw",
     "FactorCause",
     "FormulaCause",
+    "GenericCause",
     "SizedParameter",
     "StateCause",
     "TableCause",
+    "TableRoles",
     "TermCause",
     "covariates",
     "describe",
     "explain_missing",
     "extend",
+    "generic_causes",
     "library",
+    "prepare_rows",
     "restore",
     "restore_formula_cause",
 ]

@@ -12,13 +12,27 @@ from stickslip_fit import __version__
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
-from stickslip_fit.cli.diagnose import anova, diagnose, plan
+from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
 from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (
-    *(check, calibrate, fit, predict, anova, diagnose, report, compare, study, simulate, plan, sheet),
+    *(
+        check,
+        calibrate,
+        fit,
+        predict,
+        anova,
+        diagnose,
+        diagnose_table,
+        report,
+        compare,
+        study,
+        simulate,
+        plan,
+        sheet,
+    ),
     *(plan_move, dead_reckon, demo),
 )
 

@@ -26,13 +26,13 @@ from stickslip_fit.cli._options import (
     parse_path,
     reference_law,
 )
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.estimation import Result
+    from stickslip_fit.estimation import Result, TableFit
     from stickslip_fit.logs import Log
     from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
@@ -97,6 +97,88 @@ def diagnose(
     saved = save_diagnosis_outputs(result, json, report)
     law = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
     print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
+
+
+def diagnose_table(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATA", parser=parse_path, help="Table: CSV or Parquet, a row for each measurement."
+        ),
+        INPUT,
+    ],
+    law: Annotated[
+        Path,
+        typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."),
+        INPUT,
+    ],
+    session: Annotated[
+        str | None, typer.Option(help="Column: rows with equal values share the law's own parameters.")
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(help="Column of seconds or times of day; 'order': rows are in order of measurement."),
+    ] = None,
+    position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
+    direction: Annotated[str | None, typer.Option(help="Column: which way it moves.")] = None,
+    group: Annotated[
+        str | None, typer.Option(help="Column: what belongs together, held out as a whole.")
+    ] = None,
+    json: Json = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Also show it as one HTML page here, with figures."),
+        Output(),
+    ] = None,
+    save_law: Annotated[
+        Path | None,
+        typer.Option("--save-law", help="Also save the law extended by the causes found here (JSON)."),
+        Output(),
+    ] = None,
+    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+) -> None:
+    """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
+
+    An example, with `F ~ M*acc + Fv*vel + Fc*sign(vel)` in friction.toml as its formula, and bench.csv with
+    the columns t, vel, acc and F:
+
+    stickslip-fit diagnose-table bench.csv --law friction.toml --time t --report bench.html
+
+    Roles of columns may stand in the law file, under [roles]; an option goes before.
+    """
+    from stickslip_fit._io import show_progress
+    from stickslip_fit.causes.law_file import read_law_file
+    from stickslip_fit.diagnosis import diagnose_table as diagnose
+
+    file = read_law_file(law)
+    if file.law is None:
+        message = "has laws of a log's joints alone; give the table's law as formula, above all [tables]"
+        raise InputError(InputIssue(message, str(law)))
+    given = {
+        "session": session,
+        "time": time,
+        "position": position,
+        "direction": direction,
+        "group": group,
+    }
+    roles: dict[str, Any] = {**file.roles}
+    roles |= {role: column for role, column in given.items() if column is not None}
+    with show_progress() as progress:
+        result = diagnose(
+            data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles
+        )
+    saved = save_diagnosis_outputs(result, json, report)
+    if save_law is not None:
+        result.extended_law(command=command_line()).save(save_law)
+        saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
+    print("\n\n".join(filter(None, [str(result), "\n".join(saved)])))
+
+
+def describe_extension(diagnosis: Diagnosis) -> str:
+    """Whether the law was extended, and by what."""
+    names = [finding.cause for finding in diagnosis.findings if finding.version is not None]
+    return f"extended by {', '.join(names)}" if names else "as it was, since no cause was named"
 
 
 class ThesisPlan(StrEnum):
@@ -196,10 +278,12 @@ def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diag
         return diagnose(log, alpha=alpha, seed=seed, progress=progress)
 
 
-def save_extended_law(law: Result, path: Path) -> str:
-    """Write a law; a line on its causes."""
+def save_extended_law(law: Result | TableFit, path: Path) -> str:
+    """Write the law of a log; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
+    from stickslip_fit.estimation import Result
 
+    assert isinstance(law, Result)
     law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
@@ -253,8 +337,8 @@ def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
     """The most informative next traverses."""
     from stickslip_fit.diagnosis import diagnose, next_experiment
     from stickslip_fit.diagnosis._design_summary import summarize_next
+    from stickslip_fit.diagnosis._json import traverse_to_json
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
-    from stickslip_fit.diagnosis.result import traverse_to_json
 
     diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
     traverses = next_experiment(diagnosis)

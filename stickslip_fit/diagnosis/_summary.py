@@ -1,4 +1,4 @@
-"""A diagnosis as a summary: the conclusion and what to do about it, then the tables.
+"""A log's diagnosis as a summary: the conclusion and what to do about it, then the tables.
 
 `write_headline` makes the sentences, `summarize_diagnosis` the whole, `describe_effect` and `remedy_for`
 what each cause does and what cures it.
@@ -29,7 +29,7 @@ from stickslip_fit._format import (
     pluralize,
     typeset_text,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.causes import EndStopMisfire, SizedParameter
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
@@ -191,9 +191,8 @@ def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-@summarize.register
-def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
-    """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
+def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
+    """A log's: the headline; findings with sizes and gain; the alternatives; the untestable causes."""
     name = Path(diagnosis.log_file).name or "a log that was never in a file"
     next_traverses = traverses_table("Discriminating traverses", diagnosis.next_experiment)
     return Summary(
@@ -204,10 +203,10 @@ def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),
-                (*_ranking_tables(diagnosis), *next_traverses),
+                (*ranking_tables(diagnosis), *next_traverses),
                 key="alternatives",
             ),
-            Section("What this log could not have shown", tuple(_list_untestable(diagnosis)), key="unseen"),
+            Section("What this log could not have shown", tuple(list_untestable(diagnosis)), key="unseen"),
         ),
         provenance=(
             (name, f"sha256 {diagnosis.log_sha256}"),
@@ -356,7 +355,8 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     return [(cause, probability[cause], evidence.get(cause, np.nan) / LN_10) for cause in order]
 
 
-def _ranking_tables(diagnosis: Diagnosis) -> list[Table]:
+def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
+    """The likeliest causes, or no table."""
     ranked = [row for row in rank_causes(diagnosis) if row[1] >= MIN_PROBABILITY][:MAX_RANKED]
     columns = (
         Column("cause", text=True),
@@ -394,7 +394,7 @@ def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Tab
     return [Table(caption, columns, tuple(rows))] if rows else []
 
 
-def _list_untestable(diagnosis: Diagnosis) -> list[str]:
+def list_untestable(diagnosis: Diagnosis) -> list[str]:
     """Untestable causes by reason."""
     causes: dict[str, list[str]] = {}
     for cause, reason in diagnosis.untestable.items():

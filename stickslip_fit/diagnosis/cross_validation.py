@@ -8,7 +8,7 @@ new day.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.finding import Finding
-from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import SelectedCause, Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
@@ -194,21 +194,35 @@ def compute_held_out_errors(
         Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
         for the first two, and so on; at last with all selected causes.
     """
-    training = problem.without_rows(np.setdiff1d(np.arange(len(problem)), split.train))
-    selection = selector(training, np.random.default_rng(seed))
+    selection = select_from_training(problem, split, selector, seed)
     errors = [_prediction_errors(problem, split, (), np.zeros(0))]
+    for versions, fit in extend_by_steps(selection, findings):
+        errors.append(_prediction_errors(problem, split, versions, fit.values))
+    return np.stack(errors)
+
+
+def select_from_training(
+    problem: DiagnosisProblem, split: Split, selector: Selector, seed: Sequence[int]
+) -> Selection:
+    """The selection repeated on the training rows."""
+    training = problem.without_rows(np.setdiff1d(np.arange(len(problem)), split.train))
+    return selector(training, np.random.default_rng(seed))
+
+
+def extend_by_steps(
+    selection: Selection, findings: Sequence[Finding]
+) -> Iterator[tuple[list[Any], ExtendedFit]]:
+    """The causes that stand for the first finding, for the first two, and so on; each with its fit."""
     causes = selection.law_causes
     step_of = match_findings(causes, findings)
     for step in range(len(findings)):
         chosen = [one for one, its_step in zip(causes, step_of, strict=True) if its_step <= step]
         versions = [one.version for one in chosen]
         if len(chosen) == len(causes):
-            values = selection.fit.values
+            yield versions, selection.fit
         else:
             start = np.concatenate([np.zeros(0), *(one.start for one in chosen)])
-            values = selection.problem.fit_extended(versions, start).values
-        errors.append(_prediction_errors(problem, split, versions, values))
-    return np.stack(errors)
+            yield versions, selection.problem.fit_extended(versions, start)
 
 
 def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:

@@ -26,7 +26,6 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import (
-    MISFIRE,
     SelectedCause,
     Selection,
     allocate_alpha,
@@ -83,8 +82,8 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
     linearized, slices = selection.problem.linearize(), iter(selection.slices)
     findings = []
     for selected in selection.selected:
-        if selected.cause == MISFIRE:
-            findings.append(_size_misfires(selection, problem, selected))
+        if selected.cause == problem.outlier_cause:
+            findings.append(_size_outliers(selection, problem, selected))
         elif selected.cause == UNKNOWN:
             findings.append(size_unknown(selection, selected, alpha))
         else:
@@ -141,7 +140,7 @@ def estimate_effect(
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
     changes = compute_changes(linearized, selected.version, trials)
-    whitened = linearized.project(changes / linearized.scale[:, None])
+    whitened = linearized.project(linearized.whiten(changes))
     form = whitened[:, 0]
     length = max(float(np.linalg.norm(form)), MIN_LENGTH)
     slopes = (whitened[:, 1:] - form[:, None]) / steps
@@ -150,9 +149,13 @@ def estimate_effect(
     dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
     beyond = _effect_beyond_fit(selection, selected)
     unweighted = linearize_fit(
-        linearized.rows, linearized.parts, selection.problem.responses, np.ones(len(linearized))
+        linearized.rows,
+        linearized.parts,
+        selection.problem.responses,
+        np.ones(len(linearized)),
+        shared=selection.problem.n_shared,
     )
-    rms = _rms(unweighted.project(changes[:, 0] + beyond * linearized.scale))
+    rms = _rms(unweighted.project(changes[:, 0] + linearized.unwhiten(beyond)))
     return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)
 
 
@@ -241,7 +244,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         effect = estimate_ar1_effect(linearized, best).times(_rms(linearized.scale))
     else:
         strength = _estimate_strength(selected, np.sqrt(squares + 1.0), 1.0, 1, linearized, alpha)
-        effect = strength.times(_rms(shape * linearized.scale) / max(length, MIN_LENGTH))
+        effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
     closest = max(known, key=lambda cause: known[cause]) if known else ""
     share = 0.0
@@ -302,7 +305,7 @@ def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
     return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
 
 
-def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
+def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
     rows, n = selection.outliers, len(problem)
     departure = predict_departures(selection, problem, rows)
     sizes = np.abs(departure)
@@ -314,14 +317,15 @@ def _size_misfires(selection: Selection, problem: DiagnosisProblem, selected: Se
         float(betaincinv(len(rows) + 1, n - len(rows), 0.975)),
     )
     low, middle, high = np.quantile(sizes, QUANTILES_95)
+    unit = getattr(problem.parts[0].law, "response_unit", "%")  # a table's response has one of its own
     return Finding(
-        MISFIRE,
+        selected.cause,
         None,
         (),
         selected.p_value,
         _joints_of_laws(part.law for part in problem.parts if np.isin(part.rows, rows).any()),
         Interval(rms, max(rms - error, 0.0), rms + error),
-        (SizedParameter("share", "%", share), SizedParameter("size", "%", Interval(middle, low, high))),
+        (SizedParameter("share", "%", share), SizedParameter("size", unit, Interval(middle, low, high))),
         traverses=problem.rows.iloc[rows].assign(departure=departure),
     )
 

@@ -1,19 +1,37 @@
-"""Finding, Gain and NextTraverse: what a diagnosis consists of."""
+"""Finding, Gain, NextTraverse and TableInfo: what a diagnosis consists of."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, field
 from typing import Any
 
 import pandas as pd
 
 from stickslip_fit.causes import SizedParameter
-from stickslip_fit.units import Interval
+from stickslip_fit.units import UNITS, Interval, from_si
+
+
+def shown_size(parameter: SizedParameter) -> Interval:
+    """A parameter's size in its display unit; one of a table's own units is not converted.
+
+    Examples
+    --------
+    >>> shown_size(SizedParameter("A", "%", Interval(0.03, 0.02, 0.04))).estimate
+    3.0
+    >>> shown_size(SizedParameter("c", "N s/m", Interval(0.03, 0.02, 0.04))).estimate
+    0.03
+    """
+    if parameter.unit not in UNITS:
+        return parameter.size
+    return Interval(*(float(from_si(value, parameter.unit)) for value in astuple(parameter.size)))
 
 
 @dataclass(frozen=True)
 class Gain:
     """Rms error of the step size (relative) on held-out traverses, before and after extending the law.
+
+    Of a table: of its response, in its unit, on held-out rows.
 
     Attributes
     ----------
@@ -23,7 +41,9 @@ class Gain:
     low, high : float
         95 % interval of `baseline` less `extended` for a replicate of the campaign.
     by_session : DataFrame
-        session, baseline, extended, traverses.
+        session, baseline, extended, traverses (of a table: rows).
+    held_out : str
+        What was held out together, where that is not a log's configurations.
     """
 
     baseline: float
@@ -32,6 +52,7 @@ class Gain:
     low: float
     high: float
     by_session: pd.DataFrame
+    held_out: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,3 +135,49 @@ class NextTraverse:
     repeats: int
     tells_apart: tuple[str, ...]
     note: str = ""
+
+
+@dataclass(frozen=True)
+class TableInfo:
+    """The table that a diagnosis is of, where that is no log; effects are in the unit of the response.
+
+    Attributes
+    ----------
+    response, unit : str
+        Name of the response, and its unit; "" where none was given.
+    response_sd : float
+        Standard deviation of the response: what the per cent of the JSON are of.
+    rows : int
+        That have a response; those that are set aside later included.
+    independent : float
+        How many independent values carry as much as they do; `rows` without autocorrelation.
+    correlation_rows : float
+        Autocorrelation time in rows: `rows` over `independent`; 1 without autocorrelation.
+    correlation_time : float
+        The same in the unit of the time; NaN without a time.
+    time_unit : str
+    roles : mapping of str to str
+        Column of each role that was given or found: session, time, position, direction, group.
+    file, sha256 : str
+        Empty for a table that was never in a file; the hash is then that of its values.
+    files : tuple of str
+        Files that no output may replace: the table's, and that of its law.
+    """
+
+    response: str
+    unit: str
+    response_sd: float
+    rows: int
+    independent: float
+    correlation_rows: float = 1.0
+    correlation_time: float = float("nan")
+    time_unit: str = "s"
+    roles: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
+    sha256: str = ""
+    files: tuple[str, ...] = ()
+
+    @property
+    def is_correlated(self) -> bool:
+        """Whether a value says something of the next one."""
+        return self.correlation_rows > 1.0

@@ -27,6 +27,8 @@ from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
+    Recolouring,
+    keep_columns,
     log_likelihood_ratio,
     prepare_calibration,
     simulate_gain_interval,
@@ -43,6 +45,7 @@ MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
 
 SplitProgress = Callable[[int, int], None]
+HeldOutErrors = Callable[..., Array]
 
 
 def measure_gain(
@@ -104,6 +107,8 @@ def estimate_gain(
     seed: int = 0,
     workers: int = -1,
     progress: SplitProgress | None = None,
+    compute_errors: HeldOutErrors = compute_held_out_errors,
+    recolour: Recolouring = keep_columns,
 ) -> tuple[Gain, tuple[Finding, ...]]:
     """Repeat the selection in each split, and compare its predictions of the held-out rows.
 
@@ -125,6 +130,10 @@ def estimate_gain(
         Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. No number depends on it.
     progress : callable, optional
         Called with the number of splits that are done, and of all.
+    compute_errors : callable, optional
+        As `compute_held_out_errors`; a table's laws are calibrated in another way.
+    recolour : callable, optional
+        Of `LinearizedCampaign`.
 
     Returns
     -------
@@ -134,12 +143,14 @@ def estimate_gain(
     """
     extending = [finding for finding in findings if finding.version is not None]
     if extending:
-        errors = _collect_errors(selection, extending, splits, selector, seed, workers, progress)
+        compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
+        errors = _collect_errors(compute, len(selection.problem), splits, seed, workers, progress)
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
         campaign = _linearize_campaign(selection, [finding.cause for finding in extending], alpha)
+        campaign = replace(campaign, recolour=recolour)
         limits = simulate_gain_interval(campaign, splits, others or (splits,), rms, rng)
     else:
-        errors, limits = _baseline_errors(selection, splits)[None], np.zeros((2, 1))
+        errors, limits = _baseline_errors(selection, splits, recolour)[None], np.zeros((2, 1))
     steps = np.cumsum([0, *(finding.version is not None for finding in findings)])
     gains = [
         _make_gain(selection, splits, errors[[before, after]], (after > before) * limits[:, before])
@@ -150,22 +161,18 @@ def estimate_gain(
 
 
 def _collect_errors(
-    selection: Selection,
-    findings: Sequence[Finding],
+    compute: Callable[..., Array],
+    n_rows: int,
     splits: Sequence[Split],
-    selector: Selector,
     seed: int,
     workers: int,
     progress: SplitProgress | None,
 ) -> Array:
     from joblib import Parallel, delayed
 
-    tasks = (
-        delayed(compute_held_out_errors)(selection.problem, split, findings, selector, (seed, number))
-        for number, split in enumerate(splits)
-    )
+    tasks = (delayed(compute)(split, seed=(seed, number)) for number, split in enumerate(splits))
     # Starting a process takes as long as the selection in several folds of a small log.
-    n_jobs = workers if len(selection.problem) > MAX_SERIAL_ROWS else 1
+    n_jobs = workers if n_rows > MAX_SERIAL_ROWS else 1
     errors = []
     for split_errors in Parallel(n_jobs=n_jobs, return_as="generator")(tasks):
         errors.append(split_errors)
@@ -174,12 +181,14 @@ def _collect_errors(
     return np.concatenate(errors, axis=1)
 
 
-def _baseline_errors(selection: Selection, splits: Sequence[Split]) -> Array:
+def _baseline_errors(selection: Selection, splits: Sequence[Split], recolour: Recolouring) -> Array:
     """By linear algebra: where nothing extends the law, the selection need not be repeated."""
     linearized = selection.problem.linearize()
     residual = linearized.residual[:, None]
     errors = [
-        prepare_calibration(linearized.basis, split.calibration, split.held_out).subtract(residual)[:, 0]
+        prepare_calibration(linearized.basis, split.calibration, split.held_out, recolour).subtract(residual)[
+            :, 0
+        ]
         for split in splits
     ]
     return np.concatenate(errors) * linearized.scale[np.concatenate([split.held_out for split in splits])]
@@ -205,9 +214,7 @@ def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> l
         compute_changes(linearized, selected.version, values[None, place])
         for selected, place in zip(selection.law_causes, selection.slices, strict=True)
     ]
-    effects = (
-        linearized.project(np.concatenate(changes, axis=1) / linearized.scale[:, None]) if changes else None
-    )
+    effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
     return make_folds(linearized, number_session_configurations(selection.problem.rows), rng, effects)
 
 
@@ -238,7 +245,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         compute_changes(linearized, one.version, fit.values[None, place])
         for one, place in zip(selected, places, strict=True)
     ]
-    slopes = _cause_jacobian(selection) / linearized.scale[:, None]
+    slopes = linearized.whiten(_cause_jacobian(selection))
     critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
         detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)
@@ -250,7 +257,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         linearized.scale,
         selection.linearized.residual
         / np.sqrt(1.0 - np.minimum(selection.linearized.leverage, MAX_LEVERAGE)),
-        np.concatenate(changes, axis=1) / linearized.scale[:, None],
+        linearized.whiten(np.concatenate(changes, axis=1)),
         tuple(slopes[:, place] for place in places),
         np.array(thresholds),
         tuple(_collect_competitors(one, linearized.df) for one in selected),

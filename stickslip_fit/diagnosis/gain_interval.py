@@ -8,7 +8,7 @@ the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,12 +19,20 @@ from scipy.sparse.linalg import splu
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
 
+Recolouring = Callable[[Array], Array]
+"""From whitened columns, shape (n, m), to those in units of the noise of each row, correlated again."""
+
 N_DRAWS = 2400
 STRENGTH_RANGE = 4.0  # of the prior on a strength, on either side of the estimate
 RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; spread of a rival's evidence, from the maximum over its other shapes
 ACCEPTED_SHARE = 0.15  # of the draws: those closest to the log
 MAX_ELEMENTS = 2_000_000  # numbers in memory
 CAUSE_FOUND, NONE_FOUND = 0, -1  # result of a simulated selection; else the number of the rival, from 1
+
+
+def keep_columns(columns: Array) -> Array:
+    """The recolouring of rows whose noise is independent."""
+    return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +71,10 @@ class LinearizedCampaign:
         Derivatives with respect to each cause's parameters.
     thresholds : array, shape (k,)
         Length of an effect at which the selection detects it.
-    rivals : tuple of CompetingCauses
+    competing_causes : tuple of CompetingCauses
         Of each cause.
+    recolour : callable
+        Held-out errors are those of the responses themselves, not of their innovations.
     """
 
     basis: csr_array
@@ -74,6 +84,7 @@ class LinearizedCampaign:
     slopes: tuple[Array, ...]
     thresholds: Array
     competing_causes: tuple[CompetingCauses, ...]
+    recolour: Recolouring = keep_columns
 
     def effect_lengths(self, responses: Array) -> Array:
         """Estimated length of each cause's effect in each log, (n, m) -> (m, k)."""
@@ -96,16 +107,19 @@ class CalibrationOperator:
         Of the normal matrix of the calibration rows.
     known : sparse array, shape (p, n)
         Directions in the calibration rows; zero in the others.
+    recolour : callable
+        Applied to what is predicted.
     """
 
     predicted: IntArray
     basis: csr_array
     inverse: csr_array
     known: csr_array
+    recolour: Recolouring = keep_columns
 
     def subtract(self, columns: Array) -> Array:
         """The predicted rows less their prediction, (n, m) -> (h, m)."""
-        return columns[self.predicted] - self.basis @ (self.inverse @ (self.known @ columns))
+        return self.recolour(columns)[self.predicted] - self.basis @ (self.inverse @ (self.known @ columns))
 
     def residual_squares(self, columns: Array) -> Array:
         """Sum of squares of `subtract`, (n, m) -> (m,), where the predicted rows are those of calibration."""
@@ -115,13 +129,15 @@ class CalibrationOperator:
         return inside @ columns**2 - np.einsum("ij,ij->j", sums, self.inverse @ sums)
 
 
-def prepare_calibration(basis: csr_array, calibration: IntArray, predicted: IntArray) -> CalibrationOperator:
+def prepare_calibration(
+    basis: csr_array, calibration: IntArray, predicted: IntArray, recolour: Recolouring = keep_columns
+) -> CalibrationOperator:
     """The calibration by some rows and the prediction of others.
 
     `basis`, shape (n, number of all parameters), spans the calibration. The calibration rows must determine
     every parameter that acts on the predicted rows.
     """
-    wanted = basis[predicted]
+    wanted = (basis if recolour is keep_columns else csr_array(recolour(basis.toarray())))[predicted]
     acting = np.unique(wanted.indices)
     own = csc_array(basis[calibration][:, acting])
     normal = splu(csc_array(own.T @ own))
@@ -130,7 +146,8 @@ def prepare_calibration(basis: csr_array, calibration: IntArray, predicted: IntA
         shape=(len(calibration), basis.shape[0]),
     )
     inverse = csr_array(normal.solve(np.eye(len(acting))))
-    return CalibrationOperator(predicted, csr_array(wanted[:, acting]), inverse, csr_array(own.T @ place))
+    known = csr_array(own.T @ place)
+    return CalibrationOperator(predicted, csr_array(wanted[:, acting]), inverse, known, recolour)
 
 
 def project_along(training: CalibrationOperator, columns: Array, responses: Array) -> Array:
@@ -259,7 +276,7 @@ def _simulate_replicates(
             RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
             for one in campaign.competing_causes
         ]
-        operators = prepare_split(campaign.basis, split)
+        operators = prepare_split(campaign.basis, split, campaign.recolour)
         results = np.stack(
             [simulate_selection(campaign, j, operators.training, responses, spread[j]) for j in range(k)],
             axis=1,
@@ -324,11 +341,11 @@ class SplitOperators:
     prediction: CalibrationOperator
 
 
-def prepare_split(basis: csr_array, split: Split) -> SplitOperators:
+def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:
     """The calibrations of a split; `basis`, shape (n, p), spans the calibration."""
     return SplitOperators(
         prepare_calibration(basis, split.train, split.train),
-        prepare_calibration(basis, split.calibration, split.held_out),
+        prepare_calibration(basis, split.calibration, split.held_out, recolour),
     )
 
 

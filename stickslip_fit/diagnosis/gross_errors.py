@@ -24,11 +24,10 @@ from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import (
     MIN_DF,
-    MISFIRE,
-    CauseSet,
-    SelectedCause,
     Selection,
+    fits_exactly,
     predict_departures,
+    select_outliers,
 )
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
@@ -47,8 +46,11 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     None where so many rows depart that it is an effect, or where there are too few rows to tell.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
-    parameters = sum(len(np.unique(part.block)) * part.values.shape[1] for part in problem.parts)
-    if len(problem) - parameters < MIN_DF:
+    own = [part.values.shape[1] - problem.n_shared for part in problem.parts]
+    blocks = [len(np.unique(part.block)) for part in problem.parts]
+    if len(problem) - problem.n_shared - int(np.dot(own, blocks)) < MIN_DF:
+        return nothing
+    if fits_exactly(problem.linearize()):
         return nothing
     z, _ = fit_robustly(problem)
     p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))
@@ -109,13 +111,11 @@ def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: fl
     if not len(aside):
         return selection
     kept = np.setdiff1d(np.arange(n), aside)
-    causes = CauseSet(MISFIRE, (), {})
-    others = [one for one in selection.selected if one.cause != MISFIRE]
-    misfire = SelectedCause(MISFIRE, None, np.zeros(0), causes, None, p_value)
+    others = [one for one in selection.selected if one.misfit is not None]
     return replace(
         selection,
         outliers=np.sort(np.concatenate([aside, kept[selection.outliers]])),
-        selected=(misfire, *others),
+        selected=(select_outliers(selection.problem, p_value), *others),
         p_value=min(selection.p_value, p_value),
     )
 
@@ -129,7 +129,10 @@ def _iterate_weights(
     """
     scale = problem.scale
     for _ in range(MAX_PASSES):
-        fit = fit_extended(problem.rows, parts, problem.responses, scale / np.sqrt(weight), (), np.zeros(0))
+        sd = scale / np.sqrt(weight)
+        fit = fit_extended(
+            problem.rows, parts, problem.responses, sd, (), np.zeros(0), n_shared=problem.n_shared
+        )
         parts = fit.parts
         scale = _robust_scale(fit.residual, problem.noise_group)
         z = fit.residual / scale

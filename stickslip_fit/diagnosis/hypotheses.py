@@ -15,9 +15,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import (
+    LawBlock,
+    LinearizedFit,
+    select_filter,
+    split_positions,
+    whiten,
+)
 from stickslip_fit.logs.history import previous_rows
 from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.units import PRISMATIC
@@ -164,6 +171,9 @@ class SessionFit:
         Positions in the session, and the basis of its calibration there.
     shared_basis : array, shape (s, k)
         Basis of what all sessions share.
+    scale : array, shape (s,)
+    noise_filter : sparse array, shape (s, s), or None
+        Both as of the `LinearizedFit`.
     """
 
     rows: IntArray
@@ -171,9 +181,15 @@ class SessionFit:
     tables: tuple[dict[str, npt.NDArray[Any]], ...]
     blocks: tuple[tuple[IntArray, Array], ...]
     shared_basis: Array
+    scale: Array
+    noise_filter: csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def whiten(self, changes: Array) -> Array:
+        """As of the `LinearizedFit`, shape (s, m)."""
+        return whiten(changes, self.scale, self.noise_filter)
 
     def project(self, columns: Array) -> Array:
         """Project out the session's own calibration, shape (s, m)."""
@@ -202,7 +218,13 @@ def split_sessions(linearized: LinearizedFit) -> dict[str, SessionFit]:
             tables[number[rows[0]]].append({name: values[inside] for name, values in table.items()})
     return {
         str(name): SessionFit(
-            rows, tuple(parts[k]), tuple(tables[k]), tuple(blocks[k]), linearized.shared_basis[rows]
+            rows,
+            tuple(parts[k]),
+            tuple(tables[k]),
+            tuple(blocks[k]),
+            linearized.shared_basis[rows],
+            linearized.scale[rows],
+            select_filter(linearized.noise_filter, rows),
         )
         for k, (name, rows) in enumerate(zip(names, rows_of, strict=True))
     }
@@ -265,14 +287,12 @@ def build_per_session_hypotheses(
 
 def compute_effects(linearized: LinearizedFit, version: Any, trials: Array) -> Array:
     """Change of every response, whitened, calibration projected out; trials (m, q) -> (n, m)."""
-    return linearized.project(compute_changes(linearized, version, trials) / linearized.scale[:, None])
+    return linearized.project(linearized.whiten(compute_changes(linearized, version, trials)))
 
 
-def compute_session_effects(
-    linearized: LinearizedFit, session: SessionFit, version: Any, trials: Array
-) -> Array:
+def compute_session_effects(session: SessionFit, version: Any, trials: Array) -> Array:
     """As `compute_effects`, of a version that acts in one session only; trials (m, q) -> (s, m)."""
-    return session.project(compute_changes(session, version, trials) / linearized.scale[session.rows, None])
+    return session.project(session.whiten(compute_changes(session, version, trials)))
 
 
 def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
@@ -345,10 +365,10 @@ def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]
         cause, version, trials = one.cause, one.version, one.trials
         if version.session:
             session = sessions[version.session]
-            whitened = session.project(one.changes / linearized.scale[session.rows, None])
+            whitened = session.project(session.whiten(one.changes))
             candidates += build_session_hypotheses(cause, version, trials, n, session, whitened)
             continue
-        whitened = linearized.project(one.changes / linearized.scale[:, None])
+        whitened = linearized.project(linearized.whiten(one.changes))
         if version.combine_trials:
             candidates.append(make_hypothesis(cause, version, None, whitened))
         else:
@@ -435,7 +455,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         return [one for one in hypotheses if one is not None]
     seconds = rows["session_seconds"].to_numpy(float)
     session = pd.factorize(rows["session"].astype(object))[0]
-    waves = _smooth_in_time(seconds, session) / scale
+    waves = smooth_in_time(seconds, session) / scale
     name = "unknown:time, the same in each session"
     hypotheses.append(make_hypothesis(name, None, None, linearized.project(waves)))
     hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
@@ -447,7 +467,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
     # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
     order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
     for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
-        periods = _choose_periods(clock, session)
+        periods = choose_periods(clock, session)
         angles = 2 * np.pi * clock[:, None] / periods
         pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / scale[:, None]
         names = [f"unknown:period of {period / unit:.1f} {label}" for period in periods]
@@ -455,7 +475,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
     return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
 
 
-def _smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
+def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
     """Cosines over each session, from its beginning to its end, shape (n, waves)."""
     last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
     phase = seconds / np.maximum(last, 1.0)
@@ -483,7 +503,7 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def _choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
+def choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
     """Periods between the length of a session and the spacing of its traverses, evenly in frequency."""
     order = np.lexsort((clock, session))
     spacing = np.diff(clock[order])[np.diff(session[order]) == 0]

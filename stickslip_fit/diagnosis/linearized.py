@@ -1,9 +1,10 @@
 """LinearizedFit: whitened residuals and candidate effects, calibration parameters projected out.
 
 Laws are linearized at their fitted values. Residuals and effects are divided by the standard deviation
-of the noise and projected onto the orthogonal complement of the Jacobian of the nuisance parameters:
-each law's own parameters by session and direction, then those that all rows share. `fit_extended`
-refits laws together with causes by nonlinear least squares.
+of the noise, freed from its autocorrelation where it has any (`autocorrelation`), and projected onto the
+orthogonal complement of the Jacobian of the nuisance parameters: each law's own parameters by session and
+direction, then those that all rows share. `fit_extended` refits laws together with causes by nonlinear least
+squares.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csc_array, csr_array, hstack
+from scipy.sparse.linalg import splu
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
@@ -42,12 +44,16 @@ class LawBlock:
         Which set of own parameters each row uses.
     values : array, shape (m, p)
         Each row's own parameters, then those that all rows of all parts share.
+    lower, upper : array, shape (p,), or float
+        Bounds of the law's parameters in a fit.
     """
 
     law: Any
     rows: IntArray
     block: IntArray
     values: Array
+    lower: Array | float = -np.inf
+    upper: Array | float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +72,8 @@ class LinearizedFit:
         Orthonormal basis of the nuisance Jacobian: block by block, then what all blocks share.
     blocks : tuple of (array of int, shape (m,), array, shape (m, p))
         Rows of each block and its columns of `basis` there.
+    noise_filter : sparse array, shape (n, n), or None
+        Prediction-error filter of autocorrelated noise; None for independent noise.
     """
 
     rows: pd.DataFrame
@@ -74,6 +82,7 @@ class LinearizedFit:
     residual: Array
     basis: csr_array
     blocks: tuple[tuple[IntArray, Array], ...]
+    noise_filter: csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.residual)
@@ -100,9 +109,26 @@ class LinearizedFit:
         """Leverage of each row on the calibration parameters, shape (n,)."""
         return np.asarray((self.basis**2).sum(axis=1)).ravel()
 
+    def whiten(self, changes: Array) -> Array:
+        """Changes of the responses in units of independent noise of variance 1, shape (n,) or (n, m)."""
+        return whiten(changes, self.scale, self.noise_filter)
+
     def project(self, columns: Array) -> Array:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
+
+    def unwhiten(self, columns: Array) -> Array:
+        """Changes of the responses from whitened ones: the inverse of `whiten`."""
+        scale = self.scale if columns.ndim == 1 else self.scale[:, None]
+        return self.recolour(columns) * scale
+
+    def recolour(self, columns: Array) -> Array:
+        """Whitened columns in units of each row's noise, autocorrelated again; shape (n,) or (n, m)."""
+        return columns if self._solved_filter is None else np.asarray(self._solved_filter.solve(columns))
+
+    @cached_property
+    def _solved_filter(self) -> Any:
+        return None if self.noise_filter is None else splu(csc_array(self.noise_filter))
 
     @cached_property
     def shared_basis(self) -> Array:
@@ -114,6 +140,17 @@ class LinearizedFit:
         return csr_array(self.basis.T)
 
 
+def whiten(changes: Array, scale: Array, noise_filter: csr_array | None) -> Array:
+    """Changes over the standard deviation of the noise, its autocorrelation removed; (n,) or (n, m)."""
+    scaled = changes / (scale if changes.ndim == 1 else scale[:, None])
+    return scaled if noise_filter is None else np.asarray(noise_filter @ scaled)
+
+
+def select_filter(noise_filter: csr_array | None, rows: IntArray) -> csr_array | None:
+    """The filter of some rows, none of whose sequences goes on in other rows."""
+    return None if noise_filter is None else csr_array(noise_filter[rows][:, rows])
+
+
 def linearize_fit(
     rows: pd.DataFrame,
     parts: Sequence[LawBlock],
@@ -122,6 +159,7 @@ def linearize_fit(
     *,
     shared: int = 0,
     absorbed: Array | None = None,
+    noise_filter: csr_array | None = None,
 ) -> LinearizedFit:
     """Linearize laws about their fitted values.
 
@@ -138,13 +176,16 @@ def linearize_fit(
         How many of the parameters, the last ones, all parts share.
     absorbed : array, shape (n, m), optional
         Further effects, whitened, to project out.
+    noise_filter : sparse array, shape (n, n), optional
+        As of `LinearizedFit`; its sequences do not leave a block.
     """
     n = len(rows)
     residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
     for part in parts:
         predicted, slopes = part.law.model(rows.iloc[part.rows])(part.values)
-        residual[part.rows] = (responses[part.rows] - predicted) / scale[part.rows]
-        whitened, own = slopes / scale[part.rows, None], slopes.shape[1] - shared
+        own_filter = select_filter(noise_filter, part.rows)
+        residual[part.rows] = whiten(responses[part.rows] - predicted, scale[part.rows], own_filter)
+        whitened, own = whiten(slopes, scale[part.rows], own_filter), slopes.shape[1] - shared
         common[part.rows] = whitened[:, own:]
         blocks += [
             (part.rows[places], _orthonormalize(whitened[places, :own]))
@@ -155,7 +196,7 @@ def linearize_fit(
     if common.shape[1]:
         border = _orthonormalize(common - basis @ (basis.T @ common))
         basis = csr_array(hstack([basis, csr_array(border)]))
-    linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks))
+    linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks), noise_filter)
     return replace(linearized, residual=linearized.project(residual))
 
 
@@ -212,15 +253,19 @@ def fit_extended(
     scale: Array,
     causes: Sequence[Any],
     start: Array,
+    *,
+    n_shared: int = 0,
+    noise_filter: csr_array | None = None,
 ) -> ExtendedFit:
-    """Fit published laws and causes together by least squares.
+    """Fit laws and causes together by least squares.
 
-    `parts` are the laws without the causes, at start values; `causes` are bound to the rows, and `start`,
-    shape (q,), are start values of their parameters.
+    `parts` are the laws without the causes, at start values, of whose parameters all rows share the last
+    `n_shared`; `causes` are bound to the rows, and `start`, shape (q,), are start values of their parameters.
+    `noise_filter` is as of `linearize_fit`.
     """
     extended = [reduce(lambda law, cause: cause.extend(law), causes, part.law) for part in parts]
-    widest, shared = max(part.values.shape[1] for part in parts), len(start)
-    columns_of = [np.r_[: part.values.shape[1], widest : widest + shared] for part in parts]
+    widest, shared = max(part.values.shape[1] for part in parts) - n_shared, n_shared + len(start)
+    columns_of = [np.r_[: part.values.shape[1] - n_shared, widest : widest + shared] for part in parts]
     blocks = _group_blocks(rows, parts)
     models = [law.model(rows.iloc[part.rows]) for law, part in zip(extended, parts, strict=True)]
 
@@ -231,29 +276,42 @@ def fit_extended(
             predicted[part.rows], slopes[block] = part_model(values[block])
         return predicted, slopes
 
+    def whitened_model(values: Array) -> tuple[Array, Array]:
+        predicted, slopes = model(values)
+        return whiten(predicted, scale, noise_filter), whiten(slopes, scale, noise_filter)
+
     first, scales = np.zeros((len(blocks), widest + shared)), np.ones((len(blocks), widest + shared))
-    for part in parts:
-        block, own = blocks.of_row[part.rows], part.values.shape[1]
-        first[block, :own] = part.values
+    lower, upper = np.full(widest + shared, -np.inf), np.full(widest + shared, np.inf)
+    for part, columns in zip(parts, columns_of, strict=True):
+        block, law_columns = blocks.of_row[part.rows], columns[: part.values.shape[1]]
+        first[block[:, None], law_columns] = part.values
         size = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
-        scales[block, :own] = np.where(size > 0, size, np.abs(part.values).max(initial=0.0) or 1.0)
-    first[:, widest:] = start
-    scales[:, widest:] = [size for cause in causes for size in cause.scale]
-    bounds = [(-np.inf, np.inf)] * widest
-    bounds += [(parameter.lower, parameter.upper) for cause in causes for parameter in cause.parameters]
-    lower, upper = np.array(bounds).T
+        largest = np.abs(part.values).max(initial=0.0) or 1.0
+        scales[block[:, None], law_columns] = np.where(size > 0, size, largest)
+        lower[law_columns], upper[law_columns] = part.lower, part.upper
+    last = slice(widest + n_shared, None)
+    first[:, last] = start
+    scales[:, last] = [size for cause in causes for size in cause.scale]
+    lower[last] = [parameter.lower for cause in causes for parameter in cause.parameters]
+    upper[last] = [parameter.upper for cause in causes for parameter in cause.parameters]
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
     options: Any = {"lower": lower, "upper": upper, "offset_tol": OFFSET_TOL, "most": MAX_STEPS}
-    minimum = solve_block_arrow(
-        model, responses, 1.0 / scale**2, blocks, sharing, first, scales, tolerance=0.0, **options
+    data = (
+        (model, responses, 1.0 / scale**2)
+        if noise_filter is None
+        else (whitened_model, whiten(responses, scale, noise_filter), np.ones(len(rows)))
     )
+    minimum = solve_block_arrow(*data, blocks, sharing, first, scales, tolerance=0.0, **options)
     fitted = tuple(
-        LawBlock(law, part.rows, part.block, minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
+        replace(part, law=law, values=minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
         for law, part, columns in zip(extended, parts, columns_of, strict=True)
     )
-    covariance = shared_covariance(minimum, sharing, scales)
+    residual = minimum.residual
+    if noise_filter is not None:
+        residual = responses - model(minimum.values[blocks.of_row])[0]
+    covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
     converged = bool(minimum.converged.all())
-    return ExtendedFit(fitted, minimum.values[0, widest:], covariance, minimum.residual, converged)
+    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged)
 
 
 def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:

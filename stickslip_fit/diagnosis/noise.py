@@ -31,6 +31,7 @@ MIN_NOISY_PROBABILITY = 0.02  # above which a configuration may be a noisy one
 # Repeatability
 MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
+MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
 # Outliers
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
@@ -44,6 +45,7 @@ MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
 )  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
+MIN_ECHO_SD = 4.0  # of an outlier in autocorrelated noise, the larger ones and their traces subtracted
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection
 MIN_LOG_RATIO = 0.5  # nats; noise alone often gives as much and need not be simulated
 
@@ -122,20 +124,26 @@ class NoiseEstimate:
 
 
 def estimate_noise(
-    linearized: LinearizedFit, left: StructureRemoved, rounding: Array, drive: IntArray, kind: IntArray
+    linearized: LinearizedFit,
+    left: StructureRemoved,
+    rounding: Array,
+    drive: IntArray,
+    kind: IntArray,
+    least_sd: float = MIN_SD,
 ) -> NoiseEstimate:
     """Estimate the noise from residuals without structure.
 
     `rounding`, shape (n,), is the variance that rounding adds; `drive` numbers the joint and direction of
-    each row, `kind` its configuration.
+    each row, `kind` its configuration. No standard deviation is below `least_sd`.
     """
     deviation = left.residual * linearized.scale
     free = np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE)
-    scale = np.sqrt(_estimate_drive_sd(deviation, free, rounding, drive)[drive] ** 2 + rounding)
+    scale = np.sqrt(_estimate_drive_sd(deviation, free, rounding, drive, least_sd)[drive] ** 2 + rounding)
     cell = kind * (drive.max() + 1) + drive
     uneven = estimate_heteroscedasticity(_subtract_cell_means(deviation / scale / np.sqrt(free), cell), kind)
     ratio = uneven.ratio
-    return NoiseEstimate(_estimate_drive_sd(deviation / ratio, free, rounding / ratio**2, drive), uneven)
+    sd = _estimate_drive_sd(deviation / ratio, free, rounding / ratio**2, drive, least_sd)
+    return NoiseEstimate(sd, uneven)
 
 
 def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:
@@ -146,12 +154,14 @@ def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:
     return np.where(rows[cell] >= MIN_CELL_ROWS, within, deviation)
 
 
-def _estimate_drive_sd(deviation: Array, free: Array, rounding: Array, drive: IntArray) -> Array:
+def _estimate_drive_sd(
+    deviation: Array, free: Array, rounding: Array, drive: IntArray, least_sd: float
+) -> Array:
     number, size = int(drive.max()) + 1, np.abs(deviation)
     median = np.array([np.median(size[drive == k]) if np.any(drive == k) else np.inf for k in range(number)])
-    squares = np.minimum(size, MAX_MEDIANS * np.maximum(median, 1e-7)[drive]) ** 2
+    squares = np.minimum(size, MAX_MEDIANS * np.maximum(median, least_sd)[drive]) ** 2
     df = np.bincount(drive, free, number)
-    pooled = max(float(squares.sum() / max(df.sum(), 1.0) - rounding.mean()), 1e-14)
+    pooled = max(float(squares.sum() / max(df.sum(), 1.0) - rounding.mean()), least_sd**2)
     rows = np.maximum(np.bincount(drive, minlength=number), 1)
     own = np.bincount(drive, squares, number) / np.maximum(df, 1.0)
     own -= np.bincount(drive, rounding, number) / rows
@@ -180,9 +190,43 @@ def find_outliers(
     rows = test.known[odds[0] > 1.0]
     if not len(rows):
         return Outliers(rows, 1.0)
+    if linearized.noise_filter is not None:
+        rows = _without_echoes(linearized, residual, rows)
+        if not len(rows):
+            return Outliers(rows, 1.0)
     allowed = [df for df, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - MAX_TAIL_LOG_RATIO]
     p_value = max(test.p_value(float(ratio[0]), df, n_simulations, rng) for df in allowed)
     return Outliers(rows, min(1.0, p_value + (TAIL_ERROR_RATE if len(allowed) < len(TAIL_DF) else 0.0)))
+
+
+def _without_echoes(linearized: LinearizedFit, residual: Array, rows: IntArray) -> IntArray:
+    """Outlying rows of autocorrelated noise that are single responses far off.
+
+    A filter predicts the row after an outlier wrongly, too; and a lasting change leaves one large residual,
+    where it begins. Rows are taken by size, each with its trace subtracted.
+    """
+    assert linearized.noise_filter is not None
+    n, session = len(residual), linearized.rows["session"].to_numpy(object)
+    single, lasting = np.zeros((n, len(rows))), np.zeros((n, len(rows)))
+    single[rows, np.arange(len(rows))] = 1.0
+    for k, row in enumerate(rows):
+        lasting[row:, k] = session[row:] == session[row]
+    traces, changes = (_unit_columns(np.asarray(linearized.noise_filter @ one)) for one in (single, lasting))
+    left, found = residual.copy(), []
+    for _ in rows:
+        sizes, as_changes = np.abs(traces.T @ left), np.abs(changes.T @ left)
+        k = int(np.argmax(np.maximum(sizes, as_changes)))
+        best = traces[:, k] if sizes[k] >= as_changes[k] else changes[:, k]
+        if max(sizes[k], as_changes[k]) < MIN_ECHO_SD:
+            break
+        if sizes[k] >= as_changes[k]:
+            found.append(int(rows[k]))
+        left -= best * (best @ left)
+    return np.array(sorted(set(found)), dtype=np.intp)
+
+
+def _unit_columns(columns: Array) -> Array:
+    return columns / np.linalg.norm(columns, axis=0)
 
 
 class _OutlierTest:

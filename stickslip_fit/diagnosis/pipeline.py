@@ -46,6 +46,7 @@ from stickslip_fit.diagnosis.selection import (
     explain_too_small,
     find_untestable,
     select_causes,
+    settle_noise,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.errors import check_count, check_rate
@@ -148,7 +149,7 @@ def diagnose_problem(
             next_aside = np.setdiff1d(aside, back)
         else:
             break
-    selection = with_gross_errors(found, len(problem), aside, p_value)
+    selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     searched, linearized = selection.problem, search.linearized
     row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
@@ -156,7 +157,7 @@ def diagnose_problem(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean((linearized.residual * linearized.scale) ** 2))),
+        misfit=float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2))),
         repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
         untestable=search.untestable,
@@ -184,6 +185,9 @@ def _search(
 ) -> _Search:
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
+    if not too_small and problem.autocorrelation is not None:
+        problem = problem.with_autocorrelation()
+        linearized = problem.linearize()
     if too_small:
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
     else:

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, explain_missing, library
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -27,14 +29,16 @@ from stickslip_fit.diagnosis.linearized import (
     LinearizedFit,
     fit_extended,
     linearize_fit,
+    whiten,
 )
 from stickslip_fit.diagnosis.misfit import StructureRemoved
-from stickslip_fit.diagnosis.noise import NoiseEstimate, estimate_noise
+from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
+MISFIRE = "end-stop-misfire"
 RESTART_SHARES = (0.3, 0.1)  # of the start values, for fits that do not converge
 DEFAULT_REPEATABILITY = 3e-3  # where no group of the log has replicates
 
@@ -65,6 +69,14 @@ class DiagnosisProblem:
         Configuration of each row; the noise may depend on it.
     noise_ratio : array, shape (n,)
         Standard deviation of each row's configuration over that of its group.
+    n_shared : int
+        How many of the laws' parameters, the last ones, have one value for all rows.
+    autocorrelation : Autocorrelation or None
+        Of the noise of a sampled signal; None for rows that are no such signal.
+    outlier_cause : str
+        Name of the cause of outlying rows.
+    least_sd : float
+        Least standard deviation of the noise: with less, the law fits to within rounding.
     """
 
     rows: pd.DataFrame
@@ -77,6 +89,10 @@ class DiagnosisProblem:
     alternatives: Callable[[LinearizedFit], list[Hypothesis | AR1]]
     configuration: IntArray
     noise_ratio: Array
+    n_shared: int = 0
+    autocorrelation: Autocorrelation | None = None
+    outlier_cause: str = MISFIRE
+    least_sd: float = MIN_SD
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -86,19 +102,58 @@ class DiagnosisProblem:
         """Standard deviation of each response, shape (n,)."""
         return np.sqrt((self.repeatability[self.noise_group] * self.noise_ratio) ** 2 + self.rounding)
 
+    @property
+    def correlation(self) -> Array:
+        """Coefficients of the noise's autoregression, of the nearest value first; empty where it has none."""
+        return np.zeros(0) if self.autocorrelation is None else self.autocorrelation.coefficients
+
+    @property
+    def noise_filter(self) -> csr_array | None:
+        """Prediction-error filter of the noise, shape (n, n); None for independent noise."""
+        return None if self.autocorrelation is None else self.autocorrelation.noise_filter
+
     def linearize(self) -> LinearizedFit:
         """The baseline fit, linearized."""
-        return linearize_fit(self.rows, self.parts, self.responses, self.scale)
+        return linearize_fit(
+            self.rows,
+            self.parts,
+            self.responses,
+            self.scale,
+            shared=self.n_shared,
+            noise_filter=self.noise_filter,
+        )
 
     def linearize_extended(self, fit: ExtendedFit, absorbed: Array | None = None) -> LinearizedFit:
         """A fit of the extended laws, linearized; `absorbed` as of `linearize_fit`."""
         return linearize_fit(
-            self.rows, fit.parts, self.responses, self.scale, shared=len(fit.values), absorbed=absorbed
+            self.rows,
+            fit.parts,
+            self.responses,
+            self.scale,
+            shared=self.n_shared + len(fit.values),
+            absorbed=absorbed,
+            noise_filter=self.noise_filter,
         )
+
+    def with_autocorrelation(self, fit: ExtendedFit | None = None) -> DiagnosisProblem:
+        """The problem with the noise's autocorrelation estimated anew, under a fit or the baseline.
+
+        The baseline is refitted; other data than a sampled signal stay as they are.
+        """
+        if self.autocorrelation is None or self.autocorrelation.candidate_effects is None:
+            return self
+        parts, q = (self.parts, 0) if fit is None else (fit.parts, len(fit.values))
+        independent = linearize_fit(self.rows, parts, self.responses, self.scale, shared=self.n_shared + q)
+        estimate = replace(self, autocorrelation=self.autocorrelation.estimate(independent))
+        if not len(self.correlation) and not len(estimate.correlation):
+            return self
+        return replace(estimate, parts=estimate.fit_extended().parts)
 
     def estimate_noise(self, linearized: LinearizedFit, left: StructureRemoved) -> NoiseEstimate:
         """The noise, from residuals without structure."""
-        return estimate_noise(linearized, left, self.rounding, self.noise_group, self.configuration)
+        return estimate_noise(
+            linearized, left, self.rounding, self.noise_group, self.configuration, self.least_sd
+        )
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""
@@ -111,7 +166,7 @@ class DiagnosisProblem:
         with no finite prediction (a joint stalls) at last from zero effect.
         """
         start = np.zeros(0) if start is None else start
-        best = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, start)
+        best = self._fit(versions, start)
         if best.converged or not len(start):
             return best
         absent = np.concatenate([np.array(version.null_values, dtype=float) for version in versions])
@@ -119,15 +174,27 @@ class DiagnosisProblem:
             if not share and np.isfinite(self._chi_square(best)):
                 break
             nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
-            fit = fit_extended(self.rows, self.parts, self.responses, self.scale, versions, nearer)
+            fit = self._fit(versions, nearer)
             if fit.converged or self._chi_square(fit) < self._chi_square(best):
                 best = fit
             if best.converged:
                 break
         return best
 
+    def _fit(self, versions: Sequence[Any], start: Array) -> ExtendedFit:
+        return fit_extended(
+            self.rows,
+            self.parts,
+            self.responses,
+            self.scale,
+            versions,
+            start,
+            n_shared=self.n_shared,
+            noise_filter=self.noise_filter,
+        )
+
     def _chi_square(self, fit: ExtendedFit) -> float:
-        total = float(np.sum((fit.residual / self.scale) ** 2))
+        total = float(np.sum(whiten(fit.residual, self.scale, self.noise_filter) ** 2))
         return total if np.isfinite(total) else np.inf
 
     def without_rows(self, removed: IntArray) -> DiagnosisProblem:
@@ -142,6 +209,7 @@ class DiagnosisProblem:
             parts.append(replace(part, rows=rows, block=part.block[inside], values=part.values[inside]))
         smaller = replace(
             self,
+            autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
             rows=self.rows.iloc[kept].reset_index(drop=True),
             parts=tuple(parts),
             **{

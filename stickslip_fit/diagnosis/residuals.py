@@ -74,10 +74,10 @@ def compare_residuals(selection: Selection, seed: int) -> ResidualComparison:
     raw = ((last.residual - unknown) / np.sqrt(1.0 - np.minimum(last.leverage, MAX_LEVERAGE)))[:, None]
     return ResidualComparison(
         selection.problem.rows,
-        first.residual * first.scale,
-        last.residual * last.scale,
-        first.project(signs * raw) * first.scale[:, None],
-        last.project(signs * raw) * last.scale[:, None],
+        first.unwhiten(first.residual),
+        last.unwhiten(last.residual),
+        first.unwhiten(first.project(signs * raw)),
+        last.unwhiten(last.project(signs * raw)),
     )
 
 

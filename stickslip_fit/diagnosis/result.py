@@ -1,34 +1,28 @@
-"""Diagnosis: the result of `diagnose`, what can be asked of it, and its JSON form.
-
-Field names and meanings of the JSON are a contract, version stickslip-fit/diagnosis/1. Unknown numbers
-are NaN here and null there.
-"""
+"""Diagnosis: the result of `diagnose` and of `diagnose_table`, and what can be asked of it."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
+from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
-from stickslip_fit.causes import SizedParameter
-from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis.extended_table import make_table_fit
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.logs import Log
-from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -72,6 +66,8 @@ class Diagnosis(Summarized):
     next_experiment : tuple of NextTraverse
     log : Log or None
         None where the data were no log.
+    table : TableInfo or None
+        The table, where the data were one; sizes are then in the unit of its response.
     """
 
     verdict: Verdict
@@ -90,16 +86,28 @@ class Diagnosis(Summarized):
     gain_new_session: Gain | None = None
     next_experiment: tuple[NextTraverse, ...] = ()
     log: Log | None = None
+    table: TableInfo | None = None
 
     @property
     def log_file(self) -> str:
-        """The first file of the log; empty where there is none."""
+        """The first file of the log, or that of the table; empty where there is none."""
+        if self.table is not None:
+            return self.table.file
         return self.log.sources[0][0] if self.log is not None and self.log.sources else ""
 
     @property
     def log_sha256(self) -> str:
-        """Hash of the log; empty where there is none."""
+        """Hash of the log or table; empty where there is none."""
+        if self.table is not None:
+            return self.table.sha256
         return self.log.sha256 if self.log is not None else ""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """What was read, which no output replaces."""
+        if self.table is not None:
+            return self.table.files
+        return self.log.files if self.log is not None else ()
 
     def require_log(self) -> Log:
         """The log, for what needs its machine and its laws.
@@ -128,10 +136,15 @@ class Diagnosis(Summarized):
         """
         check_workers(workers)
         began, selection, findings = time.perf_counter(), self.selection, self.findings
-        machine, inclusion = self.log.machine if self.log is not None else None, dict(self.inclusion)
+        inclusion = dict(self.inclusion)
         options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
         while True:
-            gain, new_session, findings = measure_gain(selection, findings, machine, **options)
+            if self.table is not None:
+                measured = measure_table_gain(selection, findings, self.table, **options)
+            else:
+                machine = self.log.machine if self.log is not None else None
+                measured = measure_gain(selection, findings, machine, **options)
+            gain, new_session, findings = measured
             unsupported = find_unsupported(findings)
             if not unsupported:
                 break
@@ -150,17 +163,24 @@ class Diagnosis(Summarized):
             seconds=self.seconds + time.perf_counter() - began,
         )
 
-    def extended_law(self, *, command: str = "") -> Result:
-        """The published laws extended by the named causes, fitted to the log.
+    def extended_law(self, *, command: str = "") -> Result | TableFit:
+        """The law extended by the named causes, fitted to the log or the table.
 
-        Of causes that the log cannot separate, the likeliest is in the law. Outlying counts are excluded;
-        unknown structure has no place in a law. `command` is for the result's provenance.
+        Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
+        excluded; unknown structure has no place in a law. `command` is for the result's provenance.
+
+        Returns
+        -------
+        Result or TableFit
+            Of a log or of a table.
 
         Raises
         ------
         InputError
-            If the data were no log.
+            If the data were neither a log nor a table.
         """
+        if self.table is not None:
+            return make_table_fit(self.selection.problem, self.selection.fit, self.table, command=command)
         log = self.require_log()
         usable = log.rows.index[log.rows["status"] == "ok"]
         for finding in self.findings:
@@ -193,7 +213,7 @@ class Diagnosis(Summarized):
         """
         first, last = self.selection.problem.linearize(), self.selection.linearized
         return self.selection.problem.rows.assign(
-            before=first.residual * first.scale, after=last.residual * last.scale
+            before=first.unwhiten(first.residual), after=last.unwhiten(last.residual)
         )
 
     @property
@@ -217,8 +237,26 @@ class Diagnosis(Summarized):
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_residuals
+        from stickslip_fit.plotting.table import plot_table_finding
 
+        if self.table is not None:
+            return collect_axes(plot_table_finding(self, self.table, finding))
         return collect_axes(plot_residuals(self, finding))
+
+    def plot_columns(self) -> AxesArray:
+        """Residuals before and after against every column of a table that varied.
+
+        Raises
+        ------
+        InputError
+            If the data were no table, or no column varies.
+        """
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.table import plot_columns
+
+        if self.table is None:
+            raise InputError("plot_columns is for the diagnosis of a table; a log's report has this figure")
+        return collect_axes(plot_columns(self, self.table))
 
     def plot_ranking(self) -> AxesArray:
         """Probability of each cause, in each test of the residuals."""
@@ -239,114 +277,3 @@ class Diagnosis(Summarized):
         from stickslip_fit.plotting.diagnosis import plot_gain
 
         return collect_axes(plot_gain(self))
-
-
-SCHEMA = "stickslip-fit/diagnosis/1"
-METRIC = "held-out rms error of the step size, %"
-
-
-def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
-    """Write a diagnosis as JSON; raises InputError if the file is the log, or cannot be written."""
-    text = json.dumps(diagnosis_to_json(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
-    files = diagnosis.log.files if diagnosis.log is not None else ()
-    write_atomically(path, text + "\n", files)
-
-
-def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """A diagnosis in plain JSON types; an unknown number is None."""
-    rows = diagnosis.selection.problem.rows
-    gain = _gain_to_json(diagnosis.gain)
-    return {
-        "schema": SCHEMA,
-        "log": {
-            "file": Path(diagnosis.log_file).name,
-            "sha256": diagnosis.log_sha256,
-            "runs": len(rows) + len(diagnosis.selection.outliers),
-            "sessions": int(rows["session"].nunique()),
-            "joints": sorted(int(joint) for joint in rows["joint"].unique()),
-        },
-        "noise": {"repeatability_pct": _percent_or_null(diagnosis.repeatability), "source": "residuals"},
-        "misfit": {"p_value": diagnosis.p_value, "rms_pct": _percent_or_null(diagnosis.misfit)},
-        "verdict": diagnosis.verdict,
-        "findings": [_finding_to_json(finding) for finding in diagnosis.findings],
-        "inclusion": dict(diagnosis.inclusion),
-        "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
-        "alike": [list(pair) for pair in diagnosis.aliased_causes],
-        "gain": gain and {"metric": METRIC, **gain},
-        "gain_new_session": _gain_to_json(diagnosis.gain_new_session),
-        "next_experiment": [traverse_to_json(traverse) for traverse in diagnosis.next_experiment],
-        "alpha": diagnosis.alpha,
-        "seed": diagnosis.seed,
-        "seconds": round(diagnosis.seconds, 2),
-    }
-
-
-def _finding_to_json(finding: Finding) -> dict[str, Any]:
-    gain = _gain_to_json(finding.gain)
-    if gain is not None:
-        gain.pop("noise_floor_pct")
-    content: dict[str, Any] = {
-        "cause": finding.cause,
-        "equivalent": list(finding.equivalent),
-        "p_value": finding.p_value,
-        "joints": list(finding.joints),
-        "effect_rms_pct": _interval_to_json(finding.effect.times(100.0)),
-        "parameters": [_parameter_to_json(parameter) for parameter in finding.parameters],
-        "gain": gain,
-    }
-    if finding.note:
-        content["note"] = finding.note
-    if finding.closest:
-        content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
-    return content
-
-
-def _parameter_to_json(parameter: SizedParameter) -> dict[str, Any]:
-    size = Interval(*(float(from_si(value, parameter.unit)) for value in astuple(parameter.size)))
-    scope = {"joint": parameter.joint, "direction": parameter.direction, "session": parameter.session}
-    known = {key: value for key, value in scope.items() if value is not None}
-    return {"name": parameter.name, "unit": parameter.unit, **_interval_to_json(size), **known}
-
-
-def _gain_to_json(gain: Gain | None) -> dict[str, Any] | None:
-    if gain is None:
-        return None
-    return {
-        "baseline_pct": _percent_or_null(gain.baseline),
-        "extended_pct": _percent_or_null(gain.extended),
-        "noise_floor_pct": _percent_or_null(gain.noise_floor),
-        "low": _percent_or_null(gain.low),
-        "high": _percent_or_null(gain.high),
-    }
-
-
-def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
-    """A traverse to make, in the units in which positions are set."""
-    ends = "mm" if traverse.joint == PRISMATIC else "deg"
-    units = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
-    return {
-        "session": traverse.session,
-        "joint": traverse.joint,
-        "direction": traverse.direction,
-        **{
-            f"{name}_{unit}": _number_or_null(from_si(getattr(traverse, name), unit))
-            for name, unit in units.items()
-        },
-        "from": _number_or_null(from_si(traverse.start, ends)),
-        "to": _number_or_null(from_si(traverse.stop, ends)),
-        "repeats": traverse.repeats,
-        "tells_apart": list(traverse.tells_apart),
-        "note": traverse.note,
-    }
-
-
-def _interval_to_json(interval: Interval) -> dict[str, float | None]:
-    return {name: _number_or_null(getattr(interval, name)) for name in ("estimate", "low", "high")}
-
-
-def _percent_or_null(value: float) -> float | None:
-    return _number_or_null(100.0 * value)
-
-
-def _number_or_null(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -34,9 +34,9 @@ from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
+from stickslip_fit.diagnosis.problem import MISFIRE as MISFIRE
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
-MISFIRE = "end-stop-misfire"
 CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
 PRIOR_NULL = 0.5
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -53,6 +53,7 @@ MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; 
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
 MIN_DF = 10
+EXACT_TOL = 1e-3  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -194,11 +195,10 @@ def select_causes(
     misfires: list[SelectedCause] = []
     if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
         outliers = test.rows
-        problem = problem.without_rows(outliers)
+        problem = problem.without_rows(outliers).with_autocorrelation()
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
-        cause_set = CauseSet(MISFIRE, (), {})
-        misfires = [SelectedCause(MISFIRE, None, np.zeros(0), cause_set, None, outlier_p_value)]
+        misfires = [select_outliers(problem, outlier_p_value)]
     first = last = assess_residuals(linearized, problem, n_bootstrap, rng, effects=effects)
     del effects  # of the baseline's laws; as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
@@ -228,6 +228,12 @@ def select_causes(
         selected = [*revised, *(one for one in selected if one.version is None)]
     everything = (*misfires, *selected)
     return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
+
+
+def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:
+    """Outlying rows as a selected cause, which has no shape."""
+    name = problem.outlier_cause
+    return SelectedCause(name, None, np.zeros(0), CauseSet(name, (), {}), None, p_value)
 
 
 def allocate_alpha(alpha: float) -> float:
@@ -262,7 +268,11 @@ def extend_problem(
     """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
     causes = _law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
-    fit = problem.fit_extended([one.version for one in causes], start)
+    versions = [one.version for one in causes]
+    fit = problem.fit_extended(versions, start)
+    correlated = problem.with_autocorrelation(fit)
+    if correlated is not problem:
+        problem, fit = correlated, correlated.fit_extended(versions, fit.values)
 
     def linearize(problem: DiagnosisProblem) -> LinearizedFit:
         plain = problem.linearize_extended(fit)
@@ -272,7 +282,17 @@ def extend_problem(
     linearized = linearize(problem)
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     problem = problem.with_noise(problem.estimate_noise(linearized, left))
+    if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
+        fit = problem.fit_extended(versions, fit.values)
     return problem, fit, linearize(problem)
+
+
+def settle_noise(selection: Selection) -> Selection:
+    """The selection with its estimate of the noise's autocorrelation, if there is any, final."""
+    noise = selection.problem.autocorrelation
+    if noise is None:
+        return selection
+    return replace(selection, problem=replace(selection.problem, autocorrelation=noise.settle()))
 
 
 def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -> Selection:
@@ -368,17 +388,34 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     """
     misfit = selected.misfit
     assert misfit is not None
-    shapes = [
-        one.directions
-        for one in misfit.hypotheses
-        if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
-    ]
     effect = compute_changes(linearized, selected.version, selected.start[None])
-    powers = np.concatenate([effect**2, effect**3], axis=1) / linearized.scale[:, None]
+    powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
+    shapes = _other_shapes(linearized, selected, misfit)
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def _other_shapes(linearized: LinearizedFit, selected: SelectedCause, misfit: Misfit) -> list[Array]:
+    """Directions of all shapes of a selected cause's version; each shape (n, m)."""
+    if linearized.noise_filter is None:
+        return [
+            one.directions
+            for one in misfit.hypotheses
+            if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
+        ]
+    # The directions of the test are whitened by the filter that the noise had then.
+    effects = [
+        compute_effects(linearized, version, trials)
+        for version, trials in selected.version.trials(linearized.rows)
+        if version == selected.version
+    ]
+    lengths = [np.linalg.norm(columns, axis=0) for columns in effects]
+    return [
+        columns[:, length > EFFECT_TOL] / length[length > EFFECT_TOL]
+        for columns, length in zip(effects, lengths, strict=True)
+    ]
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
@@ -397,30 +434,35 @@ def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers
 def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:
     """Causes that would not be detectable even at their largest plausible size, with the reason."""
     untestable, sessions = {}, split_sessions(linearized)
+    data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
-        strength = largest_strength(cause, linearized, sessions)
+        strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
         if strength < EFFECT_TOL:
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
+                if is_log(linearized)
+                else "the law's own parameters, fitted to each session, take up all of it in this table"
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this log would be {strength:.1f}, less "
-                f"than {MIN_TESTABLE_STRENGTH:.0f}"
+                f"even at its largest plausible size its strength in this {data} would be {strength:.1f}, "
+                f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable
 
 
-def largest_strength(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> float:
+def largest_strength(
+    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str = MISFIRE
+) -> float:
     """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
-    if cause.name == MISFIRE:
+    if cause.name == outlier_cause:
         return np.inf
     largest = cause.largest_plausible()
     strengths = [0.0]
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
         sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
         if version.session:
-            effects = compute_session_effects(linearized, sessions[version.session], version, sizes)
+            effects = compute_session_effects(sessions[version.session], version, sizes)
         else:
             effects = compute_effects(linearized, version, sizes)
         strengths.append(float(np.linalg.norm(effects, axis=0).max()))
@@ -429,14 +471,31 @@ def largest_strength(cause: Any, linearized: LinearizedFit, sessions: Mapping[st
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
+    if fits_exactly(linearized):
+        return "the law fits every row to within rounding: there is no scatter to compare anything with"
     if linearized.df >= MIN_DF:
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
+    if not is_log(linearized):
+        return (
+            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than "
+            f"those are needed; add {MIN_DF - linearized.df} in the same sessions"
+        )
     return (
         f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "
         f"than those are needed; add {MIN_DF - linearized.df} in the same sessions and directions, "
         "replicates or new configurations"
     )
+
+
+def fits_exactly(linearized: LinearizedFit) -> bool:
+    """Whether a law leaves next to nothing of its noise."""
+    return len(linearized) > 0 and float(np.abs(linearized.residual).max()) < EXACT_TOL
+
+
+def is_log(linearized: LinearizedFit) -> bool:
+    """Whether the laws are of joints, and the rows traverses."""
+    return any(hasattr(part.law, "joint") for part in linearized.parts)
 
 
 def empty_selection(problem: DiagnosisProblem) -> Selection:

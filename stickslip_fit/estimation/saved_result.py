@@ -238,7 +238,7 @@ def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause]) -> JointF
     _check(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
     _check(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
     for matrix in fit.covariance:
-        _check(_is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
+        _check(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
     _check(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
     return fit
 
@@ -249,7 +249,7 @@ def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:
     return array
 
 
-def _is_covariance(matrix: Array) -> bool:
+def is_covariance(matrix: Array) -> bool:
     """Whether it is symmetric and positive semi-definite where it is known."""
     known = ~np.isnan(np.diag(matrix))
     part = matrix[np.ix_(known, known)]

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from stickslip_fit._format import format_percent, pluralize
+from stickslip_fit._format import format_percent, format_significant, pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis import Diagnosis, Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
@@ -59,8 +59,9 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
     key, title = "ranking", "How likely each cause is"
     steps = list_selection_steps(diagnosis)
     if not steps[0][1].log_evidence_by_cause:
+        what = "traverses" if diagnosis.table is None else "rows"
         return make_missing_picture(
-            key, title, "It would need more traverses; see what could not have been seen."
+            key, title, f"It would need more {what}; see what could not have been seen."
         )
     caption = (
         "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing "
@@ -81,7 +82,7 @@ def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, t
     selected = [
         cause for cause in diagnosis.selection.selected if cause.misfit is not None and diagnosis.findings
     ]
-    steps, title = [], "the published law"
+    steps, title = [], "the published law" if diagnosis.table is None else "the law"
     for index, cause in enumerate(selected):
         assert cause.misfit is not None
         steps.append((title, cause.misfit, cause.cause, equivalent.get(cause.cause, ())))
@@ -162,20 +163,30 @@ FLOOR_LABEL = "repeatability and rounding"
 
 def gain_picture(diagnosis: Diagnosis) -> Picture:
     """Held-out errors of the published and the extended law in each session."""
-    key, title, gain = "gain", "Errors on held-out traverses, by session", diagnosis.gain
+    gain, is_log = diagnosis.gain, diagnosis.table is None
+    key, title = "gain", f"Errors on held-out {'traverses' if is_log else 'rows'}, by session"
     if gain is None or gain.by_session.empty or not diagnosis.findings:
+        what = "traverses" if is_log else "rows"
         return make_missing_picture(
-            key, title, "It would need a named cause, and traverses beside those that fit it."
+            key, title, f"It would need a named cause, and {what} beside those that fit it."
         )
     sessions = len(gain.by_session)
     caption = f"The latest {MAX_SESSIONS} of {pluralize(sessions, 'session')}. " * (sessions > MAX_SESSIONS)
+    before, after, floor = (
+        _format_error(value, diagnosis) for value in (gain.baseline, gain.extended, gain.noise_floor)
+    )
     caption += (
-        "Each traverse predicted by laws to which it contributed nothing, the search for causes "
-        f"included: {format_percent(gain.baseline)} rms by the published law, "
-        f"{format_percent(gain.extended)} by the extended one, over all sessions. No law can be better than "
-        f"the line, {format_percent(gain.noise_floor)}."
+        f"Each {'traverse' if is_log else 'row'} predicted by laws to which it contributed nothing, the "
+        f"search for causes included: {before} rms by the {'published law' if is_log else 'law as it was'}, "
+        f"{after} by the extended one, over all sessions. No law can be better than the line, {floor}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
+
+
+def _format_error(value: float, diagnosis: Diagnosis) -> str:
+    if diagnosis.table is None:
+        return format_percent(value)
+    return f"{format_significant(value)} {diagnosis.table.unit}".rstrip()
 
 
 def plot_gain(diagnosis: Diagnosis) -> Figure:
@@ -186,16 +197,18 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
     InputError
         If no cause was named, so that there is no gain.
     """
-    gain = diagnosis.gain
+    gain, table = diagnosis.gain, diagnosis.table
     if gain is None or gain.by_session.empty:
-        raise InputError("there is no gain to draw: no cause was named, or no traverse could be held out")
-    recent = gain.by_session.tail(MAX_SESSIONS)
+        what = "traverse" if table is None else "row"
+        raise InputError(f"there is no gain to draw: no cause was named, or no {what} could be held out")
+    recent, factor = gain.by_session.tail(MAX_SESSIONS), 100.0 if table is None else 1.0
     place, crowded = np.arange(len(recent)), len(recent) > MAX_HORIZONTAL_LABELS
-    before, after = (100 * recent[name].to_numpy(float) for name in ("baseline", "extended"))
+    before, after = (factor * recent[name].to_numpy(float) for name in ("baseline", "extended"))
+    unit = "%" if table is None else table.unit
     legend = [
-        make_legend_entry("published law", VERMILLION, marker="s"),
+        make_legend_entry("published law" if table is None else "law as it was", VERMILLION, marker="s"),
         make_legend_entry("extended law", BLUE, marker="o"),
-        make_legend_entry(FLOOR_LABEL, INK, line="--"),
+        make_legend_entry(FLOOR_LABEL if table is None else "noise", INK, line="--"),
     ]
     with report_style():
         figure, axes = make_figure([1.6], 1, legend, top=0.12, bottom=0.9 if crowded else 0.3)
@@ -203,10 +216,10 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
         axis.vlines(place, after, before, color=GREY, lw=0.9)
         axis.plot(place, before, ls="", marker="s", ms=4.5, color=VERMILLION)
         axis.plot(place, after, ls="", marker="o", ms=4.5, color=BLUE)
-        axis.axhline(100 * gain.noise_floor, color=INK, lw=0.8, ls="--")
+        axis.axhline(factor * gain.noise_floor, color=INK, lw=0.8, ls="--")
         label_sessions(axis, list(recent["session"]), vertical=crowded)
         axis.set_ylim(0.0, 1.1 * max(float(before.max()), float(after.max())))
-        axis.set_ylabel("rms error (%)")
+        axis.set_ylabel(f"rms error ({unit})" if unit else "rms error")
     return figure
 
 
@@ -243,16 +256,17 @@ def confusion_picture(diagnosis: Diagnosis) -> Picture:
     if chosen is None:
         return make_missing_picture(key, title, "It would need a named cause that another one resembles.")
     finding, misfit, causes = chosen
+    data = "logs" if diagnosis.table is None else "tables"
     rates = compute_confusion_rates(causes, misfit, effect_strength(finding, diagnosis))
     if np.nanmax(rates) < MIN_RATE:
         lacking = (
             f"{finding.cause} is so strong here that it resembles no other cause: fewer than 1 in 100 such "
-            "logs would confuse any two of those most similar to it."
+            f"{data} would confuse any two of those most similar to it."
         )
         return make_missing_picture(key, title, lacking)
     caption = (
         f"The named cause and those most similar to it. For an effect as strong as {finding.cause} is here: "
-        "the share of logs of this design, %, in which one would be taken for the other, if each may take "
+        f"the share of {data} of this design, %, in which one would be taken for the other, if each may take "
         "the shape in which they are most alike. 50 is a toss of a coin."
     )
     return make_picture(key, title, caption, draw_confusion_matrix(causes, rates))

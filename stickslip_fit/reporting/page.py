@@ -80,6 +80,7 @@ from stickslip_fit.reporting.calibration import (
     parameter_tables,
     repeatability_table,
 )
+from stickslip_fit.reporting.table import make_table_section
 from stickslip_fit.strategies import (
     Comparison,
     causes_from_other_sessions,
@@ -128,7 +129,7 @@ class Report:
 
 
 def report(
-    log: Log,
+    log: Log | Diagnosis,
     *,
     calibration: Result | None = None,
     fit: Result | None = None,
@@ -141,13 +142,14 @@ def report(
     command: str = "",
     progress: ProgressCallback = ignore_progress,
 ) -> Report:
-    """The report of a log; what is not given is made.
+    """The report of a log, or of the diagnosis of a table; what is not given is made.
 
     A section for which this log is too small says why.
 
     Parameters
     ----------
-    log : Log
+    log : Log or Diagnosis
+        A diagnosis of a table is laid out as it is, and takes no other option than `command`.
     calibration, fit : Result, optional
         In closed form, and by least squares.
     anova : Anova, optional
@@ -170,6 +172,8 @@ def report(
     InputError
         If a section is unknown, or the log has no traverse to fit.
     """
+    if isinstance(log, Diagnosis):
+        return _report_diagnosis(log, command)
     if unknown := set(sections) - set(SLOW_SECTIONS):
         raise InputError(f"no section {', '.join(sorted(unknown))}; sections are {', '.join(SLOW_SECTIONS)}")
     found: Diagnosis | InputError | None = diagnosis
@@ -188,6 +192,13 @@ def report(
         calibration = fit_closed_form(log, laws=laws, causes_from=fit if causes else None, command=command)
     html = _render(log, calibration, fit, anova or analyze_variance(log), found, compared, command)
     return Report(_write_title(log), html, log.files)
+
+
+def _report_diagnosis(diagnosis: Diagnosis, command: str) -> Report:
+    if diagnosis.table is None and diagnosis.log is not None:
+        raise InputError("the report of a log begins with the log: report(log, diagnosis=diagnosis)")
+    title = Path(diagnosis.log_file).name or "a table"
+    return Report(title, diagnosis_page(diagnosis, command=command), diagnosis.files)
 
 
 def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
@@ -411,8 +422,13 @@ def make_anova_section(anova: Anova) -> Summary:
 
 def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
     """A diagnosis as a self-contained HTML page; `command` as typed."""
+    table = diagnosis.table
+    if table is None:
+        diagnosed, data = make_diagnosis_section(diagnosis, command), "log"
+    else:
+        diagnosed, data = make_table_section(diagnosis, table, command), "table"
     return load_template("diagnosis.html.j2").render(
-        diagnosed=make_diagnosis_section(diagnosis, command), assets=load_page_assets(script=False)
+        diagnosed=diagnosed, data=data, assets=load_page_assets(script=False)
     )
 
 

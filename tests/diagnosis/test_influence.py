@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.misfit import UNKNOWN, compute_misfit
-from stickslip_fit.diagnosis.result import diagnosis_to_json
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, is_supported, withdraw_causes
 
 NOISE = 0.003

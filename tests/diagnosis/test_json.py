@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import Gain, NextTraverse, save_diagnosis
-from stickslip_fit.diagnosis.result import diagnosis_to_json
+from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.units import Interval
 
 ROOT = Path(__file__).parents[2]

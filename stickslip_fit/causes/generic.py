@@ -1,0 +1,577 @@
+"""Generic causes: what may be wrong with any law of a table, built from the table's columns.
+
+Each adds to the response. Drift, warm-up, a sudden change, each further column, and the position, smooth or
+periodic: each may act in both directions alike, or, as a candidate of its own, with the opposite sign in
+either direction. An effect in one direction only is the sum of the two. Three candidates for each effect, one
+with a size of its own in either direction, would tell no more, and could not be told from the other two.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.parameters import (
+    CauseParameter,
+    Sizes,
+    candidate_moments,
+    moment_parameter,
+)
+from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.table_cause import Effect, TableCause
+from stickslip_fit.laws import Rows
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.units import TableUnit
+
+BY_DIRECTION = "-by-direction"
+TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
+COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
+MAX_SESSIONS = 50  # that may each have an offset of their own
+# Of the longest session; what takes longer is a drift.
+TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35])
+MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
+
+Term = Callable[[Array], tuple[Array, Array]]
+"""Values of a cause's parameters, (n, q), to what is added, (n,), and its derivatives, (n, q)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenericCause(TableCause):
+    """Adds a term to the response of a table.
+
+    Attributes
+    ----------
+    unit : str
+        Of the response.
+    size : float
+        Of an effect in trials, in that unit.
+    direction : str
+        Column of the direction, where the effect has the opposite sign in either; else empty.
+    labels : tuple of str
+        As of `direction_sign`.
+    """
+
+    unit: str = ""
+    size: float = 1.0
+    direction: str = ""
+    labels: tuple[str, ...] = ()
+
+    base_name: ClassVar[str]
+    base_phrase: ClassVar[str]
+    max_trial_factor = 1.0 / TRIAL_SHARE
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.base_name + (BY_DIRECTION if self.direction else "")
+
+    @property
+    def phrase(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (self.size,) * len(self.parameters)
+
+    @abstractmethod
+    def term(self, rows: Rows) -> Term:
+        """What is added to the response of these rows, the direction left out."""
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `Cause`."""
+        return [(self, np.array([self.scale]))]
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause`."""
+        opposite = ", oppositely in the two directions" if self.direction else ""
+        return {**super().quantities(sizes), "opposite": opposite}
+
+    def signed_term(self, rows: Rows) -> Term:
+        """What is added to the response of these rows."""
+        term = self.term(rows)
+        if not self.direction:
+            return term
+        sign = direction_sign(rows, self.direction, self.labels)
+
+        def signed(values: Array) -> tuple[Array, Array]:
+            added, slopes = term(values)
+            return sign * added, sign[:, None] * slopes
+
+        return signed
+
+    def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
+        """See `TableCause`."""
+        term = self.signed_term(rows)
+        return lambda state, values: (*term(values), {})
+
+    def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
+        """See `Cause`: whatever the law."""
+        term, n = self.signed_term(rows), len(values)
+        return np.stack([term(np.broadcast_to(trial, (n, len(trial))))[0] for trial in trials], axis=1)
+
+    def bind_table(self, law: Any, frame: pd.DataFrame) -> GenericCause:
+        """The same: it is bound to a table already."""
+        return self
+
+
+def linear_term(basis: Array) -> Term:
+    """The term of a linear combination of columns, shape (n, q)."""
+
+    def term(values: Array) -> tuple[Array, Array]:
+        return np.asarray(np.sum(values * basis, axis=1)), basis
+
+    return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(GenericCause):
+    """k t, t from the session's first row."""
+
+    longest: float = 1.0
+    time_unit: str = "s"
+
+    base_name = "drift"
+    base_phrase = "the response drifts through each session"
+    physics = (
+        "Whatever changes slowly and steadily, such as a temperature, a battery or a relaxing clamp, changes "
+        "the response in proportion to time."
+    )
+    shows_best = "the same condition at a session's beginning, middle and end"
+    sentence = "The response {k:rises|falls} by {k} through each session{opposite}"
+    remedy = "recalibrating within the session"
+    columns = ("session_seconds",)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        unit = TableUnit(f"{self.unit or '1'}/{self.time_unit}")
+        return (CauseParameter("k", unit, f"change of the response per {self.time_unit}"),)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.size / self.longest,)
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUp(Drift):
+    """A (1 - exp(-t / tau)), t from the session's first row."""
+
+    base_name = "warm-up"
+    base_phrase = "something warms up in each session"
+    physics = (
+        "What is switched on warms towards a balance with its surroundings, exponentially with the time "
+        "constant of its heat capacity, and takes the response with it."
+    )
+    shows_best = "the same condition, again and again from a session's first minute on"
+    sentence = (
+        "The response {A:rises|falls} by {A} as a session runs, with a time constant of {tau}{opposite}"
+    )
+    remedy = "waiting until it is warm"
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        low, high = 0.2 * TIME_CONSTANT_SHARES[0] * self.longest, 3.0 * self.longest
+        return (
+            CauseParameter("A", TableUnit(self.unit), "change of the response once warm"),
+            CauseParameter("tau", TableUnit(self.time_unit), "time constant of warming up", low, high),
+        )
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (0.0, self.scale[1])
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.size, 0.2 * self.longest)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        tau = TIME_CONSTANT_SHARES * self.longest
+        return [(self, np.column_stack([np.full(len(tau), self.size), tau]))]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        seconds = np.asarray(rows["session_seconds"], float)
+
+        def term(values: Array) -> tuple[Array, Array]:
+            size, tau = values.T
+            left = np.exp(-seconds / tau)
+            return size * (1.0 - left), np.column_stack([1.0 - left, -size * left * seconds / tau**2])
+
+        return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuddenChange(GenericCause):
+    """A from one moment of one session on."""
+
+    session: str = ""
+    time_unit: str = "s"
+
+    base_name = "sudden-change"
+    base_phrase = "something changed at one moment of a session"
+    physics = (
+        "A knock, a cable that is moved, a screw that gives or a setting that is changed: from one row to "
+        "the next the response is another, and stays so until the session's end."
+    )
+    shows_best = "the conditions of before the change once more, after it"
+    sentence = "The response {A:rises|falls} by {A} {moment} into session {session}, and stays so{opposite}"
+    remedy = "calibrating anew after it"
+    columns = ("session", "session_seconds")
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        moment = replace(moment_parameter(self.session), unit=TableUnit(self.time_unit))
+        meaning = "change of the response"
+        return CauseParameter("A", TableUnit(self.unit), meaning, session=self.session), moment
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.size, 1.0)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return [
+            (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
+            for session, moments in candidate_moments(rows)
+            if self.session in ("", session)
+        ]
+
+    def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
+        """See `GenericCause`: all moments at once."""
+        inside = np.asarray(rows["session"], dtype=object) == self.session
+        sign = direction_sign(rows, self.direction, self.labels) if self.direction else np.ones(len(values))
+        seconds = np.asarray(rows["session_seconds"], float)
+        return trials[:, 0] * (inside * sign)[:, None] * (seconds[:, None] >= trials[:, 1])
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        inside = np.asarray(rows["session"], dtype=object) == self.session
+        seconds = np.asarray(rows["session_seconds"], float)
+
+        def term(values: Array) -> tuple[Array, Array]:
+            after = (inside & (seconds >= values[:, 1])).astype(float)
+            return values[:, 0] * after, np.column_stack([after, np.zeros(len(after))])
+
+        return term
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariate(GenericCause):
+    """f(column), f a polynomial over the table's range and constant beyond."""
+
+    column: str = ""
+    low: float = -1.0
+    high: float = 1.0
+    order: int = COVARIATE_ORDER
+
+    base_phrase = "the response follows a column of the table"
+    physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
+    shows_best = "one condition at the lowest and at the highest values of the column"
+    sentence = "The response follows the column {column}{opposite}"
+    combine_trials = True
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return COVARIATE_PREFIX + self.column
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return f"keeping {self.column} steady"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.column,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return tuple(
+            CauseParameter(
+                f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range"
+            )
+            for k in range(1, self.order + 1)
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`: the coefficients of a curve are left out."""
+        return {"column": self.column, "opposite": super().quantities({})["opposite"]}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: the higher the order, the smaller."""
+        return [(self, self.size * np.diag(1.0 / np.arange(1, self.order + 1)))]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)
+        angle = np.arccos(np.clip(x, -1.0, 1.0))
+        return linear_term(np.cos(angle[:, None] * np.arange(1, self.order + 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionDependence(Covariate):
+    """As `Covariate`, of the position, and less smooth."""
+
+    order: int = POSITION_ORDER
+
+    base_phrase = "the response depends on the position"
+    physics = (
+        "Guides, bearings and magnets are not the same everywhere: friction, play and stiffness change along "
+        "the way, and with them the response."
+    )
+    shows_best = "one slow sweep over the whole range, there and back"
+    sentence = "The response depends on the position {column}{opposite}"
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "position"
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "staying in one part of the range"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicPosition(GenericCause):
+    """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
+
+    column: str = ""
+    low: float = 0.0
+    period: float = 1.0
+
+    base_name = "periodic-in-position"
+    base_phrase = "the response is periodic in the position"
+    physics = (
+        "Cogging of a motor, the pitch of a lead screw or a belt's teeth, an encoder's interpolation: each "
+        "repeats after the same way."
+    )
+    shows_best = "one slow sweep over many periods, there and back"
+    sentence = "The response is periodic in the position {column}, with a period of {period:.4g}{opposite}"
+    combine_trials = True
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.column,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        unit = TableUnit(self.unit)
+        return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {**super().quantities(sizes), "column": self.column, "period": self.period}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
+        position = rows[self.column].to_numpy(float)
+        extent = float(np.ptp(position))
+        finest = min(len(np.unique(position)) / MIN_VALUES_PER_PERIOD, MAX_PERIODS / 2)
+        periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
+        return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
+        return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectionOffset(GenericCause):
+    """d in one direction, -d in the other."""
+
+    base_phrase = "the response is not the same in both directions"
+    physics = "Friction, play and hysteresis change their sign with the direction of motion."
+    shows_best = "one condition in both directions, again and again"
+    sentence = (
+        "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+    )
+    remedy = "always coming from the same side"
+
+    @property
+    def base_name(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return "offset"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.direction,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (CauseParameter("d", TableUnit(self.unit), "half the difference of the two directions"),)
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        return linear_term(np.ones((len(np.asarray(rows[self.direction])), 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionOffset(GenericCause):
+    """Each session has an offset of its own."""
+
+    sessions: tuple[str, ...] = ()
+
+    base_name = "offset-by-session"
+    base_phrase = "the response is not the same in every session"
+    physics = "What is mounted, charged or set anew before a session is never quite as it was before."
+    shows_best = "one condition in every session"
+    sentence = "The response is higher in some sessions than in others"
+    remedy = "calibrating each session"
+    combine_trials = True
+    columns = ("session",)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`: the first session has none."""
+        unit = TableUnit(self.unit)
+        meaning = f"offset beside session {self.sessions[0]}" if self.sessions else ""
+        return tuple(CauseParameter("d", unit, meaning, session=one) for one in self.sessions[1:])
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return [(self, self.size * np.eye(len(self.parameters)))]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        session = np.asarray(rows["session"], dtype=object).astype(str)
+        return linear_term((session[:, None] == np.array(self.sessions[1:])).astype(float))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outliers(GenericCause):
+    """A few responses are off by a lot; the rest are right."""
+
+    base_name = "outliers"
+    base_phrase = "a few values are far off"
+    physics = (
+        "A slip of the pen, a disturbance from outside or a sensor that loses its signal for a moment. Such "
+        "values say nothing about the law."
+    )
+    shows_best = "replicates: an outlier does not come back"
+    sentence = "About one value in {one_in} is off by {size} or so"
+    remedy = "excluding those values and measuring them again"
+    columns = ()
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (
+            CauseParameter("share", "%", "of the values", lower=0.0, upper=1.0),
+            CauseParameter("size", TableUnit(self.unit), "typical departure of such a value", lower=0.0),
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {"one_in": f"{round(1 / sizes['share'].size.estimate):,}", "size": sizes["size"]}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: none, as such values deviate independently."""
+        return []
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`: nothing is added."""
+        return linear_term(np.zeros((len(rows), 2)))
+
+
+def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[GenericCause, ...]:
+    """Every generic cause for which a table has the columns.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of `prepare_rows`.
+    law : TableLaw
+    roles : TableRoles
+    """
+    y = law.response(rows)[0]
+    unit, size = str(law.response_unit), TRIAL_SHARE * (float(np.std(y)) or 1.0)
+    both: list[GenericCause] = []
+    if roles.time:
+        longest = float(rows["session_seconds"].max()) or 1.0
+        for kind in (Drift, WarmUp):
+            both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
+        both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
+    for column in covariate_columns(rows, law, roles):
+        both.append(Covariate(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
+    if roles.position and rows[roles.position].nunique() > 1:
+        place = _range(rows[roles.position], POSITION_ORDER)
+        both.append(PositionDependence(unit=unit, size=size, **place))
+        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=place["low"]))
+    causes = list(both)
+    sessions = tuple(map(str, rows["session"].unique()))
+    if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
+        causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
+    if roles.direction:
+        labels = direction_labels(rows[roles.direction])
+        opposite = partial(replace, direction=roles.direction, labels=labels)
+        causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
+        causes += [opposite(cause) for cause in both]
+    return (*causes, Outliers(unit=unit, size=size))
+
+
+def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:
+    """What a polynomial over a column needs; its order is less than the number of the column's values."""
+    low, high = float(cells.min()), float(cells.max())
+    return {"column": str(cells.name), "low": low, "high": high, "order": min(order, cells.nunique() - 1)}
+
+
+def covariate_columns(rows: pd.DataFrame, law: Any, roles: TableRoles) -> list[str]:
+    """Columns of finite numbers that neither the law nor a role uses, and that vary within sessions."""
+    used = {*law.columns, *roles.columns.values(), "session", "session_seconds", "joint"}
+    columns = [str(name) for name in rows.columns if name not in used]
+    return [name for name in columns if explain_unusable(rows, law, name) is None]
+
+
+def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
+    """Why the response cannot be seen to follow a column, None where it can."""
+    cells = rows[name]
+    if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
+        return "it is not of numbers"
+    values = cells.to_numpy(dtype=float, na_value=np.nan)
+    if not np.isfinite(values).all():
+        return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
+    if np.ptp(values) == 0:
+        return "it is the same in every row"
+    by_session = pd.Series(values).groupby(rows["session"].to_numpy())
+    own = len(law.parameters) > law.n_shared
+    if own and not (by_session.max() > by_session.min()).any():
+        return "it is the same within every session, and each session has parameters of its own"
+    return None

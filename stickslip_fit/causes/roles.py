@@ -1,0 +1,218 @@
+"""TableRoles: which columns of a table are its session, time, position, direction and group.
+
+`prepare_rows` checks what the roles and a law need of a table, and returns its rows as causes see them: in
+order of time within each session, with the columns ``session`` (text) and ``session_seconds`` (time since
+the session's first row; NaN where the order of the rows means nothing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.errors import InputError, InputIssue, shorten
+
+ORDER = "order"
+BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
+MAX_LISTED = 3  # faulty cells of a column, and columns of a table
+OWN_COLUMNS = {
+    "session": "the session of each row",
+    "session_seconds": "the time since the session's first row",
+    "joint": "the joint of each row",
+}
+
+
+@dataclass(frozen=True)
+class TableRoles:
+    """Columns by what they mean; None where a table has no such column.
+
+    Attributes
+    ----------
+    session : str or None
+        Rows with equal values share the law's own parameters; without it all rows do.
+    time : str or None
+        Numbers, or times of day. ``"order"``, where no column has that name: rows stand in the order in
+        which they were measured. None: their order means nothing.
+    position : str or None
+        Of what moves.
+    direction : str or None
+        Two values, or numbers whose signs count.
+    group : str or None
+        What belongs together: replicates of one condition, one specimen.
+    """
+
+    session: str | None = None
+    time: str | None = None
+    position: str | None = None
+    direction: str | None = None
+    group: str | None = None
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """The column of each role that is given."""
+        return {role: name for role, name in vars(self).items() if name is not None}
+
+    @property
+    def time_unit(self) -> str:
+        """Of ``session_seconds``."""
+        return "row" if self.time == ORDER else "s"
+
+
+def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] = ()) -> pd.DataFrame:
+    """The rows of a table as laws and causes see them; `numbers` are the columns that have to be numbers.
+
+    Raises
+    ------
+    InputError
+        With every fault: no rows, columns of one name, unknown columns with what is similar, cells that are
+        no finite numbers, a direction with more than two values.
+    """
+    if not isinstance(frame, pd.DataFrame):
+        raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
+    names = [str(name) for name in frame.columns]
+    numbers = tuple(dict.fromkeys(numbers))
+    for role, name in roles.columns.items():
+        if not isinstance(name, str):
+            raise InputError(f"{role} names a column of the table, so it is text, not {name!r}")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    issues = [InputIssue("stands more than once in the table; rename one", column=name) for name in repeated]
+    if not len(frame):
+        issues.append(InputIssue("the table has no rows"))
+    if issues:
+        raise InputError(issues)
+    frame = frame.set_axis(names, axis=1).reset_index(drop=True)
+    missing = {name: role for role, name in _columns_of(roles).items() if name not in names}
+    issues += [_explain_unknown(name, f"{role}=", names) for name, role in missing.items()]
+    issues += [_explain_unknown(name, "the law", names) for name in numbers if name not in names]
+    issues += [
+        InputIssue(
+            f"the law uses a column of this name, which stands for {OWN_COLUMNS[name]} here; rename it",
+            column=name,
+        )
+        for name in numbers
+        if name in OWN_COLUMNS and name in names and name != roles.session
+    ]
+    if issues:
+        raise InputError(issues)
+    cells = dict.fromkeys([*numbers, *([roles.position] if roles.position else [])])
+    issues += [issue for name in cells for issue in find_bad_numbers(frame[name])]
+    for name in filter(None, dict.fromkeys([roles.session, roles.group, roles.direction])):
+        issues += _find_empty(frame[name])
+    if roles.direction and not issues:
+        issues += _check_direction(frame[roles.direction])
+    seconds, time_issues = _read_time(frame, roles)
+    if issues or time_issues:
+        raise InputError([*issues, *time_issues])
+    session = frame[roles.session].astype(str) if roles.session else pd.Series("all", frame.index)
+    order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
+    rows = frame.assign(session=session.astype(object), session_seconds=seconds, joint=1)
+    rows = rows.iloc[order].reset_index(drop=True)
+    if roles.time == ORDER:
+        rows["session_seconds"] = rows.groupby("session", sort=False).cumcount().astype(float)
+    elif roles.time:
+        first = rows.groupby("session", sort=False)["session_seconds"].transform("first")
+        rows["session_seconds"] -= first
+    else:
+        rows["session_seconds"] = np.nan
+    return rows
+
+
+def _columns_of(roles: TableRoles) -> dict[str, str]:
+    return {role: name for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
+
+
+def _explain_unknown(name: str, by: str, names: list[str]) -> InputIssue:
+    similar = get_close_matches(name, names, 1, 0.5)
+    hint = f"did you mean {shorten(similar[0])}? " if similar else ""
+    shown = ", ".join(map(shorten, names[:40])) + (" ..." if len(names) > 40 else "")
+    return InputIssue(
+        f"{by} names it, and the table has no such column; {hint}its columns are {shown}", column=name
+    )
+
+
+def find_bad_numbers(cells: pd.Series[Any]) -> list[InputIssue]:
+    """Cells of a column that are no finite numbers, the first of them with their rows, counted from 1."""
+    if pd.api.types.is_bool_dtype(cells) or pd.api.types.is_numeric_dtype(cells):
+        numbers = cells.to_numpy(dtype=float, na_value=np.nan)
+    else:
+        numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+    return _list_cells(cells, ~np.isfinite(numbers), "is no finite number; correct it, or leave out its row")
+
+
+def _find_empty(cells: pd.Series[Any]) -> list[InputIssue]:
+    return _list_cells(cells, cells.isna().to_numpy(), "is empty; fill it in, or leave out its row")
+
+
+def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[InputIssue]:
+    places = np.flatnonzero(bad)
+    issues = [
+        InputIssue(f"row {place + 1} {message}", column=str(cells.name), value=str(cells.iloc[place]))
+        for place in places[:MAX_LISTED].tolist()
+    ]
+    if len(places) > MAX_LISTED:
+        more = (
+            f"{len(places) - MAX_LISTED:,} more cells of it {message.split(';')[0].replace('is ', 'are ', 1)}"
+        )
+        issues.append(InputIssue(more, column=str(cells.name)))
+    return issues
+
+
+def _check_direction(cells: pd.Series[Any]) -> list[InputIssue]:
+    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+        return find_bad_numbers(cells)
+    values = list(map(str, pd.unique(cells)))
+    if len(values) <= 2:
+        return []
+    shown = ", ".join(map(shorten, values[: MAX_LISTED + 1]))
+    message = f"a direction has two values, or is a number whose sign counts; this column has {shown}"
+    return [InputIssue(message + (" ..." if len(values) > MAX_LISTED + 1 else ""), column=str(cells.name))]
+
+
+def _read_time(frame: pd.DataFrame, roles: TableRoles) -> tuple[Array, list[InputIssue]]:
+    """Times in seconds, shape (n,); the order of the rows where no column has them."""
+    if roles.time is None or roles.time == ORDER:
+        return np.arange(len(frame), dtype=float), []
+    cells = frame[roles.time]
+    if not pd.api.types.is_numeric_dtype(cells):
+        times = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
+        message = "is no time; write seconds, or times such as 2024-05-31T14:02:07.5"
+        issues = _list_cells(cells, times.isna().to_numpy(), message)
+        seconds = (times - times.min()).dt.total_seconds().to_numpy()
+        return seconds, issues
+    return cells.to_numpy(dtype=float, na_value=np.nan), find_bad_numbers(cells)
+
+
+def direction_sign(rows: Mapping[str, Any], column: str, labels: tuple[str, ...]) -> Array:
+    """1 or -1 for each row (0 for a number 0), shape (n,).
+
+    `labels` are the two values of a column that is not of numbers, the backward one first; empty for numbers.
+
+    Examples
+    --------
+    >>> direction_sign({"way": ["up", "down"]}, "way", ("down", "up"))
+    array([ 1., -1.])
+    """
+    values = np.asarray(rows[column])
+    if not labels:
+        return np.asarray(np.sign(values.astype(float)))
+    return np.where(values.astype(str) == labels[-1], 1.0, -1.0)
+
+
+def direction_labels(cells: pd.Series[Any]) -> tuple[str, ...]:
+    """The two values of a direction that is not of numbers, the backward one first.
+
+    Examples
+    --------
+    >>> direction_labels(pd.Series(["+", "-", "+"]))
+    ('-', '+')
+    """
+    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+        return ()
+    values = map(str, pd.unique(cells))
+    return tuple(sorted(values, key=lambda value: (value.lower() not in BACKWARD, value)))

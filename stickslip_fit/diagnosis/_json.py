@@ -1,0 +1,164 @@
+"""A diagnosis as JSON, of a log or of a table.
+
+Field names and meanings are a contract, version stickslip-fit/diagnosis/1. Unknown numbers are NaN in a
+`Diagnosis` and null here. Per cent are of a step in a log, of the response's standard deviation in a table.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit._io import write_atomically
+from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo, shown_size
+from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.units import PRISMATIC, Interval, from_si
+
+SCHEMA = "stickslip-fit/diagnosis/1"
+METRIC = "held-out rms error of the step size, %"
+
+
+def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
+    """Write a diagnosis as JSON; raises InputError if the file is the log, or cannot be written."""
+    text = json.dumps(diagnosis_to_json(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
+    files = diagnosis.files
+    write_atomically(path, text + "\n", files)
+
+
+def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """A diagnosis in plain JSON types; an unknown number is None."""
+    rows, table = diagnosis.selection.problem.rows, diagnosis.table
+    percent = _Percent(table.response_sd if table is not None else 1.0)
+    gain = percent.of_gain(diagnosis.gain)
+    metric = (
+        METRIC if table is None else f"held-out rms error of {table.response}, % of its standard deviation"
+    )
+    joints = sorted(int(joint) for joint in rows["joint"].unique()) if table is None else []
+    return {
+        "schema": SCHEMA,
+        "log": {
+            "file": Path(diagnosis.log_file).name,
+            "sha256": diagnosis.log_sha256,
+            "runs": len(rows) + len(diagnosis.selection.outliers),
+            "sessions": int(rows["session"].nunique()),
+            "joints": joints,
+        },
+        **(_table_to_json(table) if table is not None else {}),
+        "noise": {"repeatability_pct": percent.of(diagnosis.repeatability), "source": "residuals"},
+        "misfit": {"p_value": diagnosis.p_value, "rms_pct": percent.of(diagnosis.misfit)},
+        "verdict": diagnosis.verdict,
+        "findings": [_finding_to_json(finding, percent, joints) for finding in diagnosis.findings],
+        "inclusion": dict(diagnosis.inclusion),
+        "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
+        "alike": [list(pair) for pair in diagnosis.aliased_causes],
+        "gain": gain and {"metric": metric, **gain},
+        "gain_new_session": percent.of_gain(diagnosis.gain_new_session),
+        "next_experiment": [traverse_to_json(traverse) for traverse in diagnosis.next_experiment],
+        "alpha": diagnosis.alpha,
+        "seed": diagnosis.seed,
+        "seconds": round(diagnosis.seconds, 2),
+    }
+
+
+@dataclass(frozen=True)
+class _Percent:
+    """Sizes as per cent of `whole`."""
+
+    whole: float
+
+    def of(self, value: float) -> float | None:
+        return _number_or_null(100.0 * value / self.whole)
+
+    def of_gain(self, gain: Gain | None) -> dict[str, Any] | None:
+        if gain is None:
+            return None
+        return {
+            "baseline_pct": self.of(gain.baseline),
+            "extended_pct": self.of(gain.extended),
+            "noise_floor_pct": self.of(gain.noise_floor),
+            "low": self.of(gain.low),
+            "high": self.of(gain.high),
+            **({"held_out": gain.held_out} if gain.held_out else {}),
+        }
+
+
+def _table_to_json(table: TableInfo) -> dict[str, Any]:
+    """What all per cent are of, and how many independent values there are."""
+    return {
+        "response": {
+            "name": table.response,
+            "unit": table.unit,
+            "standard_deviation": _number_or_null(table.response_sd),
+        },
+        "table": {
+            "rows": table.rows,
+            "independent_values": _number_or_null(table.independent),
+            "correlation_rows": _number_or_null(table.correlation_rows),
+            "correlation_time": _number_or_null(table.correlation_time),
+            "roles": {role: column for role, column in table.roles.items() if column},
+        },
+    }
+
+
+def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> dict[str, Any]:
+    gain = percent.of_gain(finding.gain)
+    if gain is not None:
+        gain.pop("noise_floor_pct")
+    content: dict[str, Any] = {
+        "cause": finding.cause,
+        "equivalent": list(finding.equivalent),
+        "p_value": finding.p_value,
+        "joints": list(finding.joints) if joints else [],
+        "effect_rms_pct": _interval_to_json(finding.effect.times(100.0 / percent.whole)),
+        "parameters": [_parameter_to_json(parameter) for parameter in finding.parameters],
+        "gain": gain,
+    }
+    if finding.note:
+        content["note"] = finding.note
+    if finding.closest:
+        content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
+    return content
+
+
+def _parameter_to_json(parameter: SizedParameter) -> dict[str, Any]:
+    scope = {"joint": parameter.joint, "direction": parameter.direction, "session": parameter.session}
+    known = {key: value for key, value in scope.items() if value is not None}
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        **_interval_to_json(shown_size(parameter)),
+        **known,
+    }
+
+
+def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
+    """A traverse to make, in the units in which positions are set."""
+    ends = "mm" if traverse.joint == PRISMATIC else "deg"
+    units = {"q1": "deg", "q2": "deg", "q3": "mm", "theta": "deg", "psi": "deg"}
+    return {
+        "session": traverse.session,
+        "joint": traverse.joint,
+        "direction": traverse.direction,
+        **{
+            f"{name}_{unit}": _number_or_null(from_si(getattr(traverse, name), unit))
+            for name, unit in units.items()
+        },
+        "from": _number_or_null(from_si(traverse.start, ends)),
+        "to": _number_or_null(from_si(traverse.stop, ends)),
+        "repeats": traverse.repeats,
+        "tells_apart": list(traverse.tells_apart),
+        "note": traverse.note,
+    }
+
+
+def _interval_to_json(interval: Interval) -> dict[str, float | None]:
+    return {name: _number_or_null(getattr(interval, name)) for name in ("estimate", "low", "high")}
+
+
+def _number_or_null(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,385 @@
+"""A table's diagnosis as a summary: as a log's (`_summary`), with sizes in the unit of the response.
+
+`write_table_headline` makes the sentences, `summarize_table_diagnosis` the whole. Nothing here converts a
+unit: a table is in whatever units its columns have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit._format import (
+    MISSING,
+    capitalize_first,
+    format_measured,
+    format_measured_range,
+    format_p_value,
+    format_significant,
+    join_words,
+    pluralize,
+    typeset_text,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.diagnosis._summary import (
+    list_untestable,
+    name_cause,
+    ranking_tables,
+    summarize_log_diagnosis,
+)
+from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.units import Interval
+
+MAX_UNTESTABLE_NAMED, MAX_PARAMETERS_NAMED = 4, 4
+MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
+FEW_VALUES = 50  # independent ones
+MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
+CARRIER_PHRASES = {
+    "time": "changes slowly with time, in each session in its own way",
+    "time, the same in each session": "changes slowly with time, in all sessions alike",
+}
+
+
+@summarize.register
+def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
+    """Of a log or of a table."""
+    if diagnosis.table is None:
+        return summarize_log_diagnosis(diagnosis)
+    return summarize_table_diagnosis(diagnosis, diagnosis.table)
+
+
+def summarize_table_diagnosis(diagnosis: Diagnosis, table: TableInfo) -> Summary:
+    """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
+    name = Path(table.file).name or "a table that was never in a file"
+    source = f"sha256 {table.sha256}" if table.sha256 else "no hash"
+    return Summary(
+        f"Diagnosis of {name}",
+        tuple(map(typeset_text, write_table_headline(diagnosis, table))),
+        (
+            Section(tables=(*_findings_tables(diagnosis, table), *_gain_tables(diagnosis, table))),
+            Section(
+                "What else it could be",
+                tuple(_alternatives(diagnosis)),
+                tuple(ranking_tables(diagnosis)),
+                key="alternatives",
+            ),
+            Section("What this table could not have shown", tuple(list_untestable(diagnosis)), key="unseen"),
+        ),
+        provenance=(
+            (name, source),
+            ("columns", "; ".join(_list_columns(table))),
+            ("false-alarm rate, seed", f"{diagnosis.alpha:g}, {diagnosis.seed}"),
+        ),
+    )
+
+
+def _list_columns(table: TableInfo) -> list[str]:
+    unit = f" in {table.unit}" if table.unit else ""
+    roles = [f"{role}: {column}" for role, column in table.roles.items() if column]
+    return [f"response: {table.response}{unit}", *roles]
+
+
+def format_size(value: float, table: TableInfo) -> str:
+    """A size in the unit of the response.
+
+    Examples
+    --------
+    >>> format_size(0.26398, TableInfo("F", "N", 1.0, 600, 600.0))
+    '0.264 N'
+    """
+    return f"{format_significant(value)} {table.unit}".rstrip()
+
+
+def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
+    """Sentences: what is wrong, what to do about it, what else is wrong, and how much the table tells."""
+    if not diagnosis.findings:
+        sentences = [_describe_no_misfit(diagnosis, table), _describe_untestable(diagnosis)]
+    else:
+        first, *others = diagnosis.findings
+        sentences = [
+            f"{_describe_finding(first, diagnosis, table)}.",
+            *(_describe_side_effect(finding, table) for finding in others),
+            _describe_gain(diagnosis, table),
+        ]
+    return [*sentences, describe_independence(table)]
+
+
+def describe_independence(table: TableInfo) -> str:
+    """How many independent values a table has, as a sentence.
+
+    Examples
+    --------
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0))
+    'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows.'
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
+    'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
+    """
+    if not table.is_correlated:
+        return (
+            f"The noise of the {table.rows:,} values of {table.response} shows no autocorrelation: "
+            "all count as independent."
+        )
+    span = f"{format_significant(table.correlation_rows, 2)} rows"
+    if np.isfinite(table.correlation_time):
+        span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
+    few = ""
+    if table.independent < FEW_VALUES:
+        few = " What changes as slowly as that passes for noise: a longer record would tell them apart."
+    return (
+        f"The {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
+        f"independent ones: the noise persists over {span}.{few}"
+    )
+
+
+def _describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
+    if not np.isfinite(diagnosis.repeatability):
+        return f"Nothing can be said of this table: {diagnosis.untestable[UNKNOWN]}."
+    return (
+        f"Nothing is wrong that this table can show: the law leaves {format_size(diagnosis.misfit, table)} "
+        f"rms of {table.response}, as noise alone would "
+        f"(p {format_p_value(diagnosis.p_value, relation=True)})."
+    )
+
+
+def _describe_untestable(diagnosis: Diagnosis) -> str:
+    if not np.isfinite(diagnosis.repeatability):
+        return "Until then no cause is confirmed, and none ruled out."
+    names = list(diagnosis.untestable)
+    if not names:
+        return "It could have shown every cause that was searched, at its largest plausible size."
+    if len(names) > MAX_UNTESTABLE_NAMED:
+        first = names[: MAX_UNTESTABLE_NAMED - 1]
+        names = [*first, f"{len(names) - len(first)} others"]
+    return f"It could not have shown {join_words(names)}; the reasons are below."
+
+
+def describe_table_effect(finding: Finding, table: TableInfo) -> str:
+    """What a named cause does, without a full stop."""
+    if finding.traverses is not None:
+        count = pluralize(len(finding.traverses), "value")
+        return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
+    phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
+    if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
+        return f"{phrase} ({', '.join(sizes)})"
+    return f"{phrase}, by {format_size(finding.effect.estimate, table)} rms"
+
+
+def _largest(finding: Finding, table: TableInfo) -> str:
+    assert finding.traverses is not None
+    return format_size(float(finding.traverses["departure"].abs().max()), table)
+
+
+def describe_table_carrier(carrier: str) -> str:
+    """What unknown structure does, as the end of a sentence.
+
+    Examples
+    --------
+    >>> describe_table_carrier("temperature"), describe_table_carrier("memory")
+    ('follows temperature', 'carries over from one row to the next')
+    """
+    if carrier.startswith("period"):
+        return f"comes and goes with a {carrier}"
+    if carrier.startswith("memory"):
+        return "carries over from one row to the next"
+    return CARRIER_PHRASES.get(carrier, f"follows {carrier}")
+
+
+def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) -> str:
+    if finding.cause == UNKNOWN:
+        return _describe_shape(finding, table)
+    effect = describe_table_effect(finding, table)
+    if not finding.equivalent:
+        return effect
+    either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
+    return f"This table cannot tell what is wrong: {either}. If it is the first: {_lower_first(effect)}"
+
+
+def _describe_shape(finding: Finding, table: TableInfo) -> str:
+    text = (
+        f"What the law leaves of {table.response}, {format_size(finding.effect.estimate, table)} rms, "
+        f"{describe_table_carrier(finding.carrier)}, and has the shape of no cause that was searched"
+    )
+    if finding.note:
+        return f"{text}; {finding.note}"
+    if not finding.closest or finding.share < MIN_SHARE:
+        return text
+    return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
+
+
+def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
+    """What the named causes gain together; of what has no name, what to do about it."""
+    noise, gain = format_size(diagnosis.repeatability, table), diagnosis.gain
+    named = [finding for finding in diagnosis.findings if finding.version is not None]
+    if not named:
+        if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
+            return (
+                "The figures show it: compare them with whatever changed meanwhile, and add that as a column "
+                "or a cause; until it has a name, count on errors of "
+                f"{format_size(diagnosis.misfit, table)}, where the noise is {noise}."
+            )
+        return f"They are left out; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
+    what = f"The law extended by {join_words([finding.cause for finding in named])}"
+    if gain is None:
+        left = f"leaves {format_size(rms_after(diagnosis), table)} rms, instead of "
+        cut = f"{left}{format_size(diagnosis.misfit, table)}"
+    elif gain.extended >= gain.baseline:
+        cut = f"predicts held-out rows no better, to {format_size(gain.extended, table)} rms"
+    else:
+        cut = (
+            f"cuts the prediction error on held-out rows from {format_significant(gain.baseline)} to "
+            f"{format_size(gain.extended, table)}"
+        )
+    advice = "".join(_what_separates(finding, diagnosis) for finding in named)
+    return f"{what} {cut}; the noise is {noise}.{advice}"
+
+
+def rms_after(diagnosis: Diagnosis) -> float:
+    """Rms residual with all that was found in the law."""
+    last = diagnosis.selection.linearized
+    return float(np.sqrt(np.mean(last.unwhiten(last.residual) ** 2)))
+
+
+def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
+    """Which data would separate a cause from its rivals, where the causes say what shows them best."""
+    if not finding.equivalent:
+        return ""
+    known = {cause.name: getattr(cause, "shows_best", "") for cause in diagnosis.selection.problem.causes}
+    advice = [f"{name} shows best {known[name]}" for name in finding.cause_set if known.get(name)]
+    if not advice:
+        return " Data in which the two differ more would separate them."
+    return f" What would separate them: {'; '.join(advice)}."
+
+
+def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
+    if finding.cause == UNKNOWN:
+        return f"Besides that: {_lower_first(_describe_shape(finding, table))}."
+    rivals = f"; or it is {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
+    return f"Besides that: {_lower_first(describe_table_effect(finding, table))}{rivals}."
+
+
+def _lower_first(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
+    if not diagnosis.findings:
+        return []
+    columns = (
+        Column("found", text=True),
+        *numbers("effect, rms", "95 % interval", unit=table.unit),
+        Column("p"),
+        Column("not separable from", text=True),
+    )
+    rows = tuple(
+        (
+            finding.cause,
+            format_measured(finding.effect),
+            format_measured_range(finding.effect),
+            format_p_value(finding.p_value),
+            ", ".join(finding.equivalent) or MISSING,
+        )
+        for finding in diagnosis.findings
+    )
+    note = (
+        f"Effect: rms over all rows of what the cause does to {table.response}, beyond what the law's own "
+        "parameters absorb. p: the chance of anything as far off, anywhere that was searched, if nothing "
+        "were wrong."
+    )
+    outliers = [
+        _outliers_table(finding, table) for finding in diagnosis.findings if finding.traverses is not None
+    ]
+    found = Table("What is wrong", columns, rows, note=note)
+    return [found, *_parameter_tables(diagnosis.findings), *outliers]
+
+
+def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
+    columns: tuple[Column, ...] = (
+        *words("cause", "parameter"),
+        *numbers("estimate", "95 % interval"),
+        Column("of", text=True),
+    )
+    rows: list[tuple[str, ...]] = [
+        (
+            finding.cause,
+            parameter.name,
+            format_measured(shown_size(parameter), parameter.unit),
+            format_measured_range(shown_size(parameter)),
+            f"session {parameter.session}" if parameter.session else "",
+        )
+        for finding in findings
+        if finding.traverses is None
+        for parameter in finding.parameters
+    ]
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+    note = f"The first {MAX_PARAMETERS} of {len(rows)}." if len(rows) > MAX_PARAMETERS else ""
+    shown = tuple(rows[:MAX_PARAMETERS])
+    return [Table("Parameters of what was named", columns, shown, stubs=2, note=note)] if rows else []
+
+
+def _outliers_table(finding: Finding, table: TableInfo) -> Table:
+    assert finding.traverses is not None
+    outliers = finding.traverses
+    largest = outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index].head(MAX_OUTLIERS)
+    named = [table.roles[role] for role in ("session", "time") if table.roles.get(role) in outliers]
+    columns = (Column("row", text=True), *words(*named), Column("residual", table.unit))
+    rows = tuple(
+        (str(number + 1), *(_cell(row[name]) for name in named), _signed(float(row["departure"])))
+        for number, (_, row) in zip(largest.index, largest.iterrows(), strict=True)
+    )
+    of_all = f"The {MAX_OUTLIERS} largest of {pluralize(len(outliers), 'value')}; rows" * (
+        len(largest) < len(outliers)
+    )
+    return Table("Outlying values", columns, rows, note=f"{of_all or 'Rows'} count from 1, below the header.")
+
+
+def _cell(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _signed(value: float) -> str:
+    return ("+" if value > 0 else "") + format_significant(value)
+
+
+def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
+    named = [finding for finding in diagnosis.findings if finding.version is not None]
+    gain = diagnosis.gain
+    if not named or gain is None:
+        return []
+    steps = [(f"with {finding.cause}", finding.gain) for finding in named] if len(named) > 1 else []
+    lines: list[tuple[str, Gain | None]] = [
+        ("held-out rows", gain),
+        *steps,
+        ("a new session", diagnosis.gain_new_session),
+    ]
+    rows = tuple((name, *_gain_cells(one)) for name, one in lines if one is not None)
+    heads = ("law", "extended law", "gain", "95 % interval", "noise")
+    columns = (Column("predicted", text=True), *(Column(head, table.unit) for head in heads))
+    note = (
+        f"Rms error of {table.response} on rows that took no part in choosing or fitting anything: "
+        f"{gain.held_out} were held out together. The interval is for a fresh replicate of this table."
+    )
+    return [Table("What the extended law gains", columns, rows, note=note)]
+
+
+def _gain_cells(gain: Gain) -> tuple[str, ...]:
+    difference = Interval(gain.baseline - gain.extended, gain.low, gain.high)
+    sides = tuple(map(format_significant, (gain.baseline, gain.extended)))
+    interval = format_measured_range(difference)
+    return (*sides, format_measured(difference), interval, format_significant(gain.noise_floor))
+
+
+def _alternatives(diagnosis: Diagnosis) -> list[str]:
+    sentences = [
+        f"Whatever {first} would do in this table, {second} could have done too."
+        for first, second in diagnosis.aliased_causes
+    ]
+    if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
+        sentences.append("Structure without a name is not put into the law, so that it gains nothing.")
+    return sentences

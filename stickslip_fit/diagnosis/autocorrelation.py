@@ -1,0 +1,321 @@
+"""Autocorrelation: the noise of a sampled signal as an autoregression, and the filter that removes it.
+
+Neighbouring values of a sampled signal share most of their noise. Taken for independent, a thousand of them
+would make any slow wave of the noise an effect. Here the noise is an autoregression of order p, estimated by
+restricted maximum likelihood (H. Patterson and R. Thompson, Biometrika 58:545, 1971): plain estimates are
+too small, since the law follows the noise, by about (1 + 3 phi) / n and more with each parameter. Effects
+that the candidate causes may have count as part of the mean, so that a real effect does not pass for noise.
+The order minimizes the Bayesian information criterion (G. Schwarz, Ann. Stat. 6:461, 1978). Coefficients are
+searched as partial autocorrelations, between -1 and 1 for every stationary autoregression (O.
+Barndorff-Nielsen and G. Schou, J. Multivar. Anal. 3:408, 1973).
+
+The prediction-error filter subtracts from each value its prediction from those before it, exactly from the
+first one of a sequence on, where there are fewer than p before (Levinson's recursion). A gap, a removed row
+and a new session begin a new sequence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.sparse import csr_array
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+
+MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
+MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
+MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
+MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
+GRADIENT_STEP = 1e-4
+SPACING_TOL = 0.25  # of the interval between samples
+MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
+MIN_SAMPLED = 30  # rows that do
+
+
+@dataclass(frozen=True, eq=False)
+class Autocorrelation:
+    """The noise of a sampled signal, n rows.
+
+    Attributes
+    ----------
+    sample : array of int, shape (n,)
+        Number of each sample: neighbours in time differ by 1, all others by more.
+    candidate_effects : array, shape (n, m), or None
+        Effects, in units of the response, that count as part of the mean; None once the estimate is final.
+    coefficients : array, shape (p,)
+        Of the values before, the nearest first; empty for independent noise.
+    """
+
+    sample: IntArray
+    candidate_effects: Array | None
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def noise_filter(self) -> csr_array | None:
+        """The prediction-error filter, shape (n, n), for noise of variance 1; None for independent noise."""
+        if not len(self.coefficients):
+            return None
+        return FilterPattern.of(self.sample, len(self.coefficients)).fill(
+            partial_autocorrelations(self.coefficients)
+        )
+
+    @property
+    def correlation_rows(self) -> float:
+        """Autocorrelation time in rows: so many rows say as much of a mean as one independent value does."""
+        gamma = autocovariances(self.coefficients)
+        long_run = 1.0 / (1.0 - float(self.coefficients.sum())) ** 2
+        return max(float(long_run / gamma), 1.0)
+
+    def select(self, kept: IntArray) -> Autocorrelation:
+        """That of some rows."""
+        effects = None if self.candidate_effects is None else self.candidate_effects[kept]
+        return Autocorrelation(self.sample[kept], effects, self.coefficients)
+
+    def settle(self) -> Autocorrelation:
+        """The same, not to be estimated again."""
+        return replace(self, candidate_effects=None)
+
+    def estimate(self, linearized: LinearizedFit) -> Autocorrelation:
+        """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
+        if self.candidate_effects is None:
+            return self
+        effects = linearized.project(linearized.whiten(self.candidate_effects))
+        for _ in range(MAX_SHOCKS):
+            found = replace(self, coefficients=estimate_autoregression(linearized, effects, self.sample))
+            shock = find_shock(linearized, effects, found.noise_filter)
+            if shock is None:
+                break
+            effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
+        return found
+
+
+def autocovariances(coefficients: Array) -> float:
+    """Variance of an autoregression over that of its innovations.
+
+    Examples
+    --------
+    >>> round(autocovariances(np.array([0.6])), 4)
+    1.5625
+    """
+    return float(np.prod(1.0 / (1.0 - partial_autocorrelations(coefficients) ** 2)))
+
+
+def partial_autocorrelations(coefficients: Array) -> Array:
+    """Partial autocorrelations of an autoregression, by Levinson's recursion backwards, shape (p,)."""
+    own, partial = np.array(coefficients, dtype=float), np.zeros(len(coefficients))
+    for order in range(len(coefficients), 0, -1):
+        last = own[order - 1]
+        partial[order - 1] = last
+        own = (own[: order - 1] + last * own[: order - 1][::-1]) / (1.0 - last**2)
+    return partial
+
+
+def predictors(partial: Array) -> list[Array]:
+    """Coefficients of the best prediction from the 0, 1, ... p values before.
+
+    Examples
+    --------
+    >>> [one.round(2).tolist() for one in predictors(np.array([0.5, -0.2]))]
+    [[], [0.5], [0.6, -0.2]]
+    """
+    rows = [np.zeros(0)]
+    for last in partial:
+        before = rows[-1]
+        rows.append(np.append(before - last * before[::-1], last))
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class FilterPattern:
+    """Where the entries of a prediction-error filter of order p stand, whatever their values; n rows.
+
+    Attributes
+    ----------
+    depth : array of int, shape (n,)
+        Values before each one in its sequence, at most p.
+    indices, indptr : array of int
+        Of a compressed sparse row matrix: in each row the value itself, then those before, the nearest first.
+    order : int
+    """
+
+    depth: IntArray
+    indices: IntArray
+    indptr: IntArray
+    order: int
+
+    @classmethod
+    def of(cls, sample: IntArray, order: int) -> FilterPattern:
+        """For samples of these numbers."""
+        by_number = np.argsort(sample, kind="stable")
+        starts = np.flatnonzero(np.diff(sample[by_number], prepend=sample.min() - 2) != 1)
+        place = np.arange(len(sample)) - np.repeat(starts, np.diff(starts, append=len(sample)))
+        depth = np.empty(len(sample), dtype=np.intp)
+        depth[by_number] = np.minimum(place, order)
+        position = np.empty(len(sample), dtype=np.intp)
+        position[by_number] = np.arange(len(sample))
+        indptr = np.concatenate([[0], np.cumsum(depth + 1)])
+        lag = np.arange(indptr[-1]) - np.repeat(indptr[:-1], depth + 1)
+        return cls(depth, by_number[np.repeat(position, depth + 1) - lag], indptr, order)
+
+    def fill(self, partial: Array) -> csr_array:
+        """The filter for these partial autocorrelations, shape (p,)."""
+        error_sd = np.sqrt(np.cumprod(np.append(1.0, 1.0 - partial**2)))
+        table = np.zeros((self.order + 1, self.order + 1))
+        for depth, row in enumerate(predictors(partial)):
+            table[depth, : depth + 1] = np.append(1.0, -row) / error_sd[depth]
+        inside = np.arange(self.order + 1) <= self.depth[:, None]
+        entries = table[self.depth][inside]
+        n = len(self.depth)
+        return csr_array((entries, self.indices, self.indptr), shape=(n, n))
+
+    def log_determinant(self, partial: Array) -> float:
+        """Logarithm of the filter's determinant."""
+        log_sd = 0.5 * np.cumsum(np.append(0.0, np.log1p(-(partial**2))))
+        return -float(log_sd @ np.bincount(self.depth, minlength=self.order + 1))
+
+
+def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: IntArray) -> Array:
+    """Coefficients of the noise's autoregression, of the order that the data support, shape (p,).
+
+    Parameters
+    ----------
+    linearized : LinearizedFit
+        Without a filter.
+    effects : array, shape (n, m)
+        Whitened and projected; they count as part of the mean.
+    sample : array of int, shape (n,)
+    """
+    linked = int(np.sum(FilterPattern.of(sample, 1).depth))
+    border = np.concatenate([linearized.shared_basis, _spanning(effects)], axis=1)
+    likelihood = _RestrictedLikelihood(linearized, border, sample)
+    best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
+    start, without_gain = np.zeros(0), 0
+    for _ in range(min(MAX_ORDER, linked // ROWS_PER_ORDER)):
+        start = likelihood.maximize(np.append(start, 0.0))
+        value = likelihood.criterion(start)
+        if value < best:
+            best, found, without_gain = value, start, 0
+        else:
+            without_gain += 1
+        if without_gain == MAX_WITHOUT_GAIN:
+            break
+    return predictors(found)[-1]
+
+
+def find_shock(linearized: LinearizedFit, effects: Array, noise_filter: csr_array | None) -> Array | None:
+    """An outlier or a lasting change that is far beyond the noise, 1 in its rows, shape (n,), or None.
+
+    An outlier hides autocorrelation, a lasting change looks like it. Parameters are as of
+    `estimate_autoregression`; either shows in the largest of the innovations.
+    """
+    basis = _spanning(effects)
+    left = linearized.residual - basis @ (basis.T @ linearized.residual)
+    innovations = left if noise_filter is None else np.asarray(noise_filter @ left)
+    df = max(linearized.df - basis.shape[1], 1)
+    sd = min(np.sqrt(innovations @ innovations / df), float(np.median(np.abs(innovations))) / MEDIAN_OF_NORMAL)
+    session = linearized.rows["session"].to_numpy(object)
+    shapes = []
+    for row in np.argsort(-np.abs(innovations))[:MAX_SHOCK_ROWS]:
+        single, lasting = np.zeros(len(left)), np.zeros(len(left))
+        single[row], lasting[row:] = 1.0, session[row:] == session[row]
+        shapes += [single, lasting]
+    columns = np.stack(shapes, axis=1)
+    seen = columns if noise_filter is None else np.asarray(noise_filter @ columns)
+    z = np.abs(seen.T @ innovations) / np.linalg.norm(seen, axis=0) / max(sd, np.finfo(float).tiny)
+    best = int(np.argmax(z))
+    return None if z[best] < MIN_SHOCK_SD else columns[:, best]
+
+
+def _spanning(effects: Array) -> Array:
+    if not effects.shape[1]:
+        return effects
+    left, singular, _ = np.linalg.svd(effects, full_matrices=False)
+    return left[:, singular > 1e-6 * max(float(singular.max(initial=0.0)), 1e-300)]
+
+
+class _RestrictedLikelihood:
+    """Of an autoregression about a mean linear in blocks' own parameters and in those of a border."""
+
+    def __init__(self, linearized: LinearizedFit, border: Array, sample: IntArray) -> None:
+        self.blocks, self.sample = linearized.blocks, sample
+        widths = [basis.shape[1] for _, basis in linearized.blocks]
+        own = np.zeros((len(sample), max(widths, default=0)))
+        for rows, basis in linearized.blocks:
+            own[rows, : basis.shape[1]] = basis
+        self.own_width = own.shape[1]
+        self.columns = np.concatenate([own, border, linearized.residual[:, None]], axis=1)
+        self.df = len(sample) - sum(widths) - border.shape[1]
+        self.patterns: dict[int, FilterPattern] = {}
+
+    def criterion(self, partial: Array) -> float:
+        """Bayesian information criterion, over -2."""
+        return self.negative_log(partial) + 0.5 * len(partial) * float(np.log(max(self.df, 2)))
+
+    def maximize(self, start: Array) -> Array:
+        """Partial autocorrelations of the highest likelihood."""
+        limit = float(np.arctanh(MAX_PARTIAL))
+        options: Any = {"maxiter": 30, "ftol": 1e-8, "eps": GRADIENT_STEP}
+
+        def of_transformed(z: Array) -> float:
+            return self.negative_log(np.tanh(z))
+
+        bounds = [(-limit, limit)] * len(start)
+        result = minimize(
+            of_transformed, np.arctanh(start), method="L-BFGS-B", bounds=bounds, options=options
+        )
+        return np.asarray(np.tanh(result.x))
+
+    def negative_log(self, partial: Array) -> float:
+        """Negative log likelihood, the noise's variance maximized out, but for a constant."""
+        if len(partial) not in self.patterns:
+            self.patterns[len(partial)] = FilterPattern.of(self.sample, len(partial))
+        pattern = self.patterns[len(partial)]
+        filtered = np.asarray(pattern.fill(partial) @ self.columns)
+        every_own, columns = np.split(filtered, [self.own_width], axis=1)
+        left, log_determinant = columns.T @ columns, 0.0
+        for rows, basis in self.blocks:
+            own = every_own[rows, : basis.shape[1]]
+            lower = np.linalg.cholesky(own.T @ own)
+            across = np.linalg.solve(lower, own.T @ columns[rows])
+            left -= across.T @ across
+            log_determinant += 2.0 * float(np.log(np.diagonal(lower)).sum())
+        if len(left) > 1:
+            lower = np.linalg.cholesky(left[:-1, :-1])
+            across = np.linalg.solve(lower, left[:-1, -1])
+            log_determinant += 2.0 * float(np.log(np.diagonal(lower)).sum())
+            squares = float(left[-1, -1] - across @ across)
+        else:
+            squares = float(left[-1, -1])
+        return (
+            0.5 * self.df * float(np.log(squares)) - pattern.log_determinant(partial) + 0.5 * log_determinant
+        )
+
+
+def number_samples(seconds: Array, session: IntArray) -> IntArray | None:
+    """Numbers of the samples of a signal sampled at regular times within sessions, None of other data.
+
+    Rows stand in order of time within each session, the sessions one after the other; times that are no
+    multiple of the usual interval begin a new sequence.
+
+    Examples
+    --------
+    >>> seconds = np.r_[np.arange(40.0), 45.0, 46.0, 10.0, 11.0]
+    >>> number_samples(seconds, np.repeat([0, 1], [42, 2]))[[0, 1, 39, 40, 41, 42, 43]]
+    array([ 0,  1, 39, 44, 45, 47, 48])
+    """
+    same, spacing = np.diff(session) == 0, np.diff(seconds)
+    if not np.any(same & (spacing > 0)):
+        return None
+    interval = float(np.median(spacing[same & (spacing > 0)]))
+    steps = np.maximum(np.round(spacing / interval), 1.0)
+    regular = same & (np.abs(spacing / interval - steps) < SPACING_TOL)
+    following = int(np.sum(regular & (steps == 1)))
+    if following < max(MIN_SAMPLED, MIN_REGULAR * np.sum(same)):
+        return None
+    return np.concatenate([[0], np.cumsum(np.where(regular, steps, 2))]).astype(np.intp)

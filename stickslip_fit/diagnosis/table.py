@@ -1,0 +1,367 @@
+"""diagnose_table: the diagnosis of any table under any law. `pipeline` has the mathematics.
+
+The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law
+fitted to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured
+alternatives (`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is
+estimated and removed (`autocorrelation`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import time as clock
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._input import format_path, read_file
+from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes import generic
+from stickslip_fit.causes.roles import TableRoles, prepare_rows
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
+from stickslip_fit.diagnosis.extended_table import make_table_fit
+from stickslip_fit.diagnosis.finding import TableInfo
+from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
+from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
+from stickslip_fit.diagnosis.pipeline import diagnose_problem
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.diagnosis.table_alternatives import (
+    TableAlternatives,
+    leading_directions,
+    numeric_columns,
+    response_columns,
+)
+from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
+from stickslip_fit.estimation.table_fit import TableFit
+from stickslip_fit.estimation.table_law import fit_table_law
+from stickslip_fit.laws import Law
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+
+MAX_BYTES = 2**29  # of a file
+MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
+MIN_RELATIVE_SD = 1e-9  # of the noise, relative to the largest response; less is rounding
+NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
+NO_POSITION = "no column was named as the position"
+NO_DIRECTION = "no column was named as the direction"
+
+
+def diagnose_table(
+    frame: pd.DataFrame | str | Path,
+    law: Any,
+    *,
+    response: str | None = None,
+    session: str | None = None,
+    time: str | None = None,
+    position: str | None = None,
+    direction: str | None = None,
+    group: str | None = None,
+    causes: Iterable[Any] = (),
+    generic_causes: Iterable[Any] | None = None,
+    shared: Iterable[str] | str | None = None,
+    alpha: float = 0.01,
+    seed: int = 0,
+    gain: bool = True,
+    progress: ProgressCallback = ignore_progress,
+) -> Diagnosis:
+    """Test a law on a table, name the causes of a misfit, and measure what the causes gain.
+
+    Parameters
+    ----------
+    frame : DataFrame or path of a CSV or Parquet file
+        One row for each measurement.
+    law : Law or str
+        A formula such as ``"F ~ M*acc + Fv*vel + offset"``, or a `Law`.
+    response : str, optional
+        Where the law does not say what it predicts.
+    session : str, optional
+        Column whose values share the law's own parameters; one session without it.
+    time : str, optional
+        Column of seconds or of times of day. ``"order"``: rows stand in the order in which they were
+        measured. Without it their order means nothing, and nothing that needs time is tested.
+    position, direction, group : str, optional
+        Columns of where something stands, of which way it moves (two values, or numbers whose signs count),
+        and of what belongs together.
+    causes : iterable of Cause, optional
+        Candidates beside the generic ones.
+    generic_causes : iterable of Cause, optional
+        In place of all of `causes.generic_causes`; ``()`` for none.
+    shared : iterable of str or "all", optional
+        Parameters of the law with one value for the whole table; by default what the law says.
+    alpha : float, optional
+        False-alarm rate over all tests.
+    seed : int, optional
+    gain : bool, optional
+        False only names the causes.
+    progress : callable, optional
+        Called with the step that begins and the share of the work that is done.
+
+    Raises
+    ------
+    InputError
+        With every fault of the table and its roles; as `Law.bind_table`; if `alpha` is not between 0 and 1,
+        or `seed` is negative.
+    """
+    began = clock.perf_counter()
+    check_rate("alpha", alpha)
+    check_count("seed", seed, least=0)
+    table, source = read_table(frame)
+    roles = TableRoles(session, time, position, direction, group)
+    if shared is not None:
+        law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
+    progress("fitting the law", 0.0)
+    problem, missing = problem_from_table(
+        table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
+    )
+    diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
+    info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
+    diagnosis = replace(diagnosis, table=info, seconds=clock.perf_counter() - began)
+    return diagnosis.measure_gain(progress=progress) if gain else diagnosis
+
+
+def fit_table(
+    frame: pd.DataFrame | str | Path,
+    law: Any,
+    *,
+    response: str | None = None,
+    session: str | None = None,
+    time: str | None = None,
+    shared: Iterable[str] | str | None = None,
+    command: str = "",
+) -> TableFit:
+    """Fit a law to a table, as it is: no cause is searched, and no value set aside.
+
+    With a time the autocorrelation of the noise is in the intervals.
+
+    Parameters
+    ----------
+    frame, law, response, session, time, shared
+        As of `diagnose_table`.
+    command : str, optional
+        For the result's provenance.
+
+    Raises
+    ------
+    InputError
+        As `diagnose_table`.
+    """
+    table, source = read_table(frame)
+    roles = TableRoles(session, time)
+    if shared is not None:
+        law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
+    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
+    correlated = problem.with_autocorrelation()
+    linearized = correlated.linearize()
+    factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
+    scaled = replace(correlated, repeatability=factor * correlated.repeatability)
+    info = replace(describe_table(problem, scaled, roles), **source)
+    return make_table_fit(scaled, scaled.fit_extended(), info, command=command)
+
+
+def problem_from_table(
+    frame: pd.DataFrame,
+    law: Any,
+    *,
+    response: str | None = None,
+    roles: TableRoles | None = None,
+    causes: Iterable[Any] = (),
+    generic_causes: Iterable[Any] | None = None,
+) -> tuple[DiagnosisProblem, dict[str, str]]:
+    """A table under a law, fitted to each session.
+
+    Parameters
+    ----------
+    frame, law, response, causes, generic_causes
+        As of `diagnose_table`.
+    roles : TableRoles, optional
+
+    Returns
+    -------
+    problem : DiagnosisProblem
+    missing : dict of str to str
+        Generic causes for which the table has no column, with the reason.
+
+    Raises
+    ------
+    InputError
+        As `diagnose_table`.
+    """
+    roles = TableRoles() if roles is None else roles
+    law = as_law(law)
+    prepare_rows(frame, roles, _find_columns(law, frame))
+    bound = law.bind_table(frame, response=response, session=roles.session)
+    rows = prepare_rows(frame, roles, bound.columns)
+    y, rounding = bound.response(rows)
+    part, repeatability = _fit_law(bound, rows, y)
+    least_sd = MIN_RELATIVE_SD * (float(np.abs(y).max()) or 1.0)
+    session = pd.factorize(rows["session"])[0].astype(np.intp)
+    group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
+    seconds = rows["session_seconds"].to_numpy(float)
+    sample = number_samples(seconds, session) if roles.time else None
+    built = generic.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
+    candidates = _bind_causes((*causes, *built), bound, rows)
+    columns = numeric_columns(rows, bound, roles, generic.covariate_columns(rows, bound, roles))
+    problem = DiagnosisProblem(
+        rows=rows,
+        parts=(part,),
+        responses=y,
+        rounding=rounding,
+        noise_group=np.zeros(len(rows), dtype=np.intp),
+        repeatability=np.array([max(repeatability, least_sd)]),
+        causes=candidates,
+        alternatives=TableAlternatives(columns, roles, sample is not None),
+        configuration=group,
+        noise_ratio=np.ones(len(rows)),
+        n_shared=bound.n_shared,
+        outlier_cause="outliers",
+        least_sd=least_sd,
+    )
+    missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
+    return (problem if sample is None else with_samples(problem, sample)), missing
+
+
+def with_samples(problem: DiagnosisProblem, sample: IntArray) -> DiagnosisProblem:
+    """The problem with rows that are samples of a signal, numbered as by `number_samples`."""
+    linearized = problem.linearize()
+    effects: dict[str, list[Array]] = {}
+    for one in compute_finite_effects(linearized, problem.causes):
+        if not one.version.session:
+            effects.setdefault(one.cause, []).append(linearized.project(np.nan_to_num(one.changes)))
+    most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
+    columns = [np.concatenate(own, axis=1) for own in effects.values()]
+    directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
+    scaled = directions * np.sqrt(len(problem)) * float(problem.repeatability[0])
+    return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
+
+
+def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles: TableRoles) -> TableInfo:
+    """What a diagnosis says of its table; `searched` is the problem with the noise as the search left it."""
+    law, noise = problem.parts[0].law, searched.autocorrelation
+    length = 1.0 if noise is None else noise.correlation_rows
+    interval = np.nan
+    if roles.time and len(problem) > 1:
+        spacing = np.diff(problem.rows["session_seconds"].to_numpy(float))
+        interval = float(np.median(spacing[spacing > 0])) if np.any(spacing > 0) else np.nan
+    return TableInfo(
+        response=str(law.response_name),
+        unit=str(law.response_unit),
+        response_sd=float(np.std(problem.responses)),
+        rows=len(problem),
+        independent=len(problem) / length,
+        correlation_rows=length,
+        correlation_time=length * interval,
+        time_unit=roles.time_unit,
+        roles=roles.columns,
+    )
+
+
+def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """A table from a DataFrame or a file, with its name and hash as `TableInfo` has them.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no table.
+    """
+    if isinstance(frame, pd.DataFrame):
+        return frame, {"sha256": _hash_frame(frame)}
+    if not isinstance(frame, str | Path):
+        raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
+    raw, name = read_file(frame, "table (CSV or Parquet)", MAX_BYTES), format_path(frame)
+    if not raw:
+        raise InputError(InputIssue("is empty; name a table with a header and rows", name))
+    try:
+        if raw[:4] == b"PAR1":
+            table = pd.read_parquet(io.BytesIO(raw))
+        else:
+            table = pd.read_csv(io.BytesIO(raw), header=None, nrows=1, dtype=str, encoding="utf-8-sig")
+            header = [str(cell) for cell in table.iloc[0]]
+            table = pd.read_csv(io.BytesIO(raw), engine="pyarrow", encoding="utf-8")
+            table = table.set_axis([cell.strip().removeprefix("\ufeff") for cell in header], axis=1)
+    # pandas and pyarrow raise several kinds, all of them about the file.
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)
+        ) from None
+    return table, {"file": name, "sha256": hashlib.sha256(raw).hexdigest(), "files": (str(frame),)}
+
+
+def _hash_frame(frame: pd.DataFrame) -> str:
+    try:
+        cells = pd.util.hash_pandas_object(frame, index=False).to_numpy().tobytes()
+    except TypeError:  # cells such as lists, which a role may not name anyway
+        cells = repr(frame).encode()
+    return hashlib.sha256(cells).hexdigest()
+
+
+def as_law(law: Any) -> Any:
+    """A law from a formula, or the law itself."""
+    law = Law(law) if isinstance(law, str) else law
+    if not hasattr(law, "bind_table"):
+        raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
+    return law
+
+
+def _find_columns(law: Any, frame: pd.DataFrame) -> list[str]:
+    """The columns of a table that a law names; what else it names is checked when it is bound."""
+    left = getattr(law, "left", None)
+    names = (*getattr(law, "names", ()), *(left.names if left is not None else ()))
+    return [name for name in names if name in getattr(frame, "columns", ())]
+
+
+def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
+    """The law fitted to each session, and the standard deviation of what it leaves."""
+    size = float(np.std(y)) or 1.0
+    scale = np.full(len(rows), size)
+    part = LawBlock(
+        law,
+        np.arange(len(rows)),
+        pd.factorize(rows["session"])[0].astype(np.intp),
+        fit_table_law(law, rows, y, scale),
+        np.array([one.lower for one in law.parameters]),
+        np.array([one.upper for one in law.parameters]),
+    )
+    residual = y - law.predict(rows, part.values)
+    df = max(linearize_fit(rows, (part,), y, scale, shared=law.n_shared).df, 1)
+    return part, float(np.sqrt(np.sum(residual**2) / df))
+
+
+def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[Any, ...]:
+    bound = tuple(cause.bind_table(law, rows) if hasattr(cause, "bind_table") else cause for cause in causes)
+    names = [cause.name for cause in bound]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InputError(
+            [InputIssue(f"there are two causes {name!r}; give one another name") for name in repeated]
+        )
+    return bound
+
+
+def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[str, str]:
+    missing: dict[str, str] = {}
+    if not roles.time:
+        missing |= dict.fromkeys(["drift", "warm-up", "sudden-change", "memory"], NO_TIME)
+    if not roles.position:
+        missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
+    if not roles.direction:
+        missing["offset-by-direction"] = NO_DIRECTION
+    used = {
+        *law.columns,
+        *response_columns(law),
+        *roles.columns.values(),
+        "session",
+        "session_seconds",
+        "joint",
+    }
+    for name in map(str, rows.columns):
+        why = None if name in used else generic.explain_unusable(rows, law, name)
+        if why is not None:
+            missing[COVARIATE_PREFIX + name] = why
+    return missing

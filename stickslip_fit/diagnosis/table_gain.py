@@ -1,0 +1,210 @@
+"""The gain of a table's diagnosis: errors on blocks of consecutive rows, or whole groups, held out.
+
+Neighbouring values of a signal resemble each other, so that a held-out row between two that were kept
+would measure the signal's smoothness, not the law: what is held out is long against the autocorrelation
+time (J. Racine, J. Econometrics 99:39, 2000). A block without which a parameter or a cause would no longer
+be determined stays in training. Errors are those of the response, not of its innovations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import pluralize
+from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.cross_validation import (
+    MAX_UNKNOWN_SHARE,
+    MIN_KNOWN_STRENGTH,
+    MIN_SESSIONS,
+    N_FOLDS,
+    Selector,
+    Split,
+    extend_by_steps,
+    select_from_training,
+)
+from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
+from stickslip_fit.diagnosis.gain import N_REPLICATE_SPLITS, estimate_gain, select_in_fold
+from stickslip_fit.diagnosis.hypotheses import compute_changes
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.selection import Selection
+
+CORRELATION_TIMES = 10.0  # least length of a block
+MIN_BLOCKS, MAX_BLOCKS = 10, 50  # over all rows
+
+
+def measure_table_gain(
+    selection: Selection,
+    findings: tuple[Finding, ...],
+    table: TableInfo,
+    *,
+    alpha: float,
+    seed: int,
+    workers: int = -1,
+    progress: ProgressCallback = ignore_progress,
+) -> tuple[Gain | None, Gain | None, tuple[Finding, ...]]:
+    """Measure what each finding, and all of them together, gain on held-out rows.
+
+    Held out are whole groups, where the table has them and the law can be known without one; else blocks of
+    consecutive rows. New sessions are held out where the law has no parameter of its own for each.
+
+    Returns
+    -------
+    gain, gain_new_session : Gain or None
+        None where nothing can be held out.
+    findings : tuple of Finding
+        The same, each with its own gain.
+    """
+    problem = selection.problem
+    if not len(problem):
+        return None, None, findings
+    linearized = problem.linearize()
+
+    def estimate(kinds: IntArray, held_out: str) -> tuple[Gain, tuple[Finding, ...]] | None:
+        n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
+        folds, *others = (
+            hold_out_kinds(selection, linearized, kinds, np.random.default_rng([seed, k]))
+            for k in range(1 + n_others)
+        )
+        if not folds:
+            return None
+        gain, own = estimate_gain(
+            selection,
+            findings,
+            folds,
+            partial(select_in_fold, alpha=alpha),
+            others=[other for other in others if other],
+            alpha=alpha,
+            seed=seed,
+            workers=workers,
+            progress=lambda done, number: progress("predicting held-out rows", 0.2 + 0.7 * done / number),
+            compute_errors=compute_table_errors,
+            recolour=linearized.recolour,
+        )
+        named = [replace(finding, gain=finding.gain and _describe(finding.gain, held_out)) for finding in own]
+        return _describe(gain, held_out), tuple(named)
+
+    groups = table.roles.get("group", "")
+    measured = new_session = None
+    if groups:
+        measured = estimate(pd.factorize(problem.rows[groups])[0], f"whole groups ({groups})")
+    if measured is None:
+        measured = estimate(*number_time_blocks(problem.rows, table.correlation_rows))
+    sessions = pd.factorize(problem.rows["session"].astype(object))[0]
+    is_shared = all(part.values.shape[1] == problem.n_shared for part in problem.parts)
+    if is_shared and groups != table.roles.get("session") and sessions.max() + 1 >= MIN_SESSIONS:
+        new_session = estimate(sessions, "whole sessions")
+    gain, own = measured or (None, findings)
+    return gain, new_session[0] if new_session else None, own
+
+
+def _describe(gain: Gain, held_out: str) -> Gain:
+    return replace(gain, by_session=gain.by_session.rename(columns={"traverses": "rows"}), held_out=held_out)
+
+
+def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[IntArray, str]:
+    """A number for each block of consecutive rows, shape (n,), and what a block is, in words."""
+    n = len(rows)
+    sequence = pd.factorize(rows["sequence" if "sequence" in rows else "session"].astype(object))[0]
+    longest = max(n // MIN_BLOCKS, 1)
+    length = min(max(int(np.ceil(CORRELATION_TIMES * correlation_rows)), -(-n // MAX_BLOCKS)), longest)
+    if correlation_rows <= 1.0:
+        length = min(-(-n // MAX_BLOCKS), longest)
+    place = pd.Series(np.arange(n)).groupby(sequence).cumcount().to_numpy()
+    size = np.bincount(sequence)[sequence]
+    # Blocks of one sequence are equally long, so that none is a remainder of a few rows.
+    number = np.maximum(size // length, 1)
+    keys = np.column_stack([sequence, place * number // size])
+    kinds = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    return kinds, f"blocks of about {pluralize(length, 'consecutive row')}"
+
+
+def hold_out_kinds(
+    selection: Selection, linearized: LinearizedFit, kinds: IntArray, rng: np.random.Generator
+) -> list[Split]:
+    """Hold out every kind of row once, except those without which something is not determined.
+
+    `linearized` is the baseline. Parameters may belong to a session or to the whole table, so that the
+    information in the rows of a fold is one matrix over all of them.
+    """
+    n = len(linearized)
+    basis, effects = linearized.basis.toarray(), _effects(selection, linearized)
+    whole = np.sum(effects**2, axis=0)
+    least = np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2)
+    members = split_positions(kinds)
+    number = min(N_FOLDS, len(members))
+    held: list[list[int]] = [[] for _ in range(number)]
+    fold_of, sizes = np.full(n, -1), np.zeros(number, dtype=np.intp)
+    for kind in rng.permutation(len(members)):
+        for fold in np.argsort(sizes, kind="stable"):
+            rows = np.concatenate([members[one] for one in (*held[fold], kind)])
+            if _is_determined(basis[rows], effects[rows], whole, least):
+                held[fold].append(kind)
+                fold_of[members[kind]], sizes[fold] = fold, len(rows)
+                break
+    splits = []
+    for fold in np.flatnonzero(sizes):
+        train = np.flatnonzero(fold_of != fold)
+        splits.append(Split(train, train, np.flatnonzero(fold_of == fold)))
+    return splits
+
+
+def _effects(selection: Selection, linearized: LinearizedFit) -> Array:
+    """Effects of the selected causes, whitened and projected, shape (n, k)."""
+    changes = [
+        compute_changes(linearized, one.version, selection.fit.values[None, place])
+        for one, place in zip(selection.law_causes, selection.slices, strict=True)
+    ]
+    columns = np.concatenate([np.zeros((len(linearized), 0)), *changes], axis=1)
+    return linearized.project(linearized.whiten(columns))
+
+
+def _is_determined(basis: Array, effects: Array, whole: Array, least: Array) -> bool:
+    """Whether parameters and causes stay known without these rows of the basis and the effects."""
+    own, cross = basis.T @ basis, basis.T @ effects
+    if np.linalg.eigvalsh(own).max(initial=0.0) >= MAX_UNKNOWN_SHARE:
+        return False
+    solved = np.linalg.solve(np.eye(len(own)) - own, cross)
+    left = whole - np.sum(effects**2, axis=0) - np.sum(cross * solved, axis=0)
+    return bool(np.all(left >= least))
+
+
+def compute_table_errors(
+    problem: DiagnosisProblem,
+    split: Split,
+    findings: Sequence[Finding],
+    selector: Selector,
+    seed: Sequence[int],
+) -> Array:
+    """Repeat the selection on the training rows, and predict the held-out rows with ever more causes.
+
+    As `cross_validation.compute_held_out_errors`, with laws that may share parameters over the whole table:
+    these are fitted to the training rows together with all others. Shape (k + 1, number held out).
+    """
+    selection = select_from_training(problem, split, selector, seed)
+    errors = [predict_from_fit(problem, split.held_out, selection.problem.fit_extended())]
+    for _, fit in extend_by_steps(selection, findings):
+        errors.append(predict_from_fit(problem, split.held_out, fit))
+    return np.stack(errors)
+
+
+def predict_from_fit(problem: DiagnosisProblem, held_out: IntArray, fit: ExtendedFit) -> Array:
+    """Responses of held-out rows less their prediction by a fit of the other rows, shape (h,)."""
+    errors = np.zeros(len(problem))
+    for part, fitted in zip(problem.parts, fit.parts, strict=True):
+        inside = np.isin(part.rows, held_out)
+        if not inside.any():
+            continue
+        rows, at = part.rows[inside], np.zeros(int(inside.sum()), dtype=np.intp)
+        if part.values.shape[1] > problem.n_shared:  # else any row has the values that all share
+            labels, first = np.unique(fitted.block, return_index=True)
+            at = first[np.searchsorted(labels, part.block[inside])]
+        predicted = fitted.law.predict(problem.rows.iloc[rows], fitted.values[at])
+        errors[rows] = problem.responses[rows] - predicted
+    return errors[held_out]

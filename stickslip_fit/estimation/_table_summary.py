@@ -1,0 +1,90 @@
+"""The summary of a table's fit: what is left, how many values count, and the parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import (
+    MISSING,
+    capitalize_first,
+    format_measured,
+    format_measured_range,
+    format_significant,
+    typeset_text,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize
+from stickslip_fit.estimation.table_fit import TableFit
+from stickslip_fit.units import UNITS, Interval, from_si
+
+MAX_ROWS = 60
+ALL_SESSIONS = "all"
+
+
+@summarize.register
+def summarize_table_fit(fit: TableFit) -> Summary:
+    """What the law leaves, flags, and its parameters."""
+    source = fit.source
+    name = Path(source.file).name or "a table that was never in a file"
+    return Summary(
+        title=f"Law fitted to {name}",
+        headline=(typeset_text(describe_fit(fit)),),
+        sections=(Section(tables=(parameters_table(fit),)),),
+        flags=tuple(f"{capitalize_first(flag)}." for flag in fit.flags),
+        provenance=(
+            (name, f"sha256 {source.sha256}" if source.sha256 else "no hash"),
+            ("law", fit.law.name),
+            ("versions", ", ".join(f"{name} {version}" for name, version in source.versions.items())),
+            ("command", source.command or "none: made from Python"),
+        ),
+    )
+
+
+def describe_fit(fit: TableFit) -> str:
+    """What a law leaves of its response, and of how many values, as a sentence."""
+    unit, law = fit.law.response_unit, fit.law
+    measured = fit.residuals["measured"].to_numpy(float)
+    share = 1.0 - fit.rms**2 / float(np.var(measured)) if np.var(measured) > 0 else np.nan
+    explained = f", {100 * share:.1f} % of its variance explained" if np.isfinite(share) else ""
+    left = f"{format_significant(fit.rms)} {unit}".rstrip()
+    rows = fit.source.rows
+    counted = ""
+    if round(fit.source.independent) < rows:
+        counted = f", which count as about {round(fit.source.independent):,} independent ones"
+    return (
+        f"The law {law.name} leaves {left} rms of {law.response_name}{explained}: fitted to {rows:,} "
+        f"values{counted}."
+    )
+
+
+def parameters_table(fit: TableFit) -> Table:
+    """Every parameter with its standard error and interval; session by session where it has its own."""
+    table = fit.parameters
+    by_session = fit.n_own > 0 and len(fit.sessions) > 1
+    columns = (
+        Column("parameter", text=True),
+        *((Column("session", text=True),) if by_session else ()),
+        *numbers("estimate", "standard error", "95 % interval"),
+        Column("unit", text=True),
+    )
+    rows = [
+        (row.name, *((row.session or ALL_SESSIONS,) if by_session else ()), *_cells(row))
+        for row in table.head(MAX_ROWS).itertuples(index=False)
+    ]
+    note = f"The first {MAX_ROWS} of {len(table):,}." if len(table) > MAX_ROWS else ""
+    if len(fit.autocorrelation):
+        note = f"{note} Standard errors allow for the autocorrelation of the noise.".strip()
+    return Table("Parameters of the law", columns, tuple(rows), stubs=2 if by_session else 1, note=note)
+
+
+def _cells(row: pd.Series) -> tuple[str, ...]:
+    values = np.array([row.estimate, row.low, row.high, row.standard_error], dtype=float)
+    unit = row.unit
+    if unit in UNITS:
+        values = np.asarray(from_si(values, unit))
+    size, error = Interval(*map(float, values[:3])), float(values[3])
+    if not np.isfinite(error):
+        return (format_significant(size.estimate), MISSING, MISSING, unit)
+    return (format_measured(size), format_significant(error, 2), format_measured_range(size), unit)

@@ -1,0 +1,375 @@
+"""Figures of a table's diagnosis and of its law: residuals before and after, over columns; gain; predictions.
+
+Residuals and effects are in the unit of the response. The grey band is where means of noise alone lie in 95
+of 100 tables in which nothing is wrong, the noise being as autocorrelated as here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from stickslip_fit._format import format_significant, pluralize
+from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes.roles import direction_labels, direction_sign
+from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
+from stickslip_fit.diagnosis.hypotheses import AR1
+from stickslip_fit.diagnosis.residuals import (
+    ResidualComparison,
+    bin_residuals,
+    bin_values,
+    compare_residuals,
+    compute_shape,
+    find_carrier,
+)
+from stickslip_fit.diagnosis.selection import SelectedCause
+from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.estimation import TableFit
+from stickslip_fit.plotting._style import (
+    BLUE,
+    DIRECTION_COLOURS,
+    GREY,
+    INK,
+    TITLE_LINE,
+    make_figure,
+    make_legend_entry,
+    report_style,
+    robust_limit,
+)
+from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
+
+MAX_POINTS, N_COLUMNS, MAX_PANELS = 800, 4, 24
+LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35
+ENVELOPE_COLOUR = "#dcdcd8"
+Z_95 = 1.96
+TIME_LABELS = {"s": "time since the session's first row (s)", "row": "row in its session"}
+
+
+@dataclass(frozen=True, eq=False)
+class _TableRows:
+    """The rows of a diagnosis as figures show them.
+
+    Attributes
+    ----------
+    columns : mapping of str to array, shape (n,)
+        Whatever varied, by axis label: time and position first, then the law's, then all others.
+    labels : mapping of str to str
+        The axis label of each column by its name.
+    kinds : mapping of str to array of bool, shape (n,)
+        Rows of one colour, by their label; one kind without a direction.
+    """
+
+    columns: Mapping[str, Array]
+    labels: Mapping[str, str]
+    kinds: Mapping[str, BoolArray]
+
+
+def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
+    rows, law = diagnosis.selection.problem.rows, diagnosis.selection.problem.parts[0].law
+    units = {str(name): str(unit) for name, unit in (getattr(law.source, "units", None) or {}).items()}
+    roles, used = table.roles, [name for name in law.columns if name != table.response]
+    names = [roles.get("position", ""), *used, *map(str, rows.columns)]
+    hidden = {"joint", "session_seconds", roles.get("session"), roles.get("group"), roles.get("time")}
+    hidden |= {table.response, *getattr(law.left, "names", ())}
+    columns: dict[str, Array] = {}
+    labels: dict[str, str] = {}
+    if roles.get("time"):
+        label = TIME_LABELS[table.time_unit]
+        columns[label] = rows["session_seconds"].to_numpy(float)
+        labels |= {"session_seconds": label, roles["time"]: label}
+    for name in dict.fromkeys(filter(None, names)):
+        if name in hidden or not pd.api.types.is_numeric_dtype(rows[name]):
+            continue
+        labels[name] = f"{name} ({units[name]})" if units.get(name) else name
+        columns[labels[name]] = rows[name].to_numpy(float, na_value=np.nan)
+    varied = {label: values for label, values in columns.items() if _varies(values)}
+    return _TableRows(varied, labels, _direction_kinds(rows, roles.get("direction", "")))
+
+
+def _varies(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and float(np.ptp(known)) > 0
+
+
+def _direction_kinds(rows: pd.DataFrame, direction: str) -> dict[str, BoolArray]:
+    if not direction:
+        return {"mean": np.ones(len(rows), dtype=bool)}
+    labels = direction_labels(rows[direction])
+    sign = direction_sign(rows, direction, labels)
+    names = labels[::-1] if len(labels) == 2 else (f"{direction} > 0", f"{direction} < 0")
+    return {f"mean, {names[0]}": sign >= 0, f"mean, {names[1]}": sign < 0}
+
+
+def _colours(kinds: Mapping[str, BoolArray]) -> dict[str, str]:
+    return dict(zip(kinds, DIRECTION_COLOURS.values() if len(kinds) > 1 else (BLUE,), strict=False))
+
+
+def _entries(kinds: Mapping[str, BoolArray], *, points: bool = True, effect: bool = False) -> list[Line2D]:
+    entries = [make_legend_entry("value", GREY, marker=".")] if points else []
+    entries += [make_legend_entry(label, colour, "o", "-") for label, colour in _colours(kinds).items()]
+    if effect:
+        entries.append(make_legend_entry("effect of the finding", INK, line="--"))
+    return [
+        *entries,
+        make_legend_entry("95 % of tables with nothing wrong", ENVELOPE_COLOUR, line="-", width=6.0),
+    ]
+
+
+def _axis_label(table: TableInfo, what: str = "residual") -> str:
+    return f"{what} ({table.unit})" if table.unit else what
+
+
+def _size(value: float, table: TableInfo) -> str:
+    return f"{format_significant(value)} {table.unit}".rstrip()
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
+    """Of each finding that has a shape: residuals before and after over the column that it follows."""
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    selected = {one.cause: one for one in diagnosis.selection.selected}
+    pictures = []
+    for finding in diagnosis.findings:
+        if selected[finding.cause].misfit is None:
+            continue
+        label, figure = _draw_finding(diagnosis, table, finding, selected[finding.cause], comparison)
+        is_named = finding.version is not None
+        caption = f"Over {label}. Points: values; lines: means by class with 95 % bars. "
+        before, after = _size(_rms(comparison.before), table), _size(_rms(comparison.after), table)
+        if is_named:
+            caption += (
+                f"Above what the law leaves of {table.response} ({before} rms), dashed the part that the "
+                f"finding explains; below with all that was found in the law ({after} rms): the lines should "
+                "lie within the grey band, where noise alone would keep them."
+            )
+        else:
+            caption += f"{after} rms; noise alone would keep the lines within the grey band."
+        key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
+        title = f"{finding.cause}: what is left over{' before and after' if is_named else ''}"
+        pictures.append(make_picture(key, title, caption, figure))
+    return pictures
+
+
+def plot_table_finding(diagnosis: Diagnosis, table: TableInfo, finding: int) -> Figure:
+    """One finding's residuals before and after; raises InputError if there is no such finding."""
+    if not 0 <= finding < len(diagnosis.findings):
+        raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
+    chosen = diagnosis.findings[finding]
+    selected = next(one for one in diagnosis.selection.selected if one.cause == chosen.cause)
+    if selected.misfit is None:
+        raise InputError("outlying values have no shape to draw; the finding's `traverses` are those rows")
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    return _draw_finding(diagnosis, table, chosen, selected, comparison)[1]
+
+
+def _draw_finding(
+    diagnosis: Diagnosis,
+    table: TableInfo,
+    finding: Finding,
+    selected: SelectedCause,
+    comparison: ResidualComparison,
+) -> tuple[str, Figure]:
+    rows = _collect(diagnosis, table)
+    linearized = diagnosis.selection.problem.linearize()
+    shape = linearized.unwhiten(compute_shape(selected, linearized))
+    label, values = _find_carrier_values(rows, finding, selected, shape, comparison)
+    sides = [("after", comparison.after, comparison.null_after)]
+    if selected.version is not None:
+        sides.insert(0, ("before", comparison.before, comparison.null_before))
+    with report_style():
+        entries = _entries(rows.kinds, effect=selected.version is not None)
+        figure, axes = make_figure([1.5] * len(sides), 1, entries)
+        limit = robust_limit(
+            np.abs(np.concatenate([side for _, side, _ in sides])), LIMIT_QUANTILE, LIMIT_ZOOM
+        )
+        for axis, (name, residual, null) in zip(axes[:, 0], sides, strict=True):
+            drawn = _draw_means(axis, values, residual, null, rows.kinds)
+            limit = max(limit, 1.1 * drawn)
+            if name == "before":
+                _draw_effect(axis, values, shape, rows.kinds)
+        for axis, (name, residual, _) in zip(axes[:, 0], sides, strict=True):
+            _draw_points(axis, values, np.clip(residual, -limit, limit), rows.kinds)
+            axis.set_ylim(-limit, limit)
+            what = f"{name}: residual" if len(sides) > 1 else "residual"
+            axis.set_ylabel(_axis_label(table, what))
+        axes[-1, 0].set_xlabel(shorten(label, 60))
+        figure.align_ylabels(axes[:, 0])
+    return label, figure
+
+
+def _find_carrier_values(
+    rows: _TableRows, finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison
+) -> tuple[str, Array]:
+    """The column that a finding follows: what its cause names, if that varied; else what explains it best."""
+    assert selected.misfit is not None
+    best = selected.misfit.best_hypothesis(selected.cause)
+    if isinstance(best, AR1):
+        before = np.where(best.before >= 0, comparison.after[best.before], np.nan)
+        return "the residual of the row before", before
+    named = [finding.carrier, finding.carrier.removesuffix(" by direction")]
+    named += list(getattr(selected.version, "columns", ()))
+    own = {rows.labels.get(name, ""): None for name in named}
+    candidates = {label: rows.columns[label] for label in own if label in rows.columns} or dict(rows.columns)
+    if not candidates:
+        return "row", np.arange(len(shape), dtype=float)
+    groups = np.zeros(len(shape), dtype=np.intp)
+    for number, kind in enumerate(rows.kinds.values()):
+        groups[kind] = number
+    label = find_carrier(shape, candidates, groups)
+    return label, candidates[label]
+
+
+def _draw_means(
+    axis: Axes,
+    values: Array,
+    residual: Array,
+    null: Array,
+    kinds: Mapping[str, BoolArray],
+    *,
+    dotted: bool = False,
+) -> float:
+    """Means by class with their errors over the envelope, or dotted; the largest size drawn."""
+    known = np.isfinite(values)
+    classes, largest = bin_values(np.where(known, values, np.nan)), 0.0
+    if not dotted:
+        axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
+    for label, colour in _colours(kinds).items():
+        if not (kinds[label] & known).any():
+            continue
+        binned = bin_residuals(residual, null, values, classes, kinds[label] & known)
+        if dotted:
+            axis.plot(binned.centre, binned.mean, color=colour, ls=":", lw=0.9)
+            largest = max(largest, float(np.max(np.abs(binned.mean))))
+            continue
+        error = Z_95 * binned.error
+        axis.errorbar(
+            binned.centre, binned.mean, yerr=error, color=colour, marker="o", ms=3.0, lw=0.9, elinewidth=0.8
+        )
+        band = binned.envelope
+        axis.fill_between(binned.centre, -band, band, color=ENVELOPE_COLOUR, lw=0, zorder=0.5)
+        largest = max(largest, float(np.max(np.maximum(np.abs(binned.mean), band))))
+    return largest
+
+
+def _draw_effect(axis: Axes, values: Array, shape: Array, kinds: Mapping[str, BoolArray]) -> None:
+    classes = bin_values(values)
+    for kind in kinds.values():
+        means = pd.DataFrame({"x": values, "y": shape})[kind & (classes >= 0)]
+        grouped = means.groupby(classes[kind & (classes >= 0)]).mean()
+        axis.plot(grouped["x"], grouped["y"], color=INK, ls="--", lw=1.0, zorder=3)
+
+
+def _draw_points(axis: Axes, values: Array, y: Array, kinds: Mapping[str, BoolArray]) -> None:
+    for label, colour in _colours(kinds).items():
+        index = np.flatnonzero(kinds[label] & np.isfinite(values))
+        if len(index) > MAX_POINTS:
+            index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
+        axis.plot(values[index], y[index], ls="", marker="o", ms=1.8, mew=0, alpha=0.3, color=colour)
+
+
+def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
+    """Residuals against every column that varied."""
+    key, title = "everything", "Residuals against each column"
+    rows = _collect(diagnosis, table)
+    if not rows.columns:
+        return make_missing_picture(key, title, "It would need a column that varies.")
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    extended = bool(diagnosis.selection.law_causes)
+    left_out = len(rows.columns) - MAX_PANELS
+    caption = (
+        f"Mean residuals{' with all that was found in the law' if extended else ''}, by classes of each "
+        f"column; {_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of "
+        "100 tables in which nothing is wrong."
+        + " Dotted: the means under the law as it was." * extended
+        + f" {pluralize(left_out, 'column')} left out." * (left_out > 0)
+    )
+    return make_picture(key, title, caption, plot_columns(diagnosis, table))
+
+
+def plot_columns(diagnosis: Diagnosis, table: TableInfo) -> Figure:
+    """A panel for each column that varied; raises InputError if none did."""
+    rows = _collect(diagnosis, table)
+    if not rows.columns:
+        raise InputError("there is nothing to draw: no column of the table varies")
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    extended = bool(diagnosis.selection.law_causes)
+    shown = list(rows.columns.items())[:MAX_PANELS]
+    n_rows = -(-len(shown) // N_COLUMNS)
+    with report_style():
+        figure, axes = make_figure(
+            [1.2] * n_rows,
+            min(N_COLUMNS, len(shown)),
+            _entries(rows.kinds, points=False),
+            top=0.12,
+            down=0.55,
+            share_x="none",
+            share_y="all",
+        )
+        largest = 0.0
+        for axis, (label, values) in zip(axes.ravel(), shown, strict=False):
+            largest = max(
+                largest, _draw_means(axis, values, comparison.after, comparison.null_after, rows.kinds)
+            )
+            if extended:
+                null = comparison.null_before
+                dotted = _draw_means(axis, values, comparison.before, null, rows.kinds, dotted=True)
+                largest = max(largest, dotted)
+            axis.set_xlabel(_fit_label(label, len(axes[0])))
+            axis.locator_params(axis="x", nbins=4)
+        for axis in axes.ravel()[len(shown) :]:
+            axis.set_axis_off()
+        axes[0, 0].set_ylim(-1.1 * largest, 1.1 * largest)
+        for axis in axes[:, 0]:
+            axis.set_ylabel(_axis_label(table))
+    return figure
+
+
+def _fit_label(label: str, n_columns: int) -> str:
+    """Short enough for a panel beside others."""
+    short = label.replace("time since the session's first row", "time in session") if n_columns > 1 else label
+    return shorten(short, 110 // n_columns)
+
+
+def measured_picture(fit: TableFit) -> Picture:
+    """Measured against predicted values."""
+    key, title = "measured", "Measured and predicted"
+    response, unit = fit.law.response_name, str(fit.law.response_unit)
+    caption = (
+        f"{response} as measured over what the law with its fitted parameters predicts; below, the "
+        "difference. "
+        f"{format_significant(fit.rms)} {unit}".rstrip()
+        + " rms. All values that were used took part in the fit."
+    )
+    return make_picture(key, title, caption, plot_measured(fit))
+
+
+def plot_measured(fit: TableFit) -> Figure:
+    """Measured over predicted values, and the residuals below."""
+    table, unit = fit.residuals, str(fit.law.response_unit)
+    beside = f" ({unit})" if unit else ""
+    index = np.arange(len(table))
+    if len(index) > MAX_POINTS:
+        index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
+    x, y, left = (table[name].to_numpy(float)[index] for name in ("predicted", "measured", "residual"))
+    with report_style():
+        figure, axes = make_figure([2.4, 1.0], 1, down=0.14, top=TITLE_LINE)
+        points = {"ls": "", "marker": "o", "ms": 2.2, "mew": 0, "alpha": 0.5, "color": BLUE}
+        ends = [float(x.min()), float(x.max())]
+        axes[0, 0].plot(ends, ends, color=INK, lw=0.8)
+        axes[0, 0].plot(x, y, **points)
+        axes[0, 0].set_ylabel(f"{fit.law.response_name} measured{beside}")
+        axes[1, 0].axhline(0.0, color=INK, lw=0.7)
+        axes[1, 0].plot(x, left, **points)
+        axes[1, 0].set_ylabel(f"residual{beside}")
+        axes[1, 0].set_xlabel(f"{fit.law.response_name} predicted{beside}")
+        figure.align_ylabels(axes[:, 0])
+    return figure

@@ -1,0 +1,122 @@
+"""The gain of a table's diagnosis, against cross-validation written by hand with plain numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_time_blocks
+from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench, design
+
+
+def held_out_rms(frame, splits, *, extended):
+    x, y, errors = design(frame, extended=extended), frame["F"].to_numpy(), []
+    for train, held in splits:
+        values = np.linalg.lstsq(x[train], y[train], rcond=None)[0]
+        errors.append(y[held] - x[held] @ values)
+    return np.sqrt(np.mean(np.concatenate(errors) ** 2))
+
+
+def splits_of(diagnosis, kinds):
+    selection = diagnosis.selection
+    rng = np.random.default_rng([diagnosis.seed, 0])
+    folds = hold_out_kinds(selection, selection.problem.linearize(), kinds, rng)
+    return [(split.train, split.held_out) for split in folds]
+
+
+def test_blocks_of_rows_are_held_out_and_predicted_as_by_hand(independent):
+    kinds, _ = number_time_blocks(independent.selection.problem.rows, 1.0)
+    splits, frame = splits_of(independent, kinds), bench(1)
+    for train, held in splits:
+        assert not {*train} & {*held}
+        assert {*kinds[train]}.isdisjoint(kinds[held])
+    assert sorted(np.concatenate([held for _, held in splits])) == list(range(len(frame)))
+    gain = independent.gain
+    assert gain.baseline == pytest.approx(held_out_rms(frame, splits, extended=False), rel=1e-6)
+    assert gain.extended == pytest.approx(held_out_rms(frame, splits, extended=True), rel=1e-4)
+    assert 0 < gain.low < gain.baseline - gain.extended < gain.high
+    assert gain.noise_floor == pytest.approx(0.2, rel=0.15)
+    (finding,) = independent.findings
+    assert (finding.gain.baseline, finding.gain.extended) == (gain.baseline, gain.extended)
+
+
+def test_blocks_are_long_against_the_autocorrelation(named):
+    table = named.table
+    (phi,) = named.extended_law().autocorrelation
+    assert table.correlation_rows == pytest.approx((1 + phi) / (1 - phi))
+    assert table.independent == pytest.approx(len(named.selection.problem) / table.correlation_rows)
+    kinds, words = number_time_blocks(named.selection.problem.rows, table.correlation_rows)
+    sizes = np.bincount(kinds)
+    assert np.all(np.diff(kinds) >= 0)
+    assert sizes.min() >= min(10 * table.correlation_rows, len(kinds) // 10)
+    assert words == named.gain.held_out
+
+
+def test_with_nothing_wrong_nothing_is_gained(nothing):
+    gain = nothing.gain
+    assert (gain.low, gain.high) == (0, 0)
+    assert gain.baseline == gain.extended == pytest.approx(0.2, rel=0.15)
+
+
+def test_groups_are_held_out_as_a_whole():
+    frame = bench(1).assign(specimen=np.repeat(list("abcdef"), 50))
+    diagnosis = ssf.diagnose_table(
+        frame, LAW, group="specimen", causes=[BY_DIRECTION, CUBIC], generic_causes=()
+    )
+    kinds = pd.factorize(frame["specimen"])[0]
+    splits = splits_of(diagnosis, kinds)
+    assert len(splits) == 6
+    assert diagnosis.gain.held_out == "whole groups (specimen)"
+    assert diagnosis.gain.baseline == pytest.approx(held_out_rms(frame, splits, extended=False), rel=1e-6)
+    assert diagnosis.gain.extended == pytest.approx(held_out_rms(frame, splits, extended=True), rel=1e-4)
+
+
+def sessions(shared):
+    frame = bench(1).assign(run=np.repeat(["a", "b", "c"], 100))
+    return ssf.diagnose_table(
+        frame, LAW, session="run", shared=shared, causes=[BY_DIRECTION, CUBIC], generic_causes=()
+    )
+
+
+def test_new_sessions_are_predicted_where_all_parameters_are_shared():
+    gain = sessions("all").gain_new_session
+    assert gain.held_out == "whole sessions"
+    splits = [
+        (np.flatnonzero(np.arange(300) // 100 != run), np.flatnonzero(np.arange(300) // 100 == run))
+        for run in range(3)
+    ]
+    assert gain.extended == pytest.approx(held_out_rms(bench(1), splits, extended=True), rel=1e-4)
+    assert sessions(()).gain_new_session is None
+
+
+def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
+    frame = bench(1)
+    frame["lamp"] = (np.arange(len(frame)) == 7).astype(float)
+    diagnosis = ssf.diagnose_table(
+        frame,
+        ssf.Law("F ~ M*acc + Fv*vel + Fc*sign(vel) + offset + light*lamp"),
+        causes=[BY_DIRECTION],
+        generic_causes=(),
+        gain=False,
+    )
+    kinds, _ = number_time_blocks(diagnosis.selection.problem.rows, 1.0)
+    held = np.concatenate([held for _, held in splits_of(diagnosis, kinds)])
+    assert 7 not in held
+    assert len(held) == len(frame) - np.sum(kinds == kinds[7])
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("phi", [0.0, 0.7])
+def test_the_interval_covers_the_gain_of_a_replicate(phi):
+    """Each interval against the gains of all: not independent, so that the bound is loose."""
+    gains = [
+        ssf.diagnose_table(
+            bench(seed, phi=phi), LAW, time="t", causes=[BY_DIRECTION, CUBIC], generic_causes=()
+        ).gain
+        for seed in range(20)
+    ]
+    differences = np.array([one.baseline - one.extended for one in gains])
+    inside = [np.mean((one.low < differences) & (differences < one.high)) for one in gains]
+    assert np.mean(inside) > 0.85

@@ -1,0 +1,164 @@
+"""What people read of a table's diagnosis: its unit, rows and values, never steps or per cent of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.diagnosis import save_diagnosis
+from stickslip_fit.diagnosis._json import diagnosis_to_json
+from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench
+from tests.table.conftest import diagnosed
+
+WORDS_OF_LOGS = re.compile(
+    r"\b(logs?|traverses?|joints?|step size|steps? taken|counts|published|misfires?|recalibrat\w+)\b", re.I
+)
+
+
+def visible(page):
+    return re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.S)
+
+
+@pytest.fixture(scope="session")
+def outlying():
+    frame = bench(2)
+    frame.loc[[50, 200], "F"] += 5.0
+    return diagnosed(frame)
+
+
+@pytest.fixture(scope="session")
+def unnamed():
+    frame = bench(2, difference=0.0)
+    frame["F"] += 0.5 * np.sin(8 * frame["q"] / 0.1)
+    return ssf.diagnose_table(frame, LAW, position="q", causes=[BY_DIRECTION, CUBIC], generic_causes=())
+
+
+CASES = ("named", "independent", "nothing", "outlying", "unnamed")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
+    diagnosis = request.getfixturevalue(case)
+    for text in (str(diagnosis), visible(diagnosis._repr_html_()), visible(ssf.report(diagnosis).html)):
+        assert not WORDS_OF_LOGS.findall(text)
+        assert "nan" not in text.split()
+
+
+def test_the_answer_is_in_the_responses_unit(named):
+    text, table = " ".join(str(named).split()), named.table
+    assert "Viscous friction differs between directions (dFv = 1." in text
+    assert re.search(r"from 0\.\d{3} to 0\.\d{3} N; the noise is 0\.\d{3} N", text)
+    assert f"tell as much as about {round(table.independent)} independent ones" in text
+    assert f"({0.01 * table.correlation_rows:.4f} s)" in text
+
+
+def test_verdicts(named, nothing, outlying, unnamed):
+    assert named.verdict == "cause named"
+    assert nothing.verdict == "nothing wrong"
+    assert [finding.cause for finding in outlying.findings] == ["outliers", "viscous-by-direction"]
+    assert unnamed.verdict == "unknown cause"
+    assert "Nothing is wrong that this table can show" in str(nothing)
+    assert "2 values of F do not belong to the rest" in str(outlying)
+
+
+def test_json_says_what_per_cent_are_of(named, file):
+    content, gain = diagnosis_to_json(named), named.gain
+    sd = float(np.std(bench(1, phi=0.6)["F"]))
+    assert content["response"] == {"name": "F", "unit": "N", "standard_deviation": pytest.approx(sd)}
+    assert content["log"]["runs"] == 300
+    assert (content["log"]["file"], content["log"]["joints"]) == (file.name, [])
+    assert len(content["log"]["sha256"]) == 64
+    assert content["gain"]["baseline_pct"] == pytest.approx(100 * gain.baseline / sd)
+    assert content["gain"]["metric"] == "held-out rms error of F, % of its standard deviation"
+    (finding,) = content["findings"]
+    effect = named.findings[0].effect.estimate
+    assert finding["effect_rms_pct"]["estimate"] == pytest.approx(100 * effect / sd)
+    assert finding["joints"] == []
+    (parameter,) = finding["parameters"]
+    assert (parameter["name"], parameter["unit"]) == ("dFv", "N s/m")
+    assert parameter["estimate"] == named.findings[0].parameters[0].size.estimate
+    assert content["table"]["independent_values"] == named.table.independent
+    assert content["next_experiment"] == []
+
+
+def test_outliers_in_json_are_in_the_responses_unit(outlying):
+    sizes = {one["name"]: one for one in diagnosis_to_json(outlying)["findings"][0]["parameters"]}
+    assert sizes["size"]["unit"] == "N"
+    assert sizes["size"]["estimate"] == pytest.approx(5.0, abs=0.7)
+    assert sizes["share"]["estimate"] == pytest.approx(100 * 2 / 300)
+    assert "+5." in str(outlying)
+
+
+def test_json_is_a_file_and_the_table_is_kept(named, file, tmp_path):
+    save_diagnosis(named, tmp_path / "out.json")
+    assert json.loads((tmp_path / "out.json").read_text("utf-8"))["verdict"] == "cause named"
+    before = file.read_bytes()
+    for save in (lambda: save_diagnosis(named, file), lambda: ssf.report(named).save(file)):
+        with pytest.raises(ssf.InputError):
+            save()
+    assert file.read_bytes() == before
+
+
+def test_causes_that_cannot_be_told_apart_say_what_would_separate_them():
+    twin = ssf.Cause(
+        "viscous-twin", "+ k*(abs(vel) + 0.001*vel)", "k in N s/m", shows_best="at speeds far apart", phrase="a twin"
+    )
+    one = replace(BY_DIRECTION, shows_best="at any speed")
+    diagnosis = ssf.diagnose_table(bench(1), LAW, causes=[one, twin], generic_causes=(), gain=False)
+    assert diagnosis.verdict == "cannot tell apart"
+    text = " ".join(str(diagnosis).split())
+    assert "This table cannot tell what is wrong" in text
+    assert "viscous-twin shows best at speeds far apart" in text
+
+
+def test_a_response_of_any_size_has_sensible_digits():
+    """The same in nanonewtons, but in newtons: no number is 0.000."""
+    frame = bench(1)
+    frame["F"] *= 1e-9
+    text = str(diagnosed(frame, gain=False))
+    assert "×10⁻⁹" in text
+    assert "0.000 " not in text
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_figure_is_drawn_with_units(case, request):
+    diagnosis = request.getfixturevalue(case)
+    panels = diagnosis.plot_columns()
+    assert panels[0].get_ylabel() == "residual (N)"
+    assert {"vel (m/s)", "acc (m/s²)"} <= {panel.get_xlabel() for panel in panels}
+    for number, finding in enumerate(diagnosis.findings):
+        if finding.traverses is None:
+            assert diagnosis.plot_residuals(number)[0].get_ylabel().endswith("residual (N)")
+    diagnosis.plot_ranking()
+    assert diagnosis.extended_law().plot_measured()[0].get_ylabel() == "F measured (N)"
+
+
+def test_the_residuals_figure_shows_the_finding_taken_away(named):
+    before, after = named.plot_residuals(0)
+    assert after.get_xlabel() == "vel (m/s)"
+
+    def mean_size(axis):
+        (bars,) = axis.containers
+        return np.abs(bars.lines[0].get_ydata()).max()
+
+    assert mean_size(after) < 0.3 * mean_size(before)
+
+
+def test_the_page_has_the_law_the_evidence_and_what_could_not_be_tested(named):
+    page = ssf.report(named, command="stickslip-fit diagnose-table bench.csv").html
+    for part in ('id="law"', 'id="evidence"', 'id="alternatives"', 'id="unseen"', "viscous-by-direction.dFv"):
+        assert part in page
+    assert page.count("<svg") >= 3
+    assert "independent ones" in page
+    assert "stickslip-fit diagnose-table bench.csv" in page
+
+
+def test_no_cause_no_log():
+    diagnosis = ssf.diagnose_table(bench(1), LAW, causes=[CUBIC], generic_causes=(), gain=False)
+    with pytest.raises(ssf.InputError, match="not of a log"):
+        diagnosis.require_log()
