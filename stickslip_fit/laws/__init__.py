@@ -22,6 +22,7 @@ from stickslip_fit.laws.published import (
     Prismatic,
     Rotary,
     constant_law,
+    is_published,
     published_law,
 )
 from stickslip_fit.laws.registry import UnknownLawError, describe_law, installed_laws, restore_law
@@ -50,6 +51,7 @@ __all__ = [
     "expected_steps",
     "float_column",
     "installed_laws",
+    "is_published",
     "observed_count",
     "published_law",
     "restore_formula_law",
