@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from sys import modules
+from types import ModuleType
 from typing import Any
 
 import pandas as pd
@@ -102,17 +103,23 @@ def importable_name(law: StepLaw) -> str:
         For a law of a notebook or script, or of a class within a function.
     """
     kind = type(law)
-    module = modules.get(kind.__module__)
-    # A module that was not imported from anywhere cannot be imported elsewhere.
-    if module is not None and module.__name__ != "__main__" and module.__spec__ is not None:
+    home = modules.get(kind.__module__)
+    if home is not None and _is_importable(home) and vars(home).get(kind.__qualname__) is kind:
+        return f"{home.__name__}:{kind.__qualname__}"
+    for module in filter(_is_importable, list(modules.values())):
         for name, value in vars(module).items():
-            if (value is kind and name == kind.__qualname__) or value is law:
+            if value is law:
                 return f"{module.__name__}:{name}"
     raise InputError(
         f"joint {law.joint}: the law {law.name!r} cannot be saved, for nothing could find it again: its "
         f"class {kind.__qualname__} is not in a module that can be imported. Move it into a file of its own "
         "and import it from there, or write it as a formula"
     )
+
+
+def _is_importable(module: Any) -> bool:
+    """Whether it was imported from somewhere, so that it can be imported elsewhere."""
+    return isinstance(module, ModuleType) and module.__name__ != "__main__" and module.__spec__ is not None
 
 
 def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | None = None) -> StepLaw:
