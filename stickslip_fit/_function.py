@@ -77,13 +77,13 @@ class NumericFunction:
 
         def evaluate(quantities: Mapping[str, Any]) -> tuple[Array, Array]:
             arguments = {name: np.asarray(quantities[name], dtype=float) for name in self.names}
-            value, slopes = self._call(arguments), []
+            value, slopes = self._call(arguments), list[Array]()
             for name in by:
                 slope = self._complex_step(arguments, name) if is_analytic.get(name, True) else None
-                if name not in is_analytic or slope is None:
+                if slope is None or name not in is_analytic:
                     difference = self._difference(arguments, name)
                     is_analytic[name] = slope is not None and _agree(slope, difference)
-                    slope = slope if is_analytic[name] else difference
+                    slope = slope if slope is not None and is_analytic[name] else difference
                 slopes.append(slope)
             stacked = np.stack(slopes, axis=-1) if slopes else np.zeros((*value.shape, 0))
             return value, stacked
@@ -133,12 +133,13 @@ class NumericFunction:
             raise
         except Exception as error:
             reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-            raise InputError(f"the function {self.text} raised {reason}{_line_of(error, self.python)}") from error
+            place = _line_of(error, self.python)
+            raise InputError(f"the function {self.text} raised{place} {reason}") from error
         shape = _shape(arguments)
         if value.shape not in (shape, ()):
             raise InputError(
-                f"the function {self.text} returned shape {value.shape} for arguments of shape {shape}; it must "
-                "work on whole columns and return one number for each row"
+                f"the function {self.text} returned shape {value.shape} for arguments of shape {shape}; it "
+                "must work on whole columns and return one number for each row"
             )
         return np.broadcast_to(value, shape).copy()
 

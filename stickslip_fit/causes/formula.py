@@ -1,12 +1,13 @@
 """FormulaCause: a cause of one's own, as a formula or a Python function; `ssf.Cause`.
 
 Its first sign says what it does: ``+ expression`` adds to the response of a table or to the step size of a
-log, ``* expression`` multiplies it, ``name = expression`` puts something in place of a column or a coordinate,
-and ``steps + expression`` adds to the count of a log.
+log, ``* expression`` multiplies it, ``name = expression`` stands in place of a column or a coordinate, and
+``steps + expression`` adds to the count of a log.
 
 >>> FormulaCause("viscous-by-direction", "+ dFv*abs(vel)", "dFv in N s/m").names
 ('dFv', 'vel')
->>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds={"tau": (60, 3600)}).kind
+>>> bounds = {"tau": (60, 3600)}
+>>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds=bounds).operation
 '*'
 
 `FormulaCause.bind_table` makes it a cause of a table, see `TableCause`; `FormulaCause.bind` one of a log.
@@ -14,163 +15,61 @@ and ``steps + expression`` adds to the count of a log.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
-from math import isfinite
-from numbers import Real
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import pandas as pd
 
-from stickslip_fit._expression import Expression, parse_expression, refuse
-from stickslip_fit._function import NumericFunction, load_function
+from stickslip_fit._function import load_function
+from stickslip_fit.causes.cause_formula import CauseFormula
+from stickslip_fit.causes.formula_step import FormulaStepCause, bind_formula_to_log
+from stickslip_fit.causes.formula_table import FormulaTableCause, bind_formula_to_table
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.errors import InputError, InputIssue, shorten
-
-if TYPE_CHECKING:
-    from stickslip_fit.causes.formula_table import FormulaTableCause
-    from stickslip_fit.causes.table_cause import ExtendedTableLaw
-    from stickslip_fit.laws import TableLaw
-
-_NAME = r"""(?:[^\W\d]\w*|Q\(\s*"[^"\n]+"\s*\))"""
-_REPLACES = re.compile(rf"\s*({_NAME})\s*=(?!=)")
-_STEPS = re.compile(r"\s*steps\s*(?=[+-])")
-_PARAMETER = re.compile(r"\s*([^\W\d]\w*)\s*(?:\bin\s+(\S(?:[^,]*\S)?))?\s*$")
-HOW_TO_BEGIN = "it begins with + (adds), * (multiplies), 'name =' (in place of a column) or 'steps +' (of a log)"
+from stickslip_fit.causes.table_cause import ExtendedTableLaw
+from stickslip_fit.laws import TableLaw
+from stickslip_fit.laws.quantities import OF_GEOMETRY, STATE_NAMES
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.machine import Machine
 
 
-@dataclass(frozen=True)
-class FormulaCause:
-    """What a law leaves out, as a formula or a Python function.
-
-    Parameters
-    ----------
-    name : str
-    formula : str or callable
-        ``+ expression``, ``* expression``, ``name = expression`` or ``steps + expression``. In a table the
-        names in it are columns, the law's parameters, the response's own name for the law's prediction, and
-        the cause's parameters. In a log: q, q1 to q3, theta, psi, load, recoil, direction (1 or -1), gamma
-        (the step size without load), and all columns of its rows. A function takes them as arguments.
-    parameters : str or sequence of CauseParameter
-        As in ``"A in %, tau in min"``. The effect is none where they are 0, or where those are 0 in which it is
-        linear. A table's parameters are in the table's own units, save ``%``: 0.03 is shown as 3 %.
-    by : str, optional
-        A column: one set of parameters for each of its values.
-    bounds : mapping of str to (float, float), optional
-        In the parameter's unit. Parameters that enter nonlinearly need them: they are searched in between.
-    size : float or mapping of str to float, optional
-        A size that matters, in the parameter's unit; by default one that shows beside the scatter.
-    phrase, physics, sentence, remedy, shows_best : str, optional
-        What a diagnosis says of it; see `causes.Cause`.
-    joints : tuple of int, optional
-        Of a log, on which it acts; all by default.
-    acts : str, optional
-        What a function's value does: "+", "*", "steps +" or "name =". A formula says so itself.
-
-    Raises
-    ------
-    InputError
-        For a formula that cannot be read, and for parameters that it does not have.
-    """
-
-    name: str
-    formula: str | Callable[..., Any]
-    parameters: str | Sequence[CauseParameter]
-    _: KW_ONLY
-    by: str = ""
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    size: float | Mapping[str, float] | None = None
-    phrase: str = ""
-    physics: str = ""
-    sentence: str = ""
-    remedy: str = ""
-    shows_best: str = ""
-    joints: tuple[int, ...] = ()
-    acts: str = "+"
-
-    def __post_init__(self) -> None:
-        issues = [InputIssue(f"the cause {self.name}: {reason}") for reason in self._faults()]
-        if issues:
-            raise InputError(issues)
+class FormulaCause(CauseFormula):
+    """What a law leaves out, as a formula or a Python function; `CauseFormula` has its parameters."""
 
     @property
-    def kind(self) -> str:
-        """``+``, ``*``, ``steps +`` or ``=``."""
-        return self._parts[0]
+    def needs_geometry(self) -> bool:
+        """See `Cause`."""
+        return any(name in OF_GEOMETRY for name in (*self.names, self.target))
 
     @property
-    def target(self) -> str:
-        """The column or coordinate that it replaces; empty for others."""
-        return self._parts[1]
+    def columns(self) -> tuple[str, ...]:
+        """See `Cause`: every name that is no parameter."""
+        own = [one.name for one in self.declared]
+        return tuple(name for name in self.names if name not in own)
 
     @property
-    def effect(self) -> Expression | NumericFunction:
-        """What is added, multiplied by, or put in place."""
-        return self._parts[2]
+    def kind(self) -> Literal[""]:
+        """See `Cause`: `joints` says where it acts."""
+        return ""
 
-    @property
-    def text(self) -> str:
-        """The formula, or the function's name."""
-        return self.formula if isinstance(self.formula, str) else f"{self.acts} {self.effect.text}(...)"
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.explain_missing`: a column that the log has, and that is empty."""
+        if self.joints and not rows["joint"].isin(self.joints).any():
+            return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
+        for name in self.columns:
+            for column in (name, COVARIATE_PREFIX + name):
+                if column in rows and name not in STATE_NAMES and rows[column].isna().all():
+                    return f"the log has no {name}"
+        return None
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names in the formula."""
-        return self.effect.names
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> FormulaStepCause:
+        """The cause in a log.
 
-    @cached_property
-    def declared(self) -> tuple[CauseParameter, ...]:
-        """The parameters, with bounds in the units that they are displayed in."""
-        if isinstance(self.parameters, str):
-            declared = [self._read_parameter(part) for part in self.parameters.split(",")]
-        else:
-            declared = list(self.parameters)
-        bounds = {name: tuple(pair) for name, pair in self.bounds.items()}
-        return tuple(
-            replace(one, lower=bounds[one.name][0], upper=bounds[one.name][1]) if one.name in bounds else one
-            for one in declared
-        )
-
-    @cached_property
-    def _parts(self) -> tuple[str, str, Expression | NumericFunction]:
-        """Kind, target and effect."""
-        if isinstance(self.formula, str):
-            return _read_cause(self.formula)
-        if not callable(self.formula):
-            raise InputError(f"a cause is a formula or a function, not {shorten(repr(self.formula))}")
-        kind, target, _ = _read_cause(f"{self.acts} 1")
-        return kind, target, NumericFunction(self.formula)
-
-    def _read_parameter(self, text: str) -> CauseParameter:
-        match = _PARAMETER.match(text)
-        if match is None:
-            raise InputError(
-                f"the cause {self.name}: the parameter {shorten(text.strip())!r} cannot be read; write them as "
-                "'A in %, tau in min', a name each, and its unit"
-            )
-        return CauseParameter(match[1], match[2] or "1", "")
-
-    def _faults(self) -> list[str]:
-        names = [parameter.name for parameter in self.declared]
-        faults = [f"{name} is declared twice" for name in dict.fromkeys(names) if names.count(name) > 1]
-        for name in names:
-            if name not in self.names:
-                faults.append(f"its parameter {name} is never used in {shorten(self.text)!r}")
-            elif name not in self.effect.active_names:
-                faults.append(f"its parameter {name} cancels out of {shorten(self.text)!r}")
-        sizes = self.size if isinstance(self.size, Mapping) else {}
-        for name in dict.fromkeys([*self.bounds, *sizes]):
-            if name not in names:
-                faults.append(f"{name} is none of its parameters ({', '.join(names)})")
-        for one in self.declared:
-            if not one.lower < one.upper:
-                faults.append(f"bounds of {one.name} must be a lower and a higher number")
-        for value in sizes.values() if sizes else [self.size]:
-            if value is not None and not (isinstance(value, Real) and isfinite(value) and value != 0):
-                faults.append(f"size must be a number other than 0, not {value!r}")
-        return faults
+        Raises
+        ------
+        InputError
+            As of `bind_table`.
+        """
+        return bind_formula_to_log(self, rows, machine)
 
     def bind_table(self, law: TableLaw | ExtendedTableLaw, frame: pd.DataFrame) -> FormulaTableCause:
         """The cause in a table under a law.
@@ -181,35 +80,7 @@ class FormulaCause:
             For unknown names with what is similar; for parameters that enter nonlinearly and have no bounds;
             for an effect that does not vanish where there should be none, or is no number.
         """
-        from stickslip_fit.causes.formula_table import bind_formula_to_table
-
         return bind_formula_to_table(self, law, frame)
-
-    def describe(self) -> dict[str, Any]:
-        """What `restore_formula_cause` needs to build it again; plain JSON types.
-
-        Raises
-        ------
-        InputError
-            For a function that cannot be imported by a name.
-
-        Examples
-        --------
-        >>> restore_formula_cause(FormulaCause("slip", "+ k*abs(v)", "k in N").describe()).formula
-        '+ k*abs(v)'
-        """
-        if isinstance(self.effect, NumericFunction):
-            own = {"function": self.effect.importable_name(), "acts": self.acts}
-        else:
-            own = {"formula": self.text}
-        parameters = [
-            {"name": one.name, "unit": str(one.unit), "meaning": one.meaning} | _finite_bounds(one)
-            for one in self.declared
-        ]
-        words = {key: getattr(self, key) for key in ("phrase", "physics", "sentence", "remedy", "shows_best")}
-        size = dict(self.size) if isinstance(self.size, Mapping) else self.size
-        return {"name": self.name} | own | {
-            "parameters": parameters, "by": self.by, "size": size, "joints": list(self.joints)} | words  # fmt: skip
 
 
 def restore_formula_cause(description: Mapping[str, Any]) -> FormulaCause:
@@ -219,31 +90,13 @@ def restore_formula_cause(description: Mapping[str, Any]) -> FormulaCause:
     ------
     InputError
         If its function cannot be imported, or its formula cannot be read.
+
+    Examples
+    --------
+    >>> restore_formula_cause(FormulaCause("slip", "+ k*abs(v)", "k in N").describe()).formula
+    '+ k*abs(v)'
     """
     content = dict(description)
     name, parameters = content.pop("name"), [CauseParameter(**one) for one in content.pop("parameters")]
     formula = load_function(content.pop("function")) if "function" in content else content.pop("formula")
     return FormulaCause(name, formula, parameters, **content | {"joints": tuple(content["joints"])})
-
-
-def _finite_bounds(parameter: CauseParameter) -> dict[str, float]:
-    ends = {"lower": parameter.lower, "upper": parameter.upper}
-    return {name: end for name, end in ends.items() if isfinite(end)}
-
-
-def _read_cause(text: str) -> tuple[str, str, Expression]:
-    """The kind of a cause's formula, what it replaces, and its expression."""
-    body = text.lstrip()
-    first = len(text) - len(body)
-    if body.startswith(("+", "-")):
-        skip = first + body.startswith("+")
-        return "+", "", parse_expression(text[skip:], text, skip)
-    if body.startswith("*") and not body.startswith("**"):
-        return "*", "", parse_expression(text[first + 1 :], text, first + 1)
-    if match := _STEPS.match(text):
-        skip = match.end() + (text[match.end()] == "+")
-        return "steps +", "", parse_expression(text[skip:], text, skip)
-    if match := _REPLACES.match(text):
-        target = parse_expression(match[1], text).names[0]
-        return "=", target, parse_expression(text[match.end() :], text, match.end())
-    refuse(text, first, f"what it does is not said; {HOW_TO_BEGIN}")

@@ -11,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from stickslip_fit.laws.table import count_rows, number_column
 
 Stage = Literal["column", "term", "factor"]
 Effect = Callable[[Mapping[str, Array], Array], tuple[Array, Array, Mapping[str, Array]]]
-"""Quantities by name, (n,), and the cause's values, (n, q), to what it adds, multiplies by or puts in place
-of a column, (n,), its derivatives by the values, (n, q), and by quantities that depend on parameters, (n,)."""
+"""Quantities by name, (n,), and the cause's values, (n, q), to the effect, (n,), and its derivatives: by the
+values, (n, q), and by quantities that depend on parameters, (n,)."""
 
 
 class TableCause(Cause):
@@ -41,9 +41,9 @@ class TableCause(Cause):
 
     stage: Stage = "term"
     target: str = ""
-    joints: tuple[int, ...] = (1,)
-    physics: str = ""
-    shows_best: str = ""
+    joints: ClassVar[tuple[int, ...]] = (1,)
+    physics: ClassVar[str] = ""
+    shows_best: ClassVar[str] = ""
 
     @abstractmethod
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
@@ -113,7 +113,9 @@ class ExtendedTableLaw:
     @property
     def columns(self) -> tuple[str, ...]:
         """All that it uses."""
-        return tuple(dict.fromkeys([*self.law.columns, *(name for one in self.causes for name in one.columns)]))
+        return tuple(
+            dict.fromkeys([*self.law.columns, *(name for one in self.causes for name in one.columns)])
+        )
 
     @property
     def name(self) -> str:
@@ -164,7 +166,7 @@ class ExtendedTableLaw:
 
         def predict(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (n, len(self.parameters)))
-            state = _State(dict(columns), {}, n, values.shape[1])
+            state = _Quantities(dict(columns), {}, n, values.shape[1])
             for k, name in enumerate(names):
                 state.put_parameter(name, values[:, k], k)
             for target, places, effect in effects["column"]:
@@ -195,7 +197,7 @@ class ExtendedTableLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _Quantities:
     """Quantities of n rows, and the derivatives of those that depend on any of p values."""
 
     values: dict[str, Array]

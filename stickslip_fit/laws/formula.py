@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from difflib import get_close_matches
 from functools import cached_property
 from math import inf, isfinite
 from numbers import Real
@@ -22,8 +21,12 @@ import pandas as pd
 from stickslip_fit._expression import Expression, parse_expression, parse_formula
 from stickslip_fit._function import NumericFunction, load_function
 from stickslip_fit.errors import InputError, InputIssue, shorten
-from stickslip_fit.laws.base import Parameter
-from stickslip_fit.laws.table import TableLaw, check_table_law
+from stickslip_fit.laws.base import Parameter, Rows
+from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law, restore_step_law
+from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
+from stickslip_fit.laws.table import TableLaw, similar_name
+from stickslip_fit.laws.table_check import check_table_law
+from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
 
 MAX_NAMES_SHOWN = 40
@@ -73,12 +76,18 @@ class Law:
 
     def __post_init__(self) -> None:
         _ = self.names, self.response_name
+        for key in ("units", "bounds", "start"):
+            if not isinstance(getattr(self, key), Mapping):
+                raise InputError(f"{key} of a law is a table of names such as {{'a': ...}}")
         issues = [
             *_check_numbers("start", self.start, lambda value: isfinite(value)),
-            *(issue for name, pair in (self.bounds or {}).items() for issue in _check_bounds(name, pair)),
+            *(issue for name, pair in self.bounds.items() for issue in _check_bounds(name, pair)),
         ]
         if issues:
             raise InputError(issues)
+
+    def __hash__(self) -> int:
+        return hash((self.formula, self.response))
 
     @property
     def text(self) -> str:
@@ -149,10 +158,39 @@ class Law:
             columns=tuple(dict.fromkeys((*used, *left.names))),
             parameters=tuple(self._parameter(name) for name in names),
             n_shared=len([name for name in names if self._is_shared(name)]),
-            response_unit=TableUnit((self.units or {}).get(left.names[0], "") if left.is_name else ""),
+            response_unit=TableUnit(self.units.get(left.names[0], "") if left.is_name else ""),
         )
-        check_table_law(law, frame, session, dict(self.start or {}))
+        check_table_law(law, frame, session)
         return law
+
+    def step_law(self, joint: int, rows: Rows, machine: Machine) -> FormulaStepLaw:
+        """The law of a joint of a log, ``gamma ~ expression``: gamma is the step size in rad or m.
+
+        Names are q (the position), q1 and so on, theta, psi, load, recoil, direction (1 or -1) and the
+        columns of `rows` that hold numbers, in SI; the others are parameters. Their units are those of logs
+        (nm, µrad, %, ...), in which `bounds` and `start` are given.
+
+        Raises
+        ------
+        InputError
+            As of `bind_table`.
+        """
+        if self.left is not None and self.response_name != RESPONSE:
+            raise InputError(
+                f"a law of a log predicts {RESPONSE}, the step size: write '{RESPONSE} ~ ...' in place of "
+                f"{self.text!r}"
+            )
+        if self.shared:
+            raise InputError("shared= is for tables; a fit of a log says which parameters sessions share")
+        known = [RESPONSE, *known_names(rows)]
+        issues, names = _Names(self, parse_expression(RESPONSE), known, "log").check()
+        if issues:
+            raise InputError(issues)
+        if unknown := [name for name in names if name in NOT_KNOWN_BEFORE]:
+            raise InputError(f"{unknown[0]} is what the law {self.text!r} is to predict; leave it out of it")
+        if not names:
+            raise InputError(f"the law {self.text!r} has no parameters, so that there is nothing to fit")
+        return make_step_law(self, names, joint, rows, machine)
 
     def _left_of(self, response: str | None) -> Expression:
         if self.left is None:
@@ -170,8 +208,8 @@ class Law:
         return self.shared == "all" or name in self.shared
 
     def _parameter(self, name: str) -> Parameter:
-        low, high = (self.bounds or {}).get(name, (None, None))
-        unit = TableUnit((self.units or {}).get(name, ""))
+        low, high = self.bounds.get(name, (None, None))
+        unit = TableUnit(self.units.get(name, ""))
         return Parameter(name, unit, "", -inf if low is None else low, inf if high is None else high)
 
     def describe(self) -> dict[str, Any]:
@@ -190,9 +228,9 @@ class Law:
         own = {"formula": self.formula} if isinstance(self.right, Expression) else {
             "function": self.right.importable_name(), "response": self.response}  # fmt: skip
         return own | {
-            "units": {name: str(unit) for name, unit in (self.units or {}).items()},
-            "bounds": {name: list(pair) for name, pair in (self.bounds or {}).items()},
-            "start": dict(self.start or {}),
+            "units": {name: str(unit) for name, unit in self.units.items()},
+            "bounds": {name: list(pair) for name, pair in self.bounds.items()},
+            "start": dict(self.start),
             "shared": self.shared if isinstance(self.shared, str) else list(self.shared),
             "name": self.name,
         }
@@ -212,6 +250,17 @@ def restore_formula_law(description: Mapping[str, Any]) -> Law:
     return Law(formula, **content)
 
 
+def restore_formula_step_law(description: Mapping[str, Any]) -> FormulaStepLaw:
+    """The law of a joint that `FormulaStepLaw.describe` described.
+
+    Raises
+    ------
+    InputError
+        If its function cannot be imported, or its formula cannot be read.
+    """
+    return restore_step_law(description, restore_formula_law(description["formula_law"]))
+
+
 def _quote(name: str) -> Expression:
     """A column whatever its name, or an expression of columns."""
     if name.isidentifier():
@@ -219,7 +268,9 @@ def _quote(name: str) -> Expression:
     return parse_expression(name if "(" in name else f'Q("{name}")')
 
 
-def _check_numbers(key: str, values: Mapping[str, Any] | None, is_good: Callable[[Any], bool]) -> list[InputIssue]:
+def _check_numbers(
+    key: str, values: Mapping[str, Any] | None, is_good: Callable[[Any], bool]
+) -> list[InputIssue]:
     return [
         InputIssue(f"{key} of {name} must be a finite number, not {shorten(repr(value))}")
         for name, value in (values or {}).items()
@@ -244,23 +295,24 @@ class _Names:
     law: Law
     left: Expression
     columns: list[str]
+    of: str = "table"
 
     def check(self) -> tuple[list[InputIssue], list[str]]:
         """Faults, and the parameters: a session's own first, shared ones last."""
         law = self.law
         listed = [] if law.shared == "all" else list(law.shared)
-        declared = dict.fromkeys([*(law.units or {}), *(law.bounds or {}), *(law.start or {}), *listed])
+        declared = dict.fromkeys([*law.units, *law.bounds, *law.start, *listed])
         free = [name for name in law.names if name not in self.columns]
-        strict = any(name in (law.units or {}) for name in free)
+        strict = any(name in law.units for name in free)
         unknown = [name for name in free if strict and name not in declared]
         issues = [self._unknown_column(name) for name in self.left.names if name not in self.columns]
         issues += [self._unknown_column(name, strict=True) for name in unknown]
         for name in declared:
             if name not in law.names and name not in self.columns and name not in self.left.names:
                 issues.append(self._unused(name))
-            elif name in self.columns and name in (*(law.bounds or {}), *(law.start or {}), *listed):
+            elif name in self.columns and name in (*law.bounds, *law.start, *listed):
                 issues.append(
-                    InputIssue(f"{name} is a column of the table and so no parameter; name the parameter otherwise")
+                    InputIssue(f"{name} is a column of the {self.of} and so no parameter; name it otherwise")
                 )
         issues += [
             InputIssue(f"{name} cancels out of the formula {law.text!r}: it has no effect. Leave it out")
@@ -273,17 +325,17 @@ class _Names:
         return issues, [*own, *(name for name in free if law._is_shared(name))]
 
     def _unknown_column(self, name: str, strict: bool = False) -> InputIssue:
-        similar = get_close_matches(shorten(name), self.columns, 1, 0.5)
-        hint = f"did you mean {similar[0]}? " if similar else ""
+        similar = similar_name(name, self.columns)
+        hint = f"did you mean {similar}? " if similar else ""
         parameter = f". If {name} is a parameter, name it in units, bounds or start" if strict else ""
         return InputIssue(
-            f"the law {shorten(self.law.text)!r} has {name}, which is no column of the table; {hint}"
-            f"its columns are {_list_names(self.columns)}{parameter}"
+            f"the law {shorten(self.law.text)!r} has {name}, which is no column of the {self.of}; {hint}"
+            f"there are {_list_names(self.columns)}{parameter}"
         )
 
     def _unused(self, name: str) -> InputIssue:
-        similar = get_close_matches(shorten(name), self.law.names, 1)
-        hint = f"; did you mean {similar[0]}?" if similar else "; leave it out, or use it"
+        similar = similar_name(name, self.law.names)
+        hint = f"; did you mean {similar}?" if similar else "; leave it out, or use it"
         return InputIssue(f"{name} is declared and never used in {shorten(self.law.text)!r}{hint}")
 
 

@@ -6,9 +6,10 @@ need no start values; the others begin where the law says, within their bounds, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from difflib import get_close_matches
+from itertools import combinations, product
 from math import isfinite
 from typing import Any
 
@@ -18,10 +19,11 @@ import pandas as pd
 from stickslip_fit._expression import Expression
 from stickslip_fit._function import NumericFunction
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Model, Parameter, Rows
 
 MAX_STARTS = 125  # places where a search may begin
+MAX_LINEAR = 16  # parameters that are looked at
 LINEAR_TOL = 1e-9  # share of the response's change
 
 
@@ -103,10 +105,11 @@ class TableLaw:
 
     def start_values(self, rows: Rows, y: Array) -> Array:
         """Where to begin, shape (p,): the best of some places, with least squares for what is linear."""
-        given = {name: float(value) for name, value in (self.source.start or {}).items()}
+        given = {name: float(value) for name, value in self.source.start.items()}
         model, best, least = self.model(rows), np.ones(len(self.parameters)), np.inf
         first = np.array([given.get(one.name, _middle(one)) for one in self.parameters])
         free = [k for k, one in enumerate(self.parameters) if one.name not in given]
+        free.sort(key=lambda k: isfinite(self.parameters[k].upper - self.parameters[k].lower))
         linear = find_linear(model, first, free)
         searched = [
             k
@@ -124,24 +127,30 @@ class TableLaw:
         return best if isfinite(least) else first
 
 
-def check_table_law(law: TableLaw, frame: pd.DataFrame, session: str | None, start: Mapping[str, float]) -> None:
-    """Refuse what no fit can use."""
+def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
+    """The largest set of some parameters in which, all together, the prediction is linear.
+
+    Of two sets as large that which has the first parameters of `among`.
+    """
+    among = list(among)[:MAX_LINEAR]
+    singles = [k for k in among if is_linear(model, values, [k])]
+    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
+    for size in range(len(singles), 0, -1):
+        for some in combinations(singles, size):
+            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
+                return sorted(some)
+    return []
 
 
-def find_linear(model: Model, values: Array, among: Iterable[int]) -> list[int]:
-    """Which of some parameters the prediction is linear in, all of these together; tried in their order."""
+def is_linear(model: Model, values: Array, together: Sequence[int]) -> bool:
+    """Whether the prediction is linear in some parameters together, the others at `values`."""
     base, slopes = model(values)
-    linear: list[int] = []
-    for k in among:
-        together = [*linear, k]
-        moved = values.copy()
-        moved[together] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
-        change = slopes @ (moved - values)
-        size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
-        error = np.abs(model(moved)[0] - base - change)
-        if np.isfinite(error).all() and error.max(initial=0.0) <= LINEAR_TOL * size:
-            linear = together
-    return linear
+    moved = values.copy()
+    moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
+    change = slopes @ (moved - values)
+    size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
+    error = np.abs(model(moved)[0] - base - change)
+    return bool(np.isfinite(error).all() and error.max(initial=0.0) <= LINEAR_TOL * size)
 
 
 def solve_linear(
@@ -211,3 +220,18 @@ def spread(low: float, high: float, number: int) -> Array:
     """Numbers within bounds, half a spacing away from them: by ratio where these are above 0."""
     shares = (np.arange(number) + 0.5) / number
     return low * (high / low) ** shares if low > 0 else low + (high - low) * shares
+
+
+def similar_name(name: str, names: Iterable[str]) -> str:
+    """The name most like one that is not there; empty where none is.
+
+    Examples
+    --------
+    >>> similar_name("acceleration", ["vel", "acc"]), similar_name("x", ["vel", "acc"])
+    ('acc', '')
+    """
+    names = list(names)
+    begins = [
+        other for other in names if len(other) > 1 and (name.startswith(other) or other.startswith(name))
+    ]
+    return next(iter([*get_close_matches(shorten(name), names, 1), *begins]), "")

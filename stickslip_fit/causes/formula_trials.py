@@ -1,0 +1,259 @@
+"""FormulaTrials: a cause given as a formula, bound to rows; the sizes that are tried are chosen from these.
+
+Parameters in which the effect is linear, and without which there is none, are its amplitudes: they come first
+and are tried at a size that shows. The others are tried on a grid within their bounds.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from math import isfinite
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.cause_formula import CauseFormula
+from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.errors import InputError
+from stickslip_fit.laws.table import is_linear, spread
+from stickslip_fit.units import to_si
+
+NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many parameters that are no amplitudes
+NULL_TOL = 1e-9
+_PHRASES = {
+    "+": "the law lacks {}",
+    "*": "the law is off by the factor {}",
+    "=": "{1} in truth is {0}",
+    "steps +": "counts are off by {}",
+}
+
+Place = tuple[float, ...]
+"""Values of the parameters that are no amplitudes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormulaTrials(Cause):
+    """What formulas share as causes, of a table or of a log.
+
+    Attributes
+    ----------
+    source : CauseFormula
+    order : tuple of str
+        The formula's parameters, amplitudes first.
+    levels : tuple
+        Values of the column `source.by`, for each of which there is one set of parameters; else None alone.
+    sizes : tuple of (tuple of float, tuple of float)
+        Of each place that is tried, the values there of what is no amplitude, and the amplitudes' sizes.
+    """
+
+    source: CauseFormula
+    order: tuple[str, ...]
+    levels: tuple[Any, ...]
+    parameters: tuple[CauseParameter, ...]
+    null_values: tuple[float, ...]
+    scale: tuple[float, ...]
+    columns: tuple[str, ...]  # type: ignore[misc]
+    sizes: tuple[tuple[Place, Place], ...] = ()
+
+    max_trial_factor = 100.0  # what is tried has the size of the scatter, or of a guess
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.source.name
+
+    @property
+    def phrase(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        text = self.source.effect.text.strip()
+        return self.source.phrase or _PHRASES[self.source.operation].format(text, self.source.target)
+
+    @property
+    def physics(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.source.physics
+
+    @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.source.sentence
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.source.remedy
+
+    @property
+    def shows_best(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        return self.source.shows_best
+
+    @property
+    def combine_trials(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return len(self.sizes) > 0 and len(self.sizes[0][1]) > 1
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Self, Array]]:  # type: ignore[override]
+        """See `Cause.trials`: a version for each place where several amplitudes act together."""
+        if not self.combine_trials:
+            return [(self, np.array([[*amplitudes, *place] for place, amplitudes in self.sizes]))]
+        versions = []
+        for place, amplitudes in self.sizes:
+            null = np.concatenate([np.zeros(len(amplitudes)), np.repeat(place, len(self.levels))])
+            trials = np.tile(null, (len(amplitudes), 1))
+            trials[:, : len(amplitudes)] = np.diag(amplitudes)
+            version = replace(self, null_values=tuple(null.tolist()), sizes=((place, amplitudes),))
+            versions.append((version, trials))
+        return versions
+
+    def own_places(self, labels: npt.ArrayLike | None, n: int) -> tuple[IntArray, BoolArray]:
+        """Where each parameter's value stands among the cause's, (n, number), and which rows have one.
+
+        `labels` are the rows' values of the column `source.by`; a row with another than `levels` has none.
+        """
+        level, inside = np.zeros(n, dtype=np.intp), np.ones(n, dtype=bool)
+        if self.source.by:
+            level = pd.Index(self.levels).get_indexer(pd.Index(np.asarray(labels)))
+            inside = level >= 0
+        places = np.maximum(level, 0)[:, None] + len(self.levels) * np.arange(len(self.order))
+        return places, inside
+
+
+@dataclass(frozen=True, eq=False)
+class TrialSearch(ABC):
+    """The choice of amplitudes, places and sizes of a formula in rows.
+
+    Attributes
+    ----------
+    cause : CauseFormula
+    declared : mapping of str to CauseParameter
+        Its parameters, bounds in the units that it computes in.
+    levels : tuple
+    """
+
+    cause: CauseFormula
+    declared: Mapping[str, CauseParameter]
+    levels: tuple[Any, ...]
+
+    @abstractmethod
+    def evaluate(self, order: Sequence[str], values: Array) -> tuple[Array, Array]:
+        """The effect at values of the formula's parameters, (n,), and its derivatives, (n, number)."""
+
+    @abstractmethod
+    def absent(self) -> tuple[Array, float]:
+        """The effect where there is none, and the size beside which a difference is rounding."""
+
+    @abstractmethod
+    def sizes_at(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Array:
+        """Of each amplitude, level by level, a size that shows."""
+
+    def choose(self, make: Callable[..., FormulaTrials]) -> FormulaTrials:
+        """The cause, bound, with its trials; `make` builds it from the attributes found here."""
+        names = list(self.declared)
+        amplitudes = self._choose_amplitudes(names)
+        others = [name for name in names if name not in amplitudes]
+        if unbounded := [name for name in others if not self._is_bounded(name)]:
+            raise self.error(
+                f"it is not linear in {' and '.join(unbounded)}, so that trials need bounds, e.g. "
+                f"bounds={{{unbounded[0]!r}: (low, high)}}"
+            )
+        if len(others) not in NUMBER_OF_PLACES:
+            most = max(NUMBER_OF_PLACES)
+            raise self.error(f"it is not linear in {', '.join(others)}; at most {most} can be searched")
+        if not amplitudes and len(self.levels) > 1:
+            raise self.error(f"by={self.cause.by!r} needs a parameter in which it is linear, as a factor A")
+        bound = self._with_order(make, (*amplitudes, *others), len(amplitudes))
+        places = self._places(others)
+        if amplitudes:
+            sizes = tuple((place, self._sizes(bound, place, amplitudes)) for place in places)
+        else:
+            sizes = tuple((place[1:], place[:1]) for place in places if any(place))
+        middle = sizes[len(sizes) // 2][1]
+        return replace(bound, sizes=sizes, scale=(*middle, *bound.scale[len(middle) :]))
+
+    def error(self, reason: str) -> InputError:
+        """The InputError for a fault of the cause."""
+        return InputError(f"the cause {self.cause.name}: {reason}")
+
+    def _choose_amplitudes(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The largest set in which the effect is linear and without which there is none."""
+        sets = [some for size in range(len(names), -1, -1) for some in combinations(names, size)]
+        unbounded = {name for name in names if not self._is_bounded(name)}
+        sets.sort(key=lambda some: (-len(some), not unbounded <= set(some)))
+        for some in sets:
+            if self._are_amplitudes(some, [name for name in names if name not in some]):
+                return some
+        neutral = {"*": "'* (1 + k*x)' in place of '* k*x'", "=": "'x = x + k' in place of 'x = k'"}
+        raise self.error(
+            "with its parameters at 0 it still has an effect; write it so that 0 means none, e.g. "
+            + neutral.get(self.cause.operation, "'+ k*x' in place of '+ 1 + k*x'")
+        )
+
+    def _are_amplitudes(self, some: Sequence[str], others: Sequence[str]) -> bool:
+        """Whether the effect is linear in some of the parameters, and absent where they are 0."""
+        start = np.array([*np.zeros(len(some)), *(self._middle(name) if some else 0.0 for name in others)])
+
+        def evaluate(values: Array) -> tuple[Array, Array]:
+            return self.evaluate((*some, *others), values)
+
+        without, places = evaluate(start)[0], list(range(len(some)))
+        if not some and not np.isfinite(without).all():
+            raise self.error(f"its effect is no number in row {first_row(~np.isfinite(without))}")
+        absent, size = self.absent()
+        vanishes = bool(np.all(np.abs(without - absent) <= NULL_TOL * size))
+        return vanishes and (not some or is_linear(evaluate, start, places))
+
+    def _is_bounded(self, name: str) -> bool:
+        return isfinite(self.declared[name].upper - self.declared[name].lower)
+
+    def _middle(self, name: str) -> float:
+        one = self.declared[name]
+        return float(spread(one.lower, one.upper, 1)[0]) if self._is_bounded(name) else 1.0
+
+    def _with_order(
+        self, make: Callable[..., FormulaTrials], order: tuple[str, ...], amplitudes: int
+    ) -> FormulaTrials:
+        parameters, null, scale = [], [], []
+        for k, name in enumerate(order):
+            one, middle = self.declared[name], self._middle(name)
+            for level in self.levels:
+                parameters.append(replace(one, name=name if level is None else f"{name}[{level}]"))
+                null.append(0.0 if k < amplitudes or not amplitudes else middle)
+                scale.append(abs(middle) or 1.0)
+        return make(
+            source=self.cause, order=order, levels=self.levels, parameters=tuple(parameters),
+            null_values=tuple(null), scale=tuple(scale),
+        )  # fmt: skip
+
+    def _places(self, others: Sequence[str]) -> list[Place]:
+        number = NUMBER_OF_PLACES[len(others)]
+        along = [spread(self.declared[name].lower, self.declared[name].upper, number) for name in others]
+        return [tuple(map(float, place)) for place in product(*along)]
+
+    def _sizes(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Place:
+        """Of each amplitude the size that is tried: that which the user gives, else one that shows."""
+        sizes = self.sizes_at(bound, place, amplitudes)
+        by_name = self.cause.size
+        if not isinstance(by_name, Mapping):
+            by_name = {} if by_name is None else {self.cause.declared[0].name: by_name}
+        for k, name in enumerate(amplitudes):
+            if name in by_name:
+                own = slice(k * len(self.levels), (k + 1) * len(self.levels))
+                sizes[own] = self.in_own_unit(name, float(by_name[name]))
+        return tuple(sizes.tolist())
+
+    def in_own_unit(self, name: str, value: float) -> float:
+        """A number in the unit that a parameter is displayed in, in the one that is computed in."""
+        return to_si(value, self.declared[name].unit)
+
+
+def first_row(rows: BoolArray) -> int:
+    """The number of the first row that is true."""
+    return int(np.argmax(rows)) + 1
