@@ -1,7 +1,7 @@
 """Laws by name: installed packages' laws, and what a saved result keeps of a law of one's own.
 
-A published law is kept by its name, a law of Python by ``module:name``. A file may come from a stranger: what
-it names is never imported. Who loads it gives such a law again, or has it installed.
+A published law is kept by its name, a formula as text, a law of Python by ``module:name``. A file may
+come from a stranger: what it names is never imported. Who loads it gives such a law again, or has it installed.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
+from math import inf, isfinite
 from sys import modules
 from types import ModuleType
 from typing import Any
@@ -19,6 +20,8 @@ from stickslip_fit._format import join_words
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws.base import StepLaw
 from stickslip_fit.laws.choice import Laws, LawSource, make_law
+from stickslip_fit.laws.formula import Law, restore_formula_law
+from stickslip_fit.laws.formula_step import FormulaStepLaw, restore_step_law
 from stickslip_fit.laws.published import (
     Base,
     BaseAtOneReach,
@@ -90,6 +93,8 @@ def describe_law(law: StepLaw) -> dict[str, Any]:
     """
     if type(law) in PUBLISHED:
         return dict(describe_published(law))
+    if isinstance(law, FormulaStepLaw):
+        return law.describe() | {"max_panel": law.max_panel if isfinite(law.max_panel) else None}
     parameters = [[parameter.name, str(parameter.unit)] for parameter in law.parameters]
     return {"name": law.name, "joint": law.joint, "source": importable_name(law), "parameters": parameters}
 
@@ -139,6 +144,8 @@ def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | N
     InputError
         For a law that this version does not know.
     """
+    if "formula_law" in description:
+        return _restore_formula(description, laws)
     if "source" not in description:
         return restore_published(dict(description), machine)
     joint, source = int(description["joint"]), str(description["source"])
@@ -155,10 +162,26 @@ def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | N
             f"joint {joint}: the law {source} has changed since this was saved, when its parameters were "
             f"{names}; fit the log again"
         )
-    raise UnknownLawError(
+    raise _unknown_law(joint, source)
+
+
+def _unknown_law(joint: int, source: str) -> UnknownLawError:
+    return UnknownLawError(
         f"joint {joint} has a law of someone's own, {source}, and no code is run because a file names it; if "
         f"you trust it, give it again: laws={{{joint}: ...}}, at the command line --law {source}"
     )
+
+
+def _restore_formula(description: Mapping[str, Any], laws: Laws | None) -> StepLaw:
+    own, joint = description["formula_law"], int(description["joint"])
+    fields = {**description, "max_panel": description["max_panel"] or inf}
+    if "function" not in own:
+        return restore_step_law(fields, restore_formula_law(own))
+    candidates = [*([laws[joint]] if laws and joint in laws else []), *installed_laws().values()]
+    for law in candidates:
+        if isinstance(law, Law) and callable(law.formula) and law.describe()["function"] == own["function"]:
+            return restore_step_law(fields, law)
+    raise _unknown_law(joint, own["function"])
 
 
 def _candidates(joint: int, machine: Machine, laws: Laws | None) -> Iterator[StepLaw]:
