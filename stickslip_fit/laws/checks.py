@@ -139,7 +139,7 @@ def _check_finite(law: StepLaw, rows: pd.DataFrame, response: Array, start: Arra
         place = ", ".join(f"{name} = {row[name]}" for name in names)
         raise InputError(
             f"{where}: at its start values ({at}; SI) it gives no step size above 0 in "
-            f"{pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; change start_values"
+            f"{pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; give others"
         )
 
 

@@ -1,7 +1,8 @@
 """Laws by name: installed packages' laws, and what a saved result keeps of a law of one's own.
 
 A published law is kept by its name, a formula as text, a law of Python by ``module:name``. A file may
-come from a stranger: what it names is never imported. Who loads it gives such a law again, or has it installed.
+come from a stranger: what it names is never imported. Who loads it gives such a law again, or has it
+installed.
 """
 
 from __future__ import annotations
