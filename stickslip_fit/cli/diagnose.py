@@ -23,6 +23,7 @@ from stickslip_fit.cli._options import (
     check_chart,
     check_savable,
     command_line,
+    load_causes,
     load_law_values,
     load_laws,
     load_log,
@@ -34,6 +35,7 @@ from stickslip_fit.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from stickslip_fit.causes import Cause
     from stickslip_fit.diagnosis import Diagnosis
     from stickslip_fit.estimation import Result
     from stickslip_fit.logs import Log
@@ -98,7 +100,7 @@ def diagnose(
     campaign = load_log(log, machine, since, until)
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
-    result = diagnose_with_progress(campaign, alpha, seed, laws)
+    result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
@@ -203,14 +205,20 @@ def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
 
 
 def diagnose_with_progress(
-    log: Log, alpha: float = 0.01, seed: int = 0, laws: Mapping[int, Any] | None = None
+    log: Log,
+    alpha: float = 0.01,
+    seed: int = 0,
+    laws: Mapping[int, Any] | None = None,
+    own_causes: tuple[Cause, ...] = (),
 ) -> Diagnosis:
-    """Diagnose a log, with a progress bar at a terminal."""
+    """Diagnose a log, with a progress bar at a terminal; candidates are one's own causes, too."""
     from stickslip_fit._io import show_progress
+    from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
+    candidates = (*library(), *covariates(log.usable), *own_causes)
     with show_progress() as progress:
-        return diagnose(log, laws=laws, alpha=alpha, seed=seed, progress=progress)
+        return diagnose(log, laws=laws, causes=candidates, alpha=alpha, seed=seed, progress=progress)
 
 
 def save_extended_law(law: Result, path: Path) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import entry_points
 from math import inf, isfinite
 from sys import modules
@@ -178,8 +179,7 @@ def _restore_formula(description: Mapping[str, Any], laws: Laws | None) -> StepL
     fields = {**description, "max_panel": description["max_panel"] or inf}
     if "function" not in own:
         return restore_step_law(fields, restore_formula_law(own))
-    candidates = [*([laws[joint]] if laws and joint in laws else []), *installed_laws().values()]
-    for law in candidates:
+    for law in _given_or_installed(joint, laws):
         if isinstance(law, Law) and callable(law.formula) and law.describe()["function"] == own["function"]:
             return restore_step_law(fields, law)
     raise _unknown_law(joint, own["function"])
@@ -188,12 +188,20 @@ def _restore_formula(description: Mapping[str, Any], laws: Laws | None) -> StepL
 def _candidates(joint: int, machine: Machine, laws: Laws | None) -> Iterator[StepLaw]:
     """The joint's law among those given, then among the installed ones."""
     rows = pd.DataFrame({"joint": pd.Series(dtype=int)})
+    for law in _given_or_installed(joint, laws):
+        # A function that wants rows makes none here.
+        with suppress(InputError):
+            if not isinstance(law, LawSource):
+                yield make_law(law, joint, rows, machine)
+
+
+def _given_or_installed(joint: int, laws: Laws | None) -> Iterator[Any]:
     if laws is not None and joint in laws:
-        yield make_law(laws[joint], joint, rows, machine)
+        yield laws[joint]
     for law in installed_laws().values():
         own = laws_by_joint(law, (joint,))
         if joint in own:
-            yield make_law(own[joint], joint, rows, machine)
+            yield own[joint]
 
 
 def importable_name_or_empty(law: StepLaw) -> str:
