@@ -14,7 +14,7 @@ from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import StepLaw, describe_law, restore_law
+from stickslip_fit.laws import Laws, StepLaw, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
@@ -76,7 +76,7 @@ def describe(law: StepLaw) -> dict[str, Any]:
     ('prismatic', 'temperature', 294.0)
     """
     if not isinstance(law, ExtendedLaw):
-        return dict(describe_law(law))
+        return describe_law(law)
     causes = [
         {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
         for cause in law.causes
@@ -84,7 +84,9 @@ def describe(law: StepLaw) -> dict[str, Any]:
     return {"name": law.name, "joint": law.joint, "law": describe_law(law.law), "causes": causes}
 
 
-def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[Cause] = ()) -> StepLaw:
+def restore(
+    description: Mapping[str, Any], machine: Machine, causes: Iterable[Cause] = (), laws: Laws | None = None
+) -> StepLaw:
     """The law that `describe` described.
 
     Parameters
@@ -93,6 +95,8 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
     machine : Machine
     causes : iterable of Cause, optional
         Your own, besides those of `library`.
+    laws : mapping of int to law, optional
+        Your own by joint, besides those of `laws.installed_laws`.
 
     Raises
     ------
@@ -100,10 +104,10 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
         For a law or a cause that is not known.
     """
     if description["name"] != ExtendedLaw.name:
-        return restore_law(dict(description), machine)
+        return restore_law(description, machine, laws)
     known = {cause.name: cause for cause in (*library(), *causes)}
     restored = [_restore_cause(cause, known) for cause in description["causes"]]
-    return ExtendedLaw(restore_law(description["law"], machine), restored)
+    return ExtendedLaw(restore_law(description["law"], machine, laws), restored)
 
 
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:

@@ -9,8 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from math import inf, isfinite
 from numbers import Real
@@ -29,6 +29,7 @@ from stickslip_fit.laws.table_check import check_table_law
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
 
+SMALLER_STARTS = (0.1, 0.01, 0.0)  # in the unit of the parameter
 MAX_NAMES_SHOWN = 40
 Bounds = tuple[float | None, float | None]
 
@@ -190,7 +191,24 @@ class Law:
             raise InputError(f"{unknown[0]} is what the law {self.text!r} is to predict; leave it out of it")
         if not names:
             raise InputError(f"the law {self.text!r} has no parameters, so that there is nothing to fit")
-        return make_step_law(self, names, joint, rows, machine)
+        law = make_step_law(self, names, joint, rows, machine)
+        # An amplitude of 1 stalls many a law, as that of gamma ~ g*(1 + A*sin(q)) does.
+        for size in SMALLER_STARTS:
+            if law.moves_in(rows):
+                break
+            smaller = dict.fromkeys(self._open_starts(names, law), size)
+            nearer = replace(self, start=smaller | dict(self.start))
+            law = replace(make_step_law(nearer, names, joint, rows, machine), source=self)
+        return law
+
+    def _open_starts(self, names: Sequence[str], law: FormulaStepLaw) -> list[str]:
+        """Parameters in which the law is not linear, with neither bounds nor a start value."""
+        settled = {*self.start, *self.bounds}
+        return [
+            name
+            for name, is_linear in zip(names, law.proportional, strict=True)
+            if name not in settled and not is_linear
+        ]
 
     def _left_of(self, response: str | None) -> Expression:
         if self.left is None:
