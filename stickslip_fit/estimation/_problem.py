@@ -126,9 +126,7 @@ class Problem:
             arguments = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
             return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper, most=most)
         data = (self.model, self.y, weight, self.groups, start, self.scales)
-        return minimize(
-            *data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most
-        )
+        return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most)
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""

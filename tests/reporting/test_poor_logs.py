@@ -59,7 +59,9 @@ def test_a_section_that_does_not_converge_says_which_computation_failed(campaign
 
     monkeypatch.setattr(pipeline, "find_gross_errors", fail)
     log = reported(campaign(settings=CALIBRATION)).log
-    failed = "stickslip_fit.diagnosis.pipeline.diagnose_problem did not converge (Eigenvalues did not converge)"
+    failed = (
+        "stickslip_fit.diagnosis.pipeline.diagnose_problem did not converge (Eigenvalues did not converge)"
+    )
     assert failed in report(log, sections=("diagnosis",)).html
 
 
