@@ -13,6 +13,8 @@ import pandas as pd
 from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
+from stickslip_fit.causes.formula import restore_formula_step, to_tuples
+from stickslip_fit.causes.formula_step import FormulaStepCause
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Laws, StepLaw, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -77,11 +79,14 @@ def describe(law: StepLaw) -> dict[str, Any]:
     """
     if not isinstance(law, ExtendedLaw):
         return describe_law(law)
-    causes = [
-        {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
-        for cause in law.causes
-    ]
+    causes = [_describe_cause(cause) for cause in law.causes]
     return {"name": law.name, "joint": law.joint, "law": describe_law(law.law), "causes": causes}
+
+
+def _describe_cause(cause: Cause) -> dict[str, Any]:
+    if isinstance(cause, FormulaStepCause):
+        return cause.describe_formula()
+    return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
 
 
 def restore(
@@ -111,7 +116,9 @@ def restore(
 
 
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
-    name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
+    name, bound = description["name"], {key: to_tuples(value) for key, value in description.items()}
+    if "formula_cause" in bound:
+        return restore_formula_step(description)
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
@@ -120,8 +127,3 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
         )
     cause: Any = known[name]
     return replace(cause, **{field.name: bound[field.name] for field in fields(cause)})
-
-
-def _to_tuples(value: Any) -> Any:
-    """Tuples in place of the lists of JSON."""
-    return tuple(map(_to_tuples, value)) if isinstance(value, list | tuple) else value

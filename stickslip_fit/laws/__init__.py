@@ -12,7 +12,7 @@ from stickslip_fit.laws.base import (
     traverse_length,
 )
 from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
-from stickslip_fit.laws.formula import Law, restore_formula_law, restore_formula_step_law
+from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -55,7 +55,6 @@ __all__ = [
     "observed_count",
     "published_law",
     "restore_formula_law",
-    "restore_formula_step_law",
     "restore_law",
     "rounding_variance",
     "state_at",

@@ -19,10 +19,10 @@ from typing import Any
 import pandas as pd
 
 from stickslip_fit._expression import Expression, parse_expression, parse_formula
-from stickslip_fit._function import NumericFunction, load_function
+from stickslip_fit._function import NO_FUNCTIONS, NumericFunction, find_function
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Parameter, Rows
-from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law, restore_step_law
+from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law
 from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
 from stickslip_fit.laws.table import TableLaw, similar_name
 from stickslip_fit.laws.table_check import check_table_law
@@ -254,29 +254,20 @@ class Law:
         }
 
 
-def restore_formula_law(description: Mapping[str, Any]) -> Law:
-    """The law that `Law.describe` described.
+def restore_formula_law(
+    description: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = NO_FUNCTIONS
+) -> Law:
+    """The law that `Law.describe` described; `functions` by ``module:name`` are those it may need.
 
     Raises
     ------
     InputError
-        If its function cannot be imported, or its formula cannot be read.
+        If its function is not given, or its formula cannot be read.
     """
     content = dict(description)
-    formula = load_function(content.pop("function")) if "function" in content else content.pop("formula")
+    formula = content.pop("formula", None) or find_function(content.pop("function"), functions)
     content["bounds"] = {name: tuple(pair) for name, pair in content.get("bounds", {}).items()}
     return Law(formula, **content)
-
-
-def restore_formula_step_law(description: Mapping[str, Any]) -> FormulaStepLaw:
-    """The law of a joint that `FormulaStepLaw.describe` described.
-
-    Raises
-    ------
-    InputError
-        If its function cannot be imported, or its formula cannot be read.
-    """
-    return restore_step_law(description, restore_formula_law(description["formula_law"]))
 
 
 def _quote(name: str) -> Expression:

@@ -187,17 +187,27 @@ def _refine(
     def evaluate(some: Array) -> tuple[Array, Array]:
         moved = values.copy()
         moved[places] = some
-        predicted, slopes = model(moved)
-        return np.nan_to_num((predicted - y) / size, nan=BAD_FIT), np.nan_to_num(slopes[:, places] / size)
+        predicted, jacobian = model(moved)
+        return np.nan_to_num((predicted - y) / size, nan=BAD_FIT), np.nan_to_num(jacobian[:, places] / size)
+
+    def residual(some: Array) -> Array:
+        return evaluate(some)[0]
+
+    def slopes(some: Array) -> Array:
+        return evaluate(some)[1]
 
     low = np.array([parameters[k].lower for k in places])
     high = np.array([parameters[k].upper for k in places])
-    length = np.sqrt(np.sum(evaluate(values[places])[1] ** 2, axis=0))
+    length = np.sqrt(np.sum(slopes(values[places]) ** 2, axis=0))
     solved = least_squares(
-        lambda some: evaluate(some)[0], np.clip(values[places], low, high), lambda some: evaluate(some)[1],
-        bounds=(low, high), x_scale=np.sqrt(len(y)) / np.where(length > 0, length, np.sqrt(len(y))),
-        gtol=None, max_nfev=MAX_EVALUATIONS,
-    )  # fmt: skip
+        residual,
+        np.clip(values[places], low, high),
+        jac=slopes,
+        bounds=(low, high),
+        x_scale=np.sqrt(len(y)) / np.where(length > 0, length, np.sqrt(len(y))),
+        gtol=None,
+        max_nfev=MAX_EVALUATIONS,
+    )
     refined = values.copy()
     refined[places] = solved.x
     return refined if np.isfinite(model(refined)[0]).all() else values

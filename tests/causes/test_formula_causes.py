@@ -257,3 +257,20 @@ def test_causes_are_described_and_restored():
     assert (again.declared, again.text, again.by, again.size) == (cause.declared, cause.text, "ball", 2)
     with pytest.raises(InputError, match="cannot be saved"):
         ssf.Cause("c", lambda t, k: k * t, "k").describe()
+
+
+def test_a_law_with_causes_of_formulas_is_saved_and_loaded(log):
+    import json
+
+    bound = [
+        LOG["warm-up"][0].bind(log.rows, log.machine),
+        ssf.Cause("d", "steps + L", "L in steps", by="direction").bind(log.rows, log.machine),
+    ]
+    law = bound[1].extend(bound[0].extend(Prismatic()))
+    again = ssf.causes.restore(json.loads(json.dumps(ssf.causes.describe(law))), log.machine)
+    assert [one.name for one in again.parameters] == [one.name for one in law.parameters]
+    rows = log.rows[log.rows.joint == 3].iloc[:20]
+    values = np.array([1e-6, 0.3, 4e-8, 0.02, 600.0, 3.0, -5.0])
+    np.testing.assert_array_equal(again.predict(rows, values), law.predict(rows, values))
+    cause = ssf.Cause("c", squares, "k")
+    assert restore_formula_cause(cause.describe(), {cause.describe()["function"]: squares}).formula is squares

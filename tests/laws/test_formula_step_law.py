@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit import InputError, Law
-from stickslip_fit.laws import Elbow, Prismatic, restore_formula_step_law
+from stickslip_fit.laws import Elbow, Prismatic, describe_law, restore_law
 from tests.docs.commands import ROOT
 
 PRISMATIC = Law("gamma ~ (1 - b*recoil)*(a - c*load)", units={"a": "nm", "b": "1", "c": "nm"})
@@ -88,7 +90,7 @@ def test_a_law_of_the_position_is_integrated(log):
 def test_laws_of_logs_are_described_and_restored(log):
     rows = log.rows[log.rows.joint == 2].iloc[:60]
     law = ELBOW.step_law(2, rows, log.machine)
-    again = restore_formula_step_law(law.describe())
+    again = restore_law(json.loads(json.dumps(describe_law(law))), log.machine)
     values = law.start_values(np.array([1e-4]))[0]
     np.testing.assert_array_equal(again.start_values(np.array([1e-4]))[0], values)
     np.testing.assert_array_equal(again.predict(rows, values), law.predict(rows, values))

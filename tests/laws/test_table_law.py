@@ -123,7 +123,10 @@ def test_laws_are_described_and_restored():
     with pytest.raises(InputError, match=r"cannot be saved: .* into a file of its own"):
         Law(lambda x, a: a * x, response="y").describe()
     function = Law(ssf.laws.traverse_length, response="y")
-    assert restore_formula_law(function.describe()).formula is ssf.laws.traverse_length
+    description = function.describe()
+    assert restore_formula_law(description, {description["function"]: friction}).formula is friction
+    with pytest.raises(InputError, match="no code is run because a file names it"):
+        restore_formula_law(description)
 
 
 BAD = {
