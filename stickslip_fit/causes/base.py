@@ -119,6 +119,11 @@ class Cause(ABC):
         """
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """Where a fit starts that follows trials in combination: without effect, unless it is level there."""
+        return self.null_values
+
     def panel(self, values: Array) -> float:
         """`max_panel` for given values, shape (n, q)."""
         return self.max_panel

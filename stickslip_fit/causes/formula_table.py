@@ -22,6 +22,7 @@ from stickslip_fit.units import TableUnit, to_si
 
 MAX_PARAMETERS = 8
 MAX_NAMES_SHOWN = 40
+MAX_EFFECT = 30.0  # of the scatter about the law, in trials of what is not linear in any parameter
 MIN_SCATTER = 1e-6  # of the response's standard deviation; less is rounding
 _STAGES: dict[str, Stage] = {"+": "term", "*": "factor", "=": "column"}
 
@@ -34,6 +35,11 @@ class FormulaTableCause(FormulaTrials, TableCause):  # type: ignore[override]
     def stage(self) -> Stage:  # type: ignore[override]
         """See `TableCause`."""
         return _STAGES[self.source.operation]
+
+    def stage_in(self, response: str) -> Stage:
+        """See `TableCause.stage_in`."""
+        measures = self.stage == "term" and response in self.source.effect.names
+        return "measurement" if measures else self.stage
 
     @property
     def target(self) -> str:  # type: ignore[override]
@@ -153,6 +159,13 @@ class _TableTrialSearch(TrialSearch):
                 known[name] = number_column(self.frame, name)
         value, slopes = self.cause.effect.function(tuple(order))(known)
         return np.broadcast_to(value, (n,)), np.broadcast_to(slopes, (n, len(order)))
+
+    def moderate(self, order: Sequence[str], places: Sequence[Place]) -> list[Place]:
+        """See `TrialSearch`: those whose effect has a size with the scatter about the law."""
+        absent, scatter = self.absent()[0], np.std(self.y - self.law.predict(self.frame, self.values))
+        effects = {place: self.evaluate(order, np.array(place))[0] - absent for place in places if any(place)}
+        sizes = {place: float(np.sqrt(np.mean(effect**2))) for place, effect in effects.items()}
+        return [place for place, size in sizes.items() if size < MAX_EFFECT * scatter] or list(sizes)
 
     def absent(self) -> tuple[Array, float]:
         """See `TrialSearch`."""

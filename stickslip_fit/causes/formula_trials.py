@@ -98,12 +98,33 @@ class FormulaTrials(Cause):
     @property
     def combine_trials(self) -> bool:  # type: ignore[override]
         """See `Cause`."""
-        return len(self.sizes) > 0 and len(self.sizes[0][1]) > 1
+        return len(self.sizes) > 0 and (len(self.sizes[0][1]) > 1 or len(self.levels) > 1)
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """See `Cause`: where there is no amplitude, the place in the middle of those tried."""
+        if not self._lacks_amplitude:
+            return self.null_values
+        place, first = self.sizes[len(self.sizes) // 2]
+        return tuple(np.repeat([*first, *place], len(self.levels)).tolist())
+
+    @property
+    def _lacks_amplitude(self) -> bool:
+        """Whether each level has parameters in which the effect is not linear, alone."""
+        return self.combine_trials and len(self.sizes[0][1]) < len(self.levels)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Self, Array]]:  # type: ignore[override]
-        """See `Cause.trials`: a version for each place where several amplitudes act together."""
+        """See `Cause.trials`: a version for each place where several amplitudes act together.
+
+        Without amplitudes each level is tried at each place, the others absent.
+        """
         if not self.combine_trials:
             return [(self, np.array([[*amplitudes, *place] for place, amplitudes in self.sizes]))]
+        if self._lacks_amplitude:
+            each = np.eye(len(self.levels))
+            places = [np.array([*first, *place]) for place, first in self.sizes]
+            trials = [np.kron(place, level) for place in places for level in each]
+            return [(self, np.array(trials))]
         versions = []
         for place, amplitudes in self.sizes:
             null = np.concatenate([np.zeros(len(amplitudes)), np.repeat(place, len(self.levels))])
@@ -154,6 +175,10 @@ class TrialSearch(ABC):
     def sizes_at(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Array:
         """Of each amplitude, level by level, a size that shows."""
 
+    def moderate(self, order: Sequence[str], places: Sequence[Place]) -> list[Place]:
+        """Of places of parameters without amplitudes those that are worth a trial."""
+        return [place for place in places if any(place)]
+
     def choose(self, make: Callable[..., FormulaTrials]) -> FormulaTrials:
         """The cause, bound, with its trials; `make` builds it from the attributes found here."""
         names = list(self.declared)
@@ -167,14 +192,12 @@ class TrialSearch(ABC):
         if len(others) not in NUMBER_OF_PLACES:
             most = max(NUMBER_OF_PLACES)
             raise self.error(f"it is not linear in {', '.join(others)}; at most {most} can be searched")
-        if not amplitudes and len(self.levels) > 1:
-            raise self.error(f"by={self.cause.by!r} needs a parameter in which it is linear, as a factor A")
         bound = self._with_order(make, (*amplitudes, *others), len(amplitudes))
         places = self._places(others)
         if amplitudes:
             sizes = tuple((place, self._sizes(bound, place, amplitudes)) for place in places)
         else:
-            sizes = tuple((place[1:], place[:1]) for place in places if any(place))
+            sizes = tuple((place[1:], place[:1]) for place in self.moderate(others, places))
         middle = sizes[len(sizes) // 2][1]
         return replace(bound, sizes=sizes, scale=(*middle, *bound.scale[len(middle) :]))
 

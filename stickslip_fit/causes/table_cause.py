@@ -1,8 +1,8 @@
 """TableCause: what a law of a table leaves out; ExtendedTableLaw: such a law with causes in it.
 
-The response is evaluated in a fixed order: columns as they truly are, the law, what is added to it, what it
-is multiplied by. Each cause acts at one of these stages. Derivatives follow by the chain rule, exact wherever
-those of the pieces are.
+The response is evaluated in a fixed order: columns as they truly are, the law, what is added to it, what is
+added as the response is measured and depends on it, what it is multiplied by. Each cause acts at one of these
+stages. Derivatives follow by the chain rule, exact wherever those of the pieces are.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stickslip_fit.laws import Parameter, Rows, TableLaw
 from stickslip_fit.laws.base import Model
 from stickslip_fit.laws.table import count_rows, number_column
 
-Stage = Literal["column", "term", "factor"]
+Stage = Literal["column", "term", "measurement", "factor"]
 Effect = Callable[[Mapping[str, Array], Array], tuple[Array, Array, Mapping[str, Array]]]
 """Quantities by name, (n,), and the cause's values, (n, q), to the effect, (n,), and its derivatives: by the
 values, (n, q), and by quantities that depend on parameters, (n,)."""
@@ -33,8 +33,9 @@ class TableCause(Cause):
 
     Attributes
     ----------
-    stage : {"column", "term", "factor"}
-        Whether it puts something in place of a column, adds to the response, or multiplies it.
+    stage : {"column", "term", "measurement", "factor"}
+        Whether it puts something in place of a column, adds to the response, adds something that depends on
+        the response, or multiplies it.
     target : str
         The column that it replaces.
     """
@@ -44,6 +45,10 @@ class TableCause(Cause):
     joints: ClassVar[tuple[int, ...]] = (1,)
     physics: ClassVar[str] = ""
     shows_best: ClassVar[str] = ""
+
+    def stage_in(self, response: str) -> Stage:
+        """The stage in a law of this response; what is added and depends on it acts on all other terms."""
+        return self.stage
 
     @abstractmethod
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
@@ -159,9 +164,9 @@ class ExtendedTableLaw:
             stage: [
                 (cause.target, places, cause.effect(rows, (*variable, response)))
                 for cause, places in self._places
-                if cause.stage == stage
+                if cause.stage_in(response) == stage
             ]
-            for stage in ("column", "term", "factor")
+            for stage in ("column", "term", "measurement", "factor")
         }
 
         def predict(values: Array) -> tuple[Array, Array]:
@@ -175,10 +180,11 @@ class ExtendedTableLaw:
             value, slopes = law(state.values)
             value = np.broadcast_to(value, (n,))
             total, slopes = value, state.chain(dict(zip(by, np.moveaxis(slopes, -1, 0), strict=True)))
-            state.put(response, value, slopes)
-            for _, places, effect in effects["term"]:
-                added, added_slopes = state.apply(effect, values, places)
-                total, slopes = total + added, slopes + added_slopes
+            for stage in ("term", "measurement"):
+                state.put(response, total, slopes)
+                for _, places, effect in effects[stage]:
+                    added, added_slopes = state.apply(effect, values, places)
+                    total, slopes = total + added, slopes + added_slopes
             for _, places, effect in effects["factor"]:
                 factor, factor_slopes = state.apply(effect, values, places)
                 slopes = slopes * factor[:, None] + factor_slopes * total[:, None]

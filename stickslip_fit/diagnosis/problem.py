@@ -61,8 +61,8 @@ class DiagnosisProblem:
         Standard deviation of the responses of each group.
     causes : tuple
         Candidates, bound to the rows. Each has `name`, `phrase`, `joints`, `session`, `parameters`,
-        `null_values`, `scale`, `max_trial_factor`, `combine_trials`, `trials`, `largest_plausible`,
-        `extend` and `changes` as a `Cause` has them.
+        `null_values`, `start_values`, `scale`, `max_trial_factor`, `combine_trials`, `trials`,
+        `largest_plausible`, `extend` and `changes` as a `Cause` has them.
     alternatives : callable
         From a LinearizedFit to the unstructured alternatives, which stand for ``unknown``.
     configuration : array of int, shape (n,)

@@ -372,7 +372,7 @@ def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
     p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     start = np.zeros(0)
     if isinstance(shape, Hypothesis) and shape.version is not None:
-        start = np.array(shape.version.null_values)
+        start = np.array(shape.version.start_values)
         if shape.values is not None:
             # Of the estimated size and sign: a fit rarely crosses zero, where it has a local minimum.
             size = float(shape.coefficients(misfit.residual)[0]) / shape.length
