@@ -26,6 +26,7 @@ from stickslip_fit.laws.table import is_linear, spread
 from stickslip_fit.units import to_si
 
 NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many parameters that are no amplitudes
+STATE_FACTORS = (1.0, 10.0, -10.0)
 NULL_TOL = 1e-9
 _PHRASES = {
     "+": "the law lacks {}",
@@ -62,7 +63,10 @@ class FormulaTrials(Cause):
     columns: tuple[str, ...]  # type: ignore[misc]
     sizes: tuple[tuple[Place, Place], ...] = ()
 
-    max_trial_factor = 100.0  # what is tried has the size of the scatter, or of a guess
+    @property
+    def max_trial_factor(self) -> float:  # type: ignore[override]
+        """See `Cause`: what is tried has the size of the scatter, or of a guess."""
+        return 10.0 if self.source.operation == "=" else 100.0
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -172,10 +176,10 @@ class TrialSearch(ABC):
         bound = self._with_order(make, (*amplitudes, *others), len(amplitudes))
         places = self._places(others)
         if amplitudes:
-            sizes = tuple((place, self._sizes(bound, place, amplitudes)) for place in places)
+            sizes = tuple(pair for place in places for pair in self._pairs(bound, place, amplitudes))
         else:
             sizes = tuple((place[1:], place[:1]) for place in places if any(place))
-        middle = sizes[len(sizes) // 2][1]
+        middle = self._own_sizes(bound, places[len(places) // 2], amplitudes) if amplitudes else sizes[0][1]
         return replace(bound, sizes=sizes, scale=(*middle, *bound.scale[len(middle) :]))
 
     def error(self, reason: str) -> InputError:
@@ -237,8 +241,22 @@ class TrialSearch(ABC):
         along = [spread(self.declared[name].lower, self.declared[name].upper, number) for name in others]
         return [tuple(map(float, place)) for place in product(*along)]
 
-    def _sizes(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Place:
-        """Of each amplitude the size that is tried: that which the user gives, else one that shows."""
+    def _pairs(
+        self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]
+    ) -> list[tuple[Place, Place]]:
+        """A place with the sizes that are tried there.
+
+        What is put in place of a column may act in another way when it is large, so that one amplitude is
+        tried at several sizes; a term and a factor act in proportion.
+        """
+        sizes = [self._own_sizes(bound, place, amplitudes)]
+        if self.cause.operation == "=" and len(sizes[0]) == 1:
+            (shows,) = self.sizes_at(bound, place, amplitudes).tolist()
+            sizes += [(factor * shows,) for factor in STATE_FACTORS]
+        return [(place, own) for own in dict.fromkeys(sizes)]
+
+    def _own_sizes(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Place:
+        """Of each amplitude the size that the user gives, else one that shows."""
         sizes = self.sizes_at(bound, place, amplitudes)
         by_name = self.cause.size
         if not isinstance(by_name, Mapping):
