@@ -67,6 +67,6 @@ def _explain(finding: Finding, table: TableInfo | None) -> str:
         )
         held_out = "rows"
     return (
-        f"{finding.cause} is not named, since with it in the law held-out {held_out} are not predicted better "
-        f"({after}, without it {before})"
+        f"{finding.cause} is not named, since with it in the law held-out {held_out} are not predicted "
+        f"better ({after}, without it {before})"
     )
