@@ -176,9 +176,9 @@ def gain_picture(diagnosis: Diagnosis) -> Picture:
         _format_error(value, diagnosis) for value in (gain.baseline, gain.extended, gain.noise_floor)
     )
     caption += (
-        f"Each {'traverse' if is_log else 'row'} predicted by laws to which it contributed nothing, the search "
-        f"for causes included: {before} rms by the {'published law' if is_log else 'law as it was'}, {after} by "
-        f"the extended one, over all sessions. No law can be better than the line, {floor}."
+        f"Each {'traverse' if is_log else 'row'} predicted by laws to which it contributed nothing, the "
+        f"search for causes included: {before} rms by the {'published law' if is_log else 'law as it was'}, "
+        f"{after} by the extended one, over all sessions. No law can be better than the line, {floor}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
 
