@@ -150,10 +150,49 @@ def test_what_is_outside_the_grammar_is_refused_with_its_place(text):
 
 
 WORDS = [
-    *FUNCTIONS, "x", "y", "a", "b", "1", "2.5", "1e300", "1e-300", "0", "64", "-1", "+", "-", "*", "/", "**", "(", ")",
-    "(", ")", ",", "~", ".", "=", "==", ":", ";", "[", "]", "{", "}", "'", '"', "\\", "\n", "__import__('os').mkdir('run')", "lambda",
-    "import", "exec", "eval", ".__class__", "@", "if", "else", "for", "in", "await", "yield", "µ", "Q('c')", "#", " ",
-]  # fmt: skip
+    *FUNCTIONS,
+    *[
+        "x",
+        "y",
+        "a",
+        "b",
+        "1",
+        "2.5",
+        "1e300",
+        "1e-300",
+        "0",
+        "64",
+        "-1",
+        "+",
+        "-",
+        "*",
+        "/",
+        "**",
+        "(",
+        ")",
+        "(",
+        ")",
+        ",",
+        "~",
+        ".",
+        "=",
+        "==",
+        ":",
+        ";",
+        "[",
+        "]",
+        "{",
+        "}",
+        "'",
+        '"',
+        "\\",
+        "@",
+        "#",
+        "µ",
+    ],
+    *["lambda", "import", "exec", "eval", ".__class__", "if", "else", "for", "in", "await", "yield"],
+    *("__import__('os').mkdir('run')", "Q('c')", "\n", " "),
+]
 
 
 def random_text(rng):

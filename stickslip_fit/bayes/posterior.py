@@ -31,7 +31,7 @@ from stickslip_fit.estimation.result import (
     write_result_json,
 )
 from stickslip_fit.estimation.saved_result import read_result_json, result_from_json
-from stickslip_fit.laws import traverse_length
+from stickslip_fit.laws import Laws, traverse_length
 from stickslip_fit.machine import Machine
 
 if TYPE_CHECKING:
@@ -115,10 +115,10 @@ class Posterior(Summarized):
             "priors": json.dumps(self.priors.to_json()),
             "diagnostics": json.dumps(diagnostics.to_dict(orient="list")),
         }
-        sources = self.provenance.log_files
+        sources, result = self.provenance.log_files, result_to_json(self.result)
         draws = bytes(tree.to_netcdf(engine="h5netcdf"))
         write_atomically(path, draws, sources)
-        content = result_to_json(self.result) | {DRAWS_KEY: hashlib.sha256(draws).hexdigest()}
+        content = result | {DRAWS_KEY: hashlib.sha256(draws).hexdigest()}
         write_result_json(content, Path(path).with_suffix(".json"), sources)
 
     def plot_corner(self, joint: int, direction: str, session: str | None = None) -> AxesArray:
@@ -241,8 +241,8 @@ DRAWN = ("mean", "spread", "repeatability", "parameters")
 DRAWS_KEY = "draws_sha256"  # of the result beside the draws: HDF5 itself would not notice a flipped bit
 
 
-def load_posterior(path: str | Path) -> Posterior:
-    """Read what `Posterior.save` wrote.
+def load_posterior(path: str | Path, *, laws: Laws | None = None) -> Posterior:
+    """Read what `Posterior.save` wrote; `laws` as of `load_result`.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def load_posterior(path: str | Path) -> Posterior:
     if content.get(DRAWS_KEY) != hashlib.sha256(raw).hexdigest():
         message = f"is no saved posterior, or damaged, or not the one saved with {beside}; fit the log again"
         raise InputError(InputIssue(message, str(path)))
-    result = result_from_json(content, beside)
+    result = result_from_json(content, beside, laws=laws)
     tree = _read_tree(path)
     version = str(tree.attrs.pop("schema", "")).removeprefix(f"{FORMAT}/")
     if version.isdecimal() and int(version) > VERSION:

@@ -228,12 +228,14 @@ def _flag_not_identified(
     _, singular, right = np.linalg.svd(slopes * prior.width, full_matrices=True)
     singular = np.append(singular, np.zeros(len(right) - len(singular)))
     unseen = right[singular < 1e-4 * singular[0]]
+    unknown = tuple(name for name, is_known in zip(prior.names, known, strict=True) if not is_known)
+    what = f"{', '.join(unknown)} would be what the prior says, for no session has a traverse that tells"
+    if not law.calibration():
+        return _build_flag("not_identified", sample, direction, what, parameters=unknown)
     rows = configuration_rows(law.calibration(), law.joint, direction, machine)
     shown = np.abs(law.jacobian(rows, prior.centre) * prior.width @ unseen.T).max(axis=1) > 0.01
     wanted = [candidate for candidate, shows in zip(law.calibration(), shown, strict=True) if shows]
     missing = " or ".join(describe_configuration(configuration) for configuration in wanted)
-    unknown = tuple(name for name, is_known in zip(prior.names, known, strict=True) if not is_known)
-    what = f"{', '.join(unknown)} would be what the prior says, for no session has a traverse that tells"
     return _build_flag("not_identified", sample, direction, f"{what}; missing: {missing}", parameters=unknown)
 
 

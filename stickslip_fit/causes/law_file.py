@@ -25,7 +25,7 @@ _Size = Annotated[dict[str, float], Give("give numbers, e.g. size = { A = 1 }")]
 _Shared = Annotated[list[str] | str, Give('give a list of parameters, or "all"')]
 
 
-class FormulaTable(TomlTable):
+class FormulaLawTable(TomlTable):
     """A law as a formula, and what is known of its names."""
 
     formula: Text | None = None
@@ -89,11 +89,10 @@ class FormulaCauseTable(TomlTable):
 
     def cause(self) -> FormulaCause:
         """The cause."""
-        words = ("phrase", "physics", "sentence", "remedy", "shows_best")
-        return FormulaCause(
-            self.name, self.formula, self.parameters, by=self.by, bounds=dict(self.bounds), size=self.size or None,
-            joints=tuple(self.joints), **{word: getattr(self, word) for word in words},
-        )  # fmt: skip
+        words = ("by", "phrase", "physics", "sentence", "remedy", "shows_best")
+        more: dict[str, Any] = {word: getattr(self, word) for word in words}
+        more |= {"bounds": dict(self.bounds), "size": self.size or None, "joints": tuple(self.joints)}
+        return FormulaCause(self.name, self.formula, self.parameters, **more)
 
 
 class RolesTable(TomlTable):
@@ -106,12 +105,12 @@ class RolesTable(TomlTable):
     group: Text | None = None
 
 
-class FormulaFile(FormulaTable):
+class FormulaFile(FormulaLawTable):
     """A file of formulas: a law of a table, or of the joints of a log; causes; roles of columns."""
 
     cause: list[FormulaCauseTable] = []
     roles: RolesTable
-    joint: Annotated[dict[str, FormulaTable], Give("write it as tables: [joint.1], [joint.2]")] = {}
+    joint: Annotated[dict[str, FormulaLawTable], Give("write it as tables: [joint.1], [joint.2]")] = {}
 
     @model_validator(mode="after")
     def _check_joints(self) -> Self:

@@ -13,8 +13,10 @@ import pandas as pd
 from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
+from stickslip_fit.causes.formula import restore_formula_step, to_tuples
+from stickslip_fit.causes.formula_step import FormulaStepCause
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import StepLaw, describe_law, restore_law
+from stickslip_fit.laws import Laws, StepLaw, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
@@ -76,15 +78,20 @@ def describe(law: StepLaw) -> dict[str, Any]:
     ('prismatic', 'temperature', 294.0)
     """
     if not isinstance(law, ExtendedLaw):
-        return dict(describe_law(law))
-    causes = [
-        {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
-        for cause in law.causes
-    ]
+        return describe_law(law)
+    causes = [_describe_cause(cause) for cause in law.causes]
     return {"name": law.name, "joint": law.joint, "law": describe_law(law.law), "causes": causes}
 
 
-def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[Cause] = ()) -> StepLaw:
+def _describe_cause(cause: Cause) -> dict[str, Any]:
+    if isinstance(cause, FormulaStepCause):
+        return cause.describe_formula()
+    return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
+
+
+def restore(
+    description: Mapping[str, Any], machine: Machine, causes: Iterable[Cause] = (), laws: Laws | None = None
+) -> StepLaw:
     """The law that `describe` described.
 
     Parameters
@@ -93,6 +100,8 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
     machine : Machine
     causes : iterable of Cause, optional
         Your own, besides those of `library`.
+    laws : mapping of int to law, optional
+        Your own by joint, besides those of `laws.installed_laws`.
 
     Raises
     ------
@@ -100,14 +109,16 @@ def restore(description: Mapping[str, Any], machine: Machine, causes: Iterable[C
         For a law or a cause that is not known.
     """
     if description["name"] != ExtendedLaw.name:
-        return restore_law(dict(description), machine)
+        return restore_law(description, machine, laws)
     known = {cause.name: cause for cause in (*library(), *causes)}
     restored = [_restore_cause(cause, known) for cause in description["causes"]]
-    return ExtendedLaw(restore_law(description["law"], machine), restored)
+    return ExtendedLaw(restore_law(description["law"], machine, laws), restored)
 
 
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
-    name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
+    name, bound = description["name"], {key: to_tuples(value) for key, value in description.items()}
+    if "formula_cause" in bound:
+        return restore_formula_step(description)
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
@@ -116,8 +127,3 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
         )
     cause: Any = known[name]
     return replace(cause, **{field.name: bound[field.name] for field in fields(cause)})
-
-
-def _to_tuples(value: Any) -> Any:
-    """Tuples in place of the lists of JSON."""
-    return tuple(map(_to_tuples, value)) if isinstance(value, list | tuple) else value

@@ -7,10 +7,11 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +22,9 @@ from stickslip_fit.errors import InputError, InputIssue
 if TYPE_CHECKING:
     from stickslip_fit._typing import Array
     from stickslip_fit.bayes import Posterior
+    from stickslip_fit.causes import Cause
     from stickslip_fit.estimation import Result
+    from stickslip_fit.laws import StepLaw
     from stickslip_fit.logs import Log
     from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
@@ -76,6 +79,17 @@ Condition = Annotated[
         metavar="NAME=VALUE",
         help="Condition for a law with causes, e.g. session_min=30 or temperature_C=23; repeatable.",
     ),
+]
+LawNames = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--law",
+        metavar="[JOINT=]LAW",
+        parser=parse_path,
+        help="A law of your own: a FILE.toml of formulas, MODULE:NAME of Python, or the name of an installed "
+        "one; of one joint with JOINT= before it, e.g. 2=mylab:ELBOW; repeatable.",
+    ),
+    INPUT,
 ]
 CauseNames = Annotated[
     list[str] | None,
@@ -158,27 +172,117 @@ def load_log(
     return read_log(paths, machine=load_machine(machine), since=since, until=until)
 
 
-def load_or_fit_result(paths: list[Path], machine: Path | None) -> Result:
+_LAW_PATTERN = re.compile(r"(?:(\d{1,3})=)?(.+)", re.DOTALL)
+
+
+def load_laws(names: list[Path] | None, joints: Iterable[int]) -> dict[int, Any]:
+    """Laws of one's own by joint, as `choose_laws` takes them; a formula or function is for all `joints`.
+
+    Raises
+    ------
+    InputError
+        With every law that cannot be found, imported or used.
+    """
+    from stickslip_fit.laws.registry import laws_by_joint
+
+    laws: dict[int, Any] = {}
+    issues = []
+    for name in map(str, names or ()):
+        match = _LAW_PATTERN.fullmatch(name)
+        assert match is not None  # no option is empty, see `parse_path`
+        wanted = (int(match[1]),) if match[1] else tuple(joints)
+        try:
+            own = laws_by_joint(_find_law(match[2]), wanted)
+            if match[1] and wanted[0] not in own:
+                raise InputError(f"is of joint {', '.join(map(str, own))}, not of joint {match[1]}")
+            if twice := laws.keys() & own.keys():
+                raise InputError(f"is a second law of joint {', '.join(map(str, sorted(twice)))}; give one")
+        except InputError as error:
+            issues.append(InputIssue(str(error), column="--law", value=name))
+        else:
+            laws |= {joint: own[joint] for joint in wanted if joint in own} if match[1] else own
+    if issues:
+        raise InputError(issues)
+    return laws
+
+
+def _find_law(name: str) -> Any:
+    from stickslip_fit.laws.registry import check_kind, installed_laws
+
+    if is_law_file(name):
+        from stickslip_fit.causes.law_file import read_law_file
+
+        content = read_law_file(name)
+        return content.laws or content.law
+    module, colon, variable = name.partition(":")
+    if not colon:
+        installed = installed_laws()
+        if name in installed:
+            return installed[name]
+        known = f"; installed packages offer {', '.join(installed)}" if installed else ""
+        raise InputError(f"is no law that is known; give MODULE:NAME, or a FILE.toml of formulas{known}")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.insert(0, here)  # as Python itself has it for a script: a file of one's own beside the log
+    try:
+        found = import_module(module)
+    # Whatever the user's module raises, even where it ends the program, is told in one message.
+    except (Exception, SystemExit) as error:
+        raise InputError(f"cannot be imported: {type(error).__name__}: {error}") from None
+    if variable not in vars(found):
+        raise InputError(f"the module {module} ({found.__file__}) has no {variable!r}")
+    return check_kind(vars(found)[variable])
+
+
+def is_law_file(name: str) -> bool:
+    """Whether a law is named by a file of formulas."""
+    return name.endswith(".toml")
+
+
+def load_causes(names: list[Path] | None) -> tuple[Cause, ...]:
+    """Causes in the files of formulas among the laws that are named; raises InputError for a faulty file."""
+    from stickslip_fit.causes.law_file import read_law_file
+
+    matches = [_LAW_PATTERN.fullmatch(str(name)) for name in names or ()]
+    files = dict.fromkeys(match[2] for match in matches if match is not None and is_law_file(match[2]))
+    return tuple(cause for file in files for cause in read_law_file(file).causes)
+
+
+def check_savable(log: Log, laws: Mapping[int, Any], path: Path | None) -> None:
+    """Refuse a law that cannot be saved before anything is fitted, where `path` is to be written."""
+    if path is not None and laws:
+        from stickslip_fit.laws import choose_laws, describe_law
+
+        for law in choose_laws(log.usable, log.machine, laws).values():
+            describe_law(law)
+
+
+MAX_JOINTS = 9  # for which a saved result is given laws without joints
+
+
+def load_or_fit_result(paths: list[Path], machine: Path | None, law: list[Path] | None = None) -> Result:
     """A saved result, or the least-squares fit of a log."""
     from stickslip_fit.estimation import fit_least_squares, load_result
 
     if len(paths) == 1 and paths[0].suffix == ".json":
         if machine is not None:
             raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
-        return load_result(paths[0])
-    return fit_least_squares(load_log(paths, machine), command=command_line())
+        return load_result(paths[0], load_causes(law), laws=load_laws(law, range(1, MAX_JOINTS + 1)))
+    log = load_log(paths, machine)
+    return fit_least_squares(log, laws=load_laws(law, log.joints), command=command_line())
 
 
-def load_fit(paths: list[Path], machine: Path | None) -> tuple[Result | Posterior, Result]:
+def load_fit(
+    paths: list[Path], machine: Path | None, law: list[Path] | None = None
+) -> tuple[Result | Posterior, Result]:
     """What to predict with: draws saved with `fit --tree`, or a result; and always the result."""
     if len(paths) == 1 and paths[0].suffix == ".nc":
         from stickslip_fit.bayes import load_posterior
 
         if machine is not None:
             raise InputError("saved draws carry their own machine: leave --machine out, or give the log")
-        posterior = load_posterior(paths[0])
+        posterior = load_posterior(paths[0], laws=load_laws(law, range(1, MAX_JOINTS + 1)))
         return posterior, posterior.result
-    result = load_or_fit_result(paths, machine)
+    result = load_or_fit_result(paths, machine, law)
     return result, result
 
 
@@ -221,13 +325,14 @@ def load_arm(
     theta: float,
     psi: float,
     conditions: list[str] | None,
+    law: list[Path] | None = None,
 ) -> CalibratedArm:
     """One session's calibration with the base turned by `theta` and `psi`, degrees."""
     from stickslip_fit.moves import calibrated_arm
     from stickslip_fit.moves.arm import check_conditions, parse_conditions
     from stickslip_fit.units import to_si
 
-    result = load_or_fit_result(paths, machine)
+    result = load_or_fit_result(paths, machine, law)
     values = parse_conditions(conditions or (), result, "--condition")
     check_conditions(result, values, "--condition")
     return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), values)
@@ -284,13 +389,12 @@ def parse_drive(text: str, option: str) -> DriveCommand:
     return DriveCommand(int(match[1]), match[2], int(match[3]))
 
 
-def parse_bound(text: str, option: str) -> tuple[str, tuple[float, float]]:
+def parse_bound(text: str, option: str, laws: Iterable[StepLaw]) -> tuple[str, tuple[float, float]]:
     """Bounds such as "c=0:" or "b=0.2:0.4": a parameter's name, lowest and highest value in its unit."""
     from stickslip_fit.causes import ExtendedLaw, library
-    from stickslip_fit.laws import Base, Elbow, Prismatic
+    from stickslip_fit.laws import Prismatic
     from stickslip_fit.units import to_si
 
-    laws = (Base, Elbow, Prismatic)
     law_units = {parameter.name: parameter.unit for law in laws for parameter in law.parameters}
     cause_parameters = ExtendedLaw(Prismatic(), library()).cause_parameters
     units = law_units | {parameter.name: parameter.unit for parameter in cause_parameters}

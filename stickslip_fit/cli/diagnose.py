@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,13 +15,17 @@ from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     Force,
     Json,
+    LawNames,
     LogPath,
     MachinePath,
     Since,
     Until,
     check_chart,
+    check_savable,
     command_line,
+    load_causes,
     load_law_values,
+    load_laws,
     load_log,
     parse_path,
     reference_law,
@@ -31,6 +35,7 @@ from stickslip_fit.errors import InputError, InputIssue
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from stickslip_fit.causes import Cause
     from stickslip_fit.diagnosis import Diagnosis
     from stickslip_fit.estimation import Result, TableFit
     from stickslip_fit.logs import Log
@@ -86,17 +91,20 @@ def diagnose(
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     campaign = load_log(log, machine, since, until)
-    result = diagnose_with_progress(campaign, alpha, seed)
+    laws = load_laws(law, campaign.joints)
+    check_savable(campaign, laws, save_law)
+    result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
-    law = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved), law])))
+    extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
+    print("\n\n".join(filter(None, [str(result), "\n".join(saved), extended])))
 
 
 def diagnose_table(
@@ -200,8 +208,14 @@ def plan(
         INPUT,
     ] = None,
     law: Annotated[
-        Path | None,
-        typer.Option(help="Of a plan: law file (TOML) or saved result; typical values without it."),
+        list[Path] | None,
+        typer.Option(
+            "--law",
+            metavar="[JOINT=]LAW",
+            parser=parse_path,
+            help="Of a log: a law of your own, as of `fit`. Of a plan: law file (TOML) or saved result; "
+            "typical values without it.",
+        ),
         INPUT,
     ] = None,
     machine: MachinePath = None,
@@ -240,7 +254,7 @@ def plan(
         raise InputError("name a LOG or a PLAN, or a procedure of the thesis with --thesis")
     if output is not None:
         raise InputError("--output is for --thesis; save proposed traverses with --json")
-    check_plan_options(source, {"--law": law, "--chart": chart}, {"--since": since, "--until": until})
+    check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until})
     check_chart(chart)
     if is_plan(source):
         from stickslip_fit.logs.plan_reader import read_plan
@@ -248,10 +262,13 @@ def plan(
 
         geometry = load_machine(machine)
         planned = read_plan(source[0], geometry)
-        truth = load_law_values(law or reference_law(), geometry, planned)
+        if law and len(law) > 1:
+            raise InputError("give one --law: of a plan it is a law file or a saved result")
+        truth = load_law_values(law[0] if law else reference_law(), geometry, planned)
         advice = advise_before_data(planned, truth, geometry, alpha, seed)
     else:
-        advice = advise_after_log(load_log(source, machine, since, until), alpha, seed)
+        campaign = load_log(source, machine, since, until)
+        advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
     print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
 
@@ -269,13 +286,21 @@ def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
         print(f"plan written to {output}")
 
 
-def diagnose_with_progress(log: Log, alpha: float = 0.01, seed: int = 0) -> Diagnosis:
-    """Diagnose a log, with a progress bar at a terminal."""
+def diagnose_with_progress(
+    log: Log,
+    alpha: float = 0.01,
+    seed: int = 0,
+    laws: Mapping[int, Any] | None = None,
+    own_causes: tuple[Cause, ...] = (),
+) -> Diagnosis:
+    """Diagnose a log, with a progress bar at a terminal; candidates are one's own causes, too."""
     from stickslip_fit._io import show_progress
+    from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
+    candidates = (*library(), *covariates(log.usable), *own_causes)
     with show_progress() as progress:
-        return diagnose(log, alpha=alpha, seed=seed, progress=progress)
+        return diagnose(log, laws=laws, causes=candidates, alpha=alpha, seed=seed, progress=progress)
 
 
 def save_extended_law(law: Result | TableFit, path: Path) -> str:
@@ -288,7 +313,7 @@ def save_extended_law(law: Result | TableFit, path: Path) -> str:
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)
-    kind = f"extended by {names}" if names else "published, since no cause was named"
+    kind = f"extended by {names}" if names else "as it was, since no cause was named"
     return f"law ({kind}) saved to {path}"
 
 
@@ -333,14 +358,14 @@ def check_plan_options(paths: list[Path], of_plan: dict[str, object], of_log: di
             raise InputError(f"{option} belongs to {kind}; leave it out here")
 
 
-def advise_after_log(log: Log, alpha: float, seed: int) -> PlanAdvice:
+def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] | None = None) -> PlanAdvice:
     """The most informative next traverses."""
     from stickslip_fit.diagnosis import diagnose, next_experiment
     from stickslip_fit.diagnosis._design_summary import summarize_next
     from stickslip_fit.diagnosis._json import traverse_to_json
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 
-    diagnosis = diagnose(log, alpha=alpha, seed=seed, gain=False)
+    diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False)
     traverses = next_experiment(diagnosis)
     inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
     suggestions = suggest_traverses(diagnosis)

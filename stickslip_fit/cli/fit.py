@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,7 @@ from stickslip_fit.cli._options import (
     Chart,
     Condition,
     Json,
+    LawNames,
     LogPath,
     MachinePath,
     Method,
@@ -27,9 +28,12 @@ from stickslip_fit.cli._options import (
     Theta,
     Until,
     check_chart,
+    check_savable,
     command_line,
     load_arm,
+    load_causes,
     load_fit,
+    load_laws,
     load_log,
     parse_bound,
     parse_drive,
@@ -72,6 +76,10 @@ class EstimatorOptions:
         Names of causes to fit with the laws; not by the closed form.
     causes_from : Path or None
         Of the closed form: a saved result whose causes are known.
+    laws : mapping of int to law
+        Laws of one's own, by joint.
+    own_causes : tuple of Cause
+        Causes of one's own, beside those of the library.
     """
 
     method: Method
@@ -84,6 +92,8 @@ class EstimatorOptions:
     chains: Path | None = None
     causes: tuple[str, ...] = ()
     causes_from: Path | None = None
+    laws: Mapping[int, Any] = field(default_factory=dict)
+    own_causes: tuple[Cause, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -139,20 +149,25 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
+    from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
         return _fit_bayes(log, options)
     if options.method is Method.closed_form:
-        known = load_result(options.causes_from) if options.causes_from else None
-        result = fit_closed_form(log, causes_from=known, command=command_line())
+        known = None
+        if options.causes_from is not None:
+            known = load_result(options.causes_from, options.own_causes, laws=options.laws)
+        result = fit_closed_form(log, laws=options.laws, causes_from=known, command=command_line())
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
+        laws = choose_laws(log.usable, log.machine, options.laws).values() if options.bounds else ()
         result = fit_least_squares(
             log,
-            causes=select_named_causes(options.causes, log),
+            laws=options.laws,
+            causes=select_named_causes(options.causes, log, options.own_causes),
             likelihood=likelihood,
             shared=options.campaign_wide,
-            bounds=dict(parse_bound(text, "--bound") for text in options.bounds),
+            bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
             repeatability=parse_repeatabilities(options.repeatability, "--repeatability"),
             command=command_line(),
         )
@@ -166,8 +181,8 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     return Estimate(result, str(summary))
 
 
-def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
-    """The causes of the library, and the log's own columns, with these names.
+def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = ()) -> tuple[Cause, ...]:
+    """The causes of the library, the log's own columns and one's own causes, with these names.
 
     Raises
     ------
@@ -177,7 +192,7 @@ def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
     from stickslip_fit.causes import covariates, explain_missing, library
 
     rows = log.usable
-    known = {cause.name: cause for cause in (*library(), *covariates(rows))}
+    known = {cause.name: cause for cause in (*library(), *covariates(rows), *own)}
     reasons = {name: explain_missing(cause, rows, log.machine) for name, cause in known.items()}
     missing = {name: reason for name, reason in reasons.items() if reason is not None}
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
@@ -218,9 +233,10 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     from stickslip_fit.bayes.checks import checks_section
 
     watched = sys.stderr.isatty()
-    causes = select_named_causes(options.causes, log)
+    causes = select_named_causes(options.causes, log, options.own_causes)
     posterior = fit_bayes(
         log,
+        laws=options.laws,
         causes=causes,
         seed=options.seed,
         backend=options.chains,
@@ -246,6 +262,7 @@ def plan_move(
     theta: Theta = 0.0,
     psi: Psi = 0.0,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Compute the steps that take the tip to a position, or the joints."""
@@ -253,7 +270,7 @@ def plan_move(
     from stickslip_fit.machine import nearest_solution
     from stickslip_fit.reporting.moves import format_move
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     start = parse_positions(at, "--at")
     if (tip is None) == (joints is None):
         raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
@@ -278,6 +295,7 @@ def dead_reckon(
     theta: Theta = 0.0,
     psi: Psi = 0.0,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
@@ -285,7 +303,7 @@ def dead_reckon(
     from stickslip_fit.reporting.moves import format_pose
     from stickslip_fit.units import to_si
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     drives = [parse_drive(text, "--drive") for text in drive]
     pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
     print(format_pose(arm, pose, to_si(tolerance, "µm")))
@@ -302,6 +320,7 @@ def print_conditions(result: Result, conditions: Mapping[str, float]) -> None:
 
 def calibrate(
     log: LogPath,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -311,12 +330,13 @@ def calibrate(
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
-    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart))
+    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart))
 
 
 def fit(
     log: LogPath,
     method: Annotated[Method, typer.Option(help="Estimator.")] = Method.least_squares,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -361,7 +381,7 @@ def fit(
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
-    _fit_and_print((log, machine, since, until), options, FitOutputs(json, chart, tree))
+    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart, tree))
 
 
 def predict(
@@ -372,6 +392,7 @@ def predict(
     ] = None,
     session: Session = None,
     condition: Condition = None,
+    law: LawNames = None,
     machine: MachinePath = None,
 ) -> None:
     """Predict the counts of a plan's traverses, with 95 % intervals."""
@@ -380,7 +401,7 @@ def predict(
     from stickslip_fit.moves.prediction import predict
     from stickslip_fit.reporting.moves import format_predictions, predictions_csv
 
-    fitted, result = load_fit(calibration, machine)
+    fitted, result = load_fit(calibration, machine, law)
     planned = read_plan(plan, result.machine)
     conditions = parse_plan_conditions(condition, result)
     predicted = predict(fitted, planned, session, conditions)
@@ -394,10 +415,14 @@ def predict(
 
 def _fit_and_print(
     source: tuple[list[Path], Path | None, str | None, str | None],
+    law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,
 ) -> None:
     check_fit_options(options, outputs)
-    estimate = estimate_laws(load_log(*source), options)
+    log = load_log(*source)
+    options = replace(options, laws=load_laws(law, log.joints), own_causes=load_causes(law))
+    check_savable(log, options.laws, outputs.json or outputs.tree)
+    estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)
     print("\n\n".join(filter(None, [estimate.text, "\n".join(saved)])))

@@ -13,6 +13,7 @@ from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     CauseNames,
     Force,
+    LawNames,
     LogPath,
     MachinePath,
     PlanPath,
@@ -21,7 +22,9 @@ from stickslip_fit.cli._options import (
     command_line,
     default_output,
     has_browser,
+    load_causes,
     load_law_values,
+    load_laws,
     load_log,
     parse_path,
     reference_campaign,
@@ -104,6 +107,7 @@ def report(
     diagnosis: Annotated[bool, typer.Option(help="With the diagnosis.")] = True,
     strategies: Annotated[bool, typer.Option(help="With the comparison of strategies.")] = True,
     cause: CauseNames = None,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -113,11 +117,14 @@ def report(
 
     wanted = output or default_output(log)
     campaign = load_log(log, machine, since, until)
-    causes = select_named_causes(cause or (), campaign)
+    causes, laws = (
+        select_named_causes(cause or (), campaign, load_causes(law)),
+        load_laws(law, campaign.joints),
+    )
     sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
     with show_progress() as progress:
         page = make_report(
-            campaign, causes=causes, sections=sections, command=command_line(), progress=progress
+            campaign, laws=laws, causes=causes, sections=sections, command=command_line(), progress=progress
         )
     page.save(wanted)
     print(f"report written to {wanted}")

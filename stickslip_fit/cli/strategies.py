@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 
 from stickslip_fit.cli._files import INPUT, Output
-from stickslip_fit.cli._options import LogPath, MachinePath, Since, Until, check_chart, command_line, load_log
+from stickslip_fit.cli._options import (
+    LawNames,
+    LogPath,
+    MachinePath,
+    Since,
+    Until,
+    check_chart,
+    command_line,
+    load_causes,
+    load_laws,
+    load_log,
+)
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
@@ -44,6 +55,7 @@ def compare(
         Output(),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the traverses chosen at random.")] = 0,
+    law: LawNames = None,
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
@@ -67,16 +79,19 @@ def compare(
     if cause and causes_from is not None:
         raise InputError("--cause and --causes-from exclude each other: give one of them")
     campaign = load_log(log, machine, since, until)
+    laws = load_laws(law, campaign.joints)
     session_selector = earlier_sessions if earlier else other_sessions
     strategies = default_strategies(more, seed)
     if cause:
-        known = causes_from_other_sessions(campaign, select_named_causes(cause, campaign), session_selector)
+        known = causes_from_other_sessions(
+            campaign, select_named_causes(cause, campaign, load_causes(law)), session_selector, laws
+        )
         strategies += default_strategies_with_causes(known, more)
     if causes_from is not None:
-        known = causes_from_result(campaign, load_result(causes_from))
+        known = causes_from_result(campaign, load_result(causes_from, load_causes(law), laws=laws))
         strategies += default_strategies_with_causes(known, more)
     comparison = compare_strategies(
-        campaign, strategies, session_selector=session_selector, command=command_line()
+        campaign, strategies, laws=laws, session_selector=session_selector, command=command_line()
     )
     texts = [comparison.summary().as_text(full=True)]
     if numbers is not None:

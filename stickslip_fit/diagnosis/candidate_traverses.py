@@ -124,10 +124,13 @@ def forecast_candidates(problem: DiagnosisProblem, machine: Machine) -> list[For
     Returns
     -------
     list of Forecast
-        The traverses have columns ``note`` (when to make them) and ``seconds`` (duration).
+        The traverses have columns ``note`` (when to make them) and ``seconds`` (duration). None for a law
+        that names no calibration: how its next session would begin is not known.
     """
     forecasts = []
     for part in problem.parts:
+        if not part.law.calibration():
+            continue
         rows = problem.rows.iloc[part.rows]
         conditions = _typical_conditions(problem.rows, part.law.joint)
         for direction in sorted(rows["direction"].astype(str).unique()):

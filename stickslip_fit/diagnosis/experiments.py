@@ -52,6 +52,8 @@ def next_experiment(diagnosis: Diagnosis) -> tuple[NextTraverse, ...]:
     if not doubtful or diagnosis.table is not None:
         return ()
     forecasts = forecast_candidates(selection.problem, diagnosis.require_log().machine)
+    if not forecasts:
+        return ()
     traverses: list[NextTraverse] = []
     for finding in doubtful:
         (selected,) = (one for one in selection.selected if one.cause == finding.cause)

@@ -91,6 +91,7 @@ def _describe_cause(cause: Any) -> dict[str, Any]:
             "parameters": [_describe_parameter(one) for one in cause.parameters],
             "null_values": list(cause.null_values),
             "scale": list(cause.scale),
+            "columns": list(cause.columns),
         }
     if kind.__module__ == generic.__name__ and is_dataclass(cause):
         return {"kind": kind.__name__} | {one.name: getattr(cause, one.name) for one in fields(cause)}

@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation._optimize import RANK_TOL
-from stickslip_fit.laws import Configuration, traverse_length
+from stickslip_fit.laws import Configuration, StepLaw, traverse_length
 from stickslip_fit.logs.schema import ORIENTATION
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
@@ -48,6 +49,54 @@ def identifiable_parameters(
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
     covariance = np.einsum("gik,gk,gjk->gij", vector, inverse, vector)
     return unseen_share < 1e-6, seen.sum(axis=1), covariance * scales[:, :, None] * scales[:, None, :]
+
+
+def describe_combinations(law: StepLaw, curvature: Array, scales: Array) -> str:
+    """The changes of a group's parameters together that no count shows, in words; of the first few.
+
+    Parameters
+    ----------
+    curvature : array, shape (p, p)
+        As of `identifiable_parameters`.
+    scales : array, shape (p,)
+    """
+    eigenvalue, vector = np.linalg.eigh(curvature * scales[:, None] * scales)
+    unseen = vector[:, eigenvalue <= RANK_TOL**2 * max(eigenvalue[-1], np.finfo(float).tiny)].T
+    sentences = []
+    for combination in _reduce(unseen)[:MAX_COMBINATIONS]:
+        moved = np.flatnonzero(np.abs(combination) > NEGLIGIBLE_SHARE)
+        first, *others = moved[np.argsort(-np.abs(combination[moved]), kind="stable")]
+        if not others:
+            sentences.append(f"no count depends on {law.parameters[first].name}")
+            continue
+        sign = np.sign(combination[first])
+        changes = [
+            f"{law.parameters[k].name} {'rises' if combination[k] * sign > 0 else 'falls'} by "
+            f"{_format_amount(NUDGE * abs(combination[k]) * scales[k], law.parameters[k].unit)}"
+            for k in (first, *others)
+        ]
+        sentences.append(f"no count changes when {join_words(changes)}")
+    return "; ".join(sentences)
+
+
+NUDGE = 0.01  # of a parameter's scale
+NEGLIGIBLE_SHARE = 1e-4
+MAX_COMBINATIONS = 3
+
+
+def _reduce(vectors: Array) -> Array:
+    """The same span with as many zeros as elimination with pivoting makes, shape (k, p)."""
+    reduced = vectors.copy()
+    for row in range(len(reduced)):
+        column = int(np.argmax(np.abs(reduced[row])))
+        reduced[row] /= reduced[row, column]
+        others = np.arange(len(reduced)) != row
+        reduced[others] -= reduced[others, column][:, None] * reduced[row]
+    return reduced
+
+
+def _format_amount(value: float, unit: str) -> str:
+    return f"{from_si(value, unit):.3g}{'' if unit in ('1', '') else ' ' + unit}"
 
 
 def configuration_rows(

@@ -31,6 +31,7 @@ from stickslip_fit.estimation._optimize import (
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, FitOptions, JointProblem, single_problem
 from stickslip_fit.estimation.identifiability import (
     configuration_rows,
+    describe_combinations,
     describe_configuration,
     identifiable_parameters,
 )
@@ -220,12 +221,14 @@ def _flag_unidentified(
         root = np.sqrt(np.maximum(eigenvalue, 0.0))[:, None] * vector.T  # slopes that have this curvature
         seen = root / np.sqrt(np.mean(information))
         wanted = _missing_configurations(law, machine, direction, seen, values[group], scales)
-        missing = "; ".join(describe_configuration(configuration) for configuration in wanted)
+        missing = f"missing: {'; '.join(map(describe_configuration, wanted))}"
+        if not wanted:
+            missing = describe_combinations(law, curvature[group], scales)
         count, shared = pluralize(int(groups.sizes[group]), "usable traverse"), problem.sharing.parameters
         for where, rows, subset in ((str(session), count, ~shared), ("", "the whole campaign", shared)):
             unknown = tuple(names[~known[group] & subset])
             together = " one by one" if len(unknown) > 1 else ""
-            text = f"{join_words(unknown)} cannot be known{together} from {rows}; missing: {missing}"
+            text = f"{join_words(unknown)} cannot be known{together} from {rows}; {missing}"
             flag = Flag.at("not_identified", law.joint, direction, where, unknown, text)
             if unknown and flag not in flags:
                 flags.append(flag)
@@ -237,6 +240,8 @@ def _missing_configurations(
 ) -> tuple[Configuration, ...]:
     """The smallest choice of the law's calibration that makes every parameter known."""
     candidates = law.calibration()
+    if not candidates:
+        return ()
     rows = configuration_rows(candidates, law.joint, direction, machine)
     # Where the fit left a law that stalls in a candidate, any law of ordinary effect serves to find the rank.
     gained = law.jacobian(rows, values) * scales

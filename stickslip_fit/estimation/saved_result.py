@@ -30,7 +30,7 @@ from stickslip_fit.estimation.result import (
     compute_checksum,
     parameters_to_json,
 )
-from stickslip_fit.laws import StepLaw
+from stickslip_fit.laws import Laws, StepLaw, UnknownLawError
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
 
@@ -41,7 +41,7 @@ NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its si
 ADVICE = "fit the log again"
 
 
-def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+def load_result(path: str | Path, causes: Sequence[Cause] = (), *, laws: Laws | None = None) -> Result:
     """Read a result that `Result.save` wrote.
 
     Parameters
@@ -49,13 +49,16 @@ def load_result(path: str | Path, causes: Sequence[Cause] = ()) -> Result:
     path : path
     causes : sequence of Cause, optional
         Causes of your own in the result's laws; see `stickslip_fit.causes.restore`.
+    laws : mapping of int to law, optional
+        Laws of your own by joint, as the log was fitted with them: what a file names is not imported.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no saved result, was made by a newer version, or is damaged.
+        If the file cannot be read, is no saved result, was made by a newer version, or is damaged,
+        or has a law of someone's own that is not given.
     """
-    return result_from_json(read_result_json(path), path, causes)
+    return result_from_json(read_result_json(path), path, causes, laws)
 
 
 def read_result_json(path: str | Path) -> dict[str, Any]:
@@ -89,7 +92,9 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
     return dict(content)
 
 
-def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence[Cause] = ()) -> Result:
+def result_from_json(
+    content: dict[str, Any], path: str | Path, causes: Sequence[Cause] = (), laws: Laws | None = None
+) -> Result:
     """The result in the content of a file.
 
     Raises
@@ -100,7 +105,9 @@ def result_from_json(content: dict[str, Any], path: str | Path, causes: Sequence
     try:
         # Impossible numbers are found by what comes out.
         with np.errstate(all="ignore"):
-            return _build_result(content, causes)
+            return _build_result(content, causes, laws)
+    except UnknownLawError as error:
+        raise InputError(InputIssue(str(error), str(path))) from None
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, InputError) as error:
         what = error.args[0] if error.args else type(error).__name__
         message = f"is a damaged result: {shorten(str(what), 200)}; {ADVICE}"
@@ -119,11 +126,11 @@ def _whole(text: str) -> int:
     return int(text)
 
 
-def _build_result(content: dict[str, Any], causes: Sequence[Cause]) -> Result:
+def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws | None) -> Result:
     file = _validate(content)
     machine = file.machine
     _check_machine(machine)
-    fits = [_build_joint(item, machine, causes) for item in file.joints]
+    fits = [_build_joint(item, machine, causes, laws) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
     _check(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
     read = file.residuals
@@ -211,8 +218,8 @@ def _check_machine(machine: Machine) -> None:
     _check(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
 
 
-def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause]) -> JointFit:
-    law = restore(item.law, machine, causes)
+def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Laws | None) -> JointFit:
+    law = restore(item.law, machine, causes, laws)
     g, p = len(item.sessions), len(law.parameters)
     name = f"joint {law.joint}"
     _check(item.law["joint"] == law.joint, f"the law of {name} is of another joint")
@@ -267,6 +274,8 @@ def is_covariance(matrix: Array) -> bool:
 
 def _has_plausible_steps(fit: JointFit, machine: Machine) -> bool:
     """Whether every group with values has a step size in the law's first calibration configuration."""
+    if not fit.law.calibration():
+        return True
     fitted = ~np.isnan(fit.values).any(axis=1)
     rows = _calibration_rows(fit.law, fit.groups[fitted], machine)
     sizes = machine.span(fit.law.joint) / np.exp(fit.law.predict(rows, fit.values[fitted]))

@@ -22,10 +22,10 @@ from stickslip_fit.laws.published import (
     Prismatic,
     Rotary,
     constant_law,
-    describe_law,
+    is_published,
     published_law,
-    restore_law,
 )
+from stickslip_fit.laws.registry import UnknownLawError, describe_law, installed_laws, restore_law
 from stickslip_fit.laws.table import TableLaw
 
 __all__ = [
@@ -44,11 +44,14 @@ __all__ = [
     "State",
     "StepLaw",
     "TableLaw",
+    "UnknownLawError",
     "choose_laws",
     "constant_law",
     "describe_law",
     "expected_steps",
     "float_column",
+    "installed_laws",
+    "is_published",
     "observed_count",
     "published_law",
     "restore_formula_law",

@@ -71,14 +71,14 @@ def choose_laws(rows: pd.DataFrame, machine: Machine, laws: Laws | None = None) 
         known = ", ".join(map(str, machine.ranges))
         message = f"the machine {machine.name!r} has no such joint; laws are given by joint, one of {known}"
         raise InputError([InputIssue(message, column="joint in laws", value=str(joint)) for joint in unknown])
-    chosen = {}
+    chosen: dict[int, StepLaw] = {}
     for joint in map(int, np.unique(rows["joint"])):
         own = rows[rows["joint"] == joint]
-        chosen[joint] = (
-            _given_law(given[joint], joint, own, machine)
-            if joint in given
-            else _default_law(joint, own, machine)
-        )
+        if joint in given:
+            chosen[joint] = make_law(given[joint], joint, own, machine)
+            check_law(chosen[joint], own)
+        else:
+            chosen[joint] = _default_law(joint, own, machine)
     return chosen
 
 
@@ -88,7 +88,14 @@ def _default_law(joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
     return ConstantStep(joint, prismatic=machine.is_prismatic(joint))
 
 
-def _given_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
+def make_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) -> StepLaw:
+    """The law of a joint from a law, a formula or a function.
+
+    Raises
+    ------
+    InputError
+        For what is no law of this joint.
+    """
     law, what = given, f"the law of joint {joint}"
     if isinstance(given, LawSource):
         law = call_own(what, lambda: given.step_law(joint, rows, machine))
@@ -101,6 +108,4 @@ def _given_law(given: object, joint: int, rows: pd.DataFrame, machine: Machine) 
         )
     if law.joint != joint:
         raise InputError(f"the law {law.name!r} is of joint {law.joint}, but is given for joint {joint}")
-    if len(rows):
-        check_law(law, rows)
     return law

@@ -9,8 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from math import inf, isfinite
 from numbers import Real
@@ -19,16 +19,17 @@ from typing import Any
 import pandas as pd
 
 from stickslip_fit._expression import Expression, parse_expression, parse_formula
-from stickslip_fit._function import NumericFunction, load_function
+from stickslip_fit._function import NO_FUNCTIONS, NumericFunction, find_function
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Parameter, Rows
-from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law, restore_step_law
+from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law
 from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
 from stickslip_fit.laws.table import TableLaw, similar_name
 from stickslip_fit.laws.table_check import check_table_law
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
 
+SMALLER_STARTS = (0.1, 0.01, 0.0)  # in the unit of the parameter
 MAX_NAMES_SHOWN = 40
 Bounds = tuple[float | None, float | None]
 
@@ -190,7 +191,24 @@ class Law:
             raise InputError(f"{unknown[0]} is what the law {self.text!r} is to predict; leave it out of it")
         if not names:
             raise InputError(f"the law {self.text!r} has no parameters, so that there is nothing to fit")
-        return make_step_law(self, names, joint, rows, machine)
+        law = make_step_law(self, names, joint, rows, machine)
+        # An amplitude of 1 stalls many a law, as that of gamma ~ g*(1 + A*sin(q)) does.
+        for size in SMALLER_STARTS:
+            if law.moves_in(rows):
+                break
+            smaller = dict.fromkeys(self._open_starts(names, law), size)
+            nearer = replace(self, start=smaller | dict(self.start))
+            law = replace(make_step_law(nearer, names, joint, rows, machine), source=self)
+        return law
+
+    def _open_starts(self, names: Sequence[str], law: FormulaStepLaw) -> list[str]:
+        """Parameters in which the law is not linear, with neither bounds nor a start value."""
+        settled = {*self.start, *self.bounds}
+        return [
+            name
+            for name, is_linear in zip(names, law.proportional, strict=True)
+            if name not in settled and not is_linear
+        ]
 
     def _left_of(self, response: str | None) -> Expression:
         if self.left is None:
@@ -236,29 +254,20 @@ class Law:
         }
 
 
-def restore_formula_law(description: Mapping[str, Any]) -> Law:
-    """The law that `Law.describe` described.
+def restore_formula_law(
+    description: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = NO_FUNCTIONS
+) -> Law:
+    """The law that `Law.describe` described; `functions` by ``module:name`` are those it may need.
 
     Raises
     ------
     InputError
-        If its function cannot be imported, or its formula cannot be read.
+        If its function is not given, or its formula cannot be read.
     """
     content = dict(description)
-    formula = load_function(content.pop("function")) if "function" in content else content.pop("formula")
+    formula = content.pop("formula", None) or find_function(content.pop("function"), functions)
     content["bounds"] = {name: tuple(pair) for name, pair in content.get("bounds", {}).items()}
     return Law(formula, **content)
-
-
-def restore_formula_step_law(description: Mapping[str, Any]) -> FormulaStepLaw:
-    """The law of a joint that `FormulaStepLaw.describe` described.
-
-    Raises
-    ------
-    InputError
-        If its function cannot be imported, or its formula cannot be read.
-    """
-    return restore_step_law(description, restore_formula_law(description["formula_law"]))
 
 
 def _quote(name: str) -> Expression:

@@ -36,6 +36,7 @@ from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, TableUnit, to_si
 
 RESPONSE = "gamma"
+GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0  # its multiples, modulo 1, spread evenly
 PANELS = 4  # of the longest traverse, at least
 TYPICAL_STEP = {True: 1e-6, False: 1e-4}  # m of a prismatic joint, rad of another; where rows have no counts
 N_STATES = 200  # at random, to tell parameters apart
@@ -150,6 +151,13 @@ class FormulaStepLaw(StepLaw):
 
         return count
 
+    def moves_in(self, rows: Rows) -> bool:
+        """Whether every traverse has a count at the start values; so without traverses."""
+        if not len(float_column(rows, "start")):
+            return True
+        with np.errstate(all="ignore"):
+            return bool(np.isfinite(self.predict(rows, np.array(self.typical))).all())
+
     def describe(self) -> dict[str, Any]:
         """What `restore_step_law` needs to build it again; plain JSON types.
 
@@ -184,7 +192,9 @@ def make_step_law(
     parameters = tuple(_parameter(source, name) for name in names)
     start = {name: to_si(float(value), _unit(source, name)) for name, value in source.start.items()}
     used = [name for name in right.names if name not in names]
-    positions = (float_column(rows, "start") + float_column(rows, "stop")) / 2
+    first, last = float_column(rows, "start"), float_column(rows, "stop")
+    # Not the middle, where what is odd about it, such as sin(q), would not show in whole traverses.
+    positions = first + (last - first) * (GOLDEN_RATIO * np.arange(len(first)) % 1.0)
     frame = {
         name: np.broadcast_to(quantity(state_at(joint, rows, positions[:, None]), name)[:, 0], len(positions))
         for name in used

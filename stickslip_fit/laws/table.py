@@ -23,6 +23,8 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Model, Parameter, Rows
 
 MAX_STARTS = 125  # places where a search may begin
+MAX_EVALUATIONS = 50  # for start values
+BAD_FIT = 1e6  # standard deviations, in place of what is no number
 MAX_LINEAR = 16  # parameters that are looked at
 LINEAR_TOL = 1e-9  # share of the response's change
 
@@ -124,7 +126,9 @@ class TableLaw:
             squares = float(residual @ residual)
             if squares < least:
                 best, least = values, squares
-        return best if isfinite(least) else first
+        if not isfinite(least):
+            return first
+        return best if len(linear) == len(free) else _refine(model, best, free, y, self.parameters)
 
 
 def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
@@ -172,6 +176,43 @@ def solve_linear(
     return solved
 
 
+def _refine(
+    model: Model, values: Array, free: Sequence[int], y: Array, parameters: Sequence[Parameter]
+) -> Array:
+    """Values with some of them by nonlinear least squares, roughly."""
+    from scipy.optimize import least_squares
+
+    size, places = float(np.std(y)) or 1.0, list(free)
+
+    def evaluate(some: Array) -> tuple[Array, Array]:
+        moved = values.copy()
+        moved[places] = some
+        predicted, jacobian = model(moved)
+        return np.nan_to_num((predicted - y) / size, nan=BAD_FIT), np.nan_to_num(jacobian[:, places] / size)
+
+    def residual(some: Array) -> Array:
+        return evaluate(some)[0]
+
+    def slopes(some: Array) -> Array:
+        return evaluate(some)[1]
+
+    low = np.array([parameters[k].lower for k in places])
+    high = np.array([parameters[k].upper for k in places])
+    length = np.sqrt(np.sum(slopes(values[places]) ** 2, axis=0))
+    solved = least_squares(
+        residual,
+        np.clip(values[places], low, high),
+        jac=slopes,
+        bounds=(low, high),
+        x_scale=np.sqrt(len(y)) / np.where(length > 0, length, np.sqrt(len(y))),
+        gtol=None,
+        max_nfev=MAX_EVALUATIONS,
+    )
+    refined = values.copy()
+    refined[places] = solved.x
+    return refined if np.isfinite(model(refined)[0]).all() else values
+
+
 def number_column(rows: Rows, name: str) -> Array:
     """A column as floats, shape (n,).
 
@@ -183,10 +224,12 @@ def number_column(rows: Rows, name: str) -> Array:
     if name not in rows:
         raise InputError(InputIssue("the table has no such column, and the law needs it", column=name))
     column = rows[name]
-    try:
-        return np.asarray(column, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(InputIssue("is not of numbers, and the law computes with it", column=name)) from None
+    if isinstance(column, pd.Series) and pd.api.types.is_numeric_dtype(column):
+        column = column.to_numpy(dtype=complex if column.dtype.kind == "c" else float, na_value=np.nan)
+    values = np.asarray(column)
+    if values.dtype.kind not in "fiub":
+        raise InputError(InputIssue("is not of numbers, and the law computes with it", column=name))
+    return values.astype(float)
 
 
 def count_rows(rows: Rows) -> int:
