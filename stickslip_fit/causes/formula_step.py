@@ -123,7 +123,7 @@ class FormulaCount(FormulaStepCause, CountCause):
         return self.evaluate(state, values)[:, :1]
 
 
-_KINDS: dict[str, type[FormulaStepCause]] = {
+STEP_CAUSES: dict[str, type[FormulaStepCause]] = {
     "+": FormulaTerm,
     "*": FormulaFactor,
     "=": FormulaState,
@@ -145,7 +145,7 @@ def bind_formula_to_log(cause: CauseFormula, rows: pd.DataFrame, machine: Machin
     joint = int(acting["joint"].iloc[0])
     columns = tuple(dict.fromkeys([*columns_of(used, rows, 0), *by]))
     search = _LogTrialSearch(cause, declared, levels, acting, machine, joint)
-    bound = search.choose(lambda **found: _KINDS[cause.operation](columns=columns, **found))
+    bound = search.choose(lambda **found: STEP_CAUSES[cause.operation](columns=columns, **found))
     assert isinstance(bound, FormulaStepCause)
     return bound
 
