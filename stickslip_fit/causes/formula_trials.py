@@ -228,7 +228,7 @@ class TrialSearch(ABC):
         for k, name in enumerate(order):
             one, middle = self.declared[name], self._middle(name)
             for level in self.levels:
-                parameters.append(replace(one, name=name_of_level(name, level)))
+                parameters.append(replace(one, name=name if level is None else f"{name}[{level}]"))
                 null.append(0.0 if k < amplitudes or not amplitudes else middle)
                 scale.append(abs(middle) or 1.0)
         return make(
@@ -270,11 +270,6 @@ class TrialSearch(ABC):
     def in_own_unit(self, name: str, value: float) -> float:
         """A number in the unit that a parameter is displayed in, in the one that is computed in."""
         return to_si(value, self.declared[name].unit)
-
-
-def name_of_level(name: str, level: Any) -> str:
-    """The name of a parameter that belongs to one value of a column, or to all."""
-    return name if level is None else f"{name}[{level}]"
 
 
 def first_row(rows: BoolArray) -> int:

@@ -190,7 +190,7 @@ def test_columns_of_any_type_are_numbers_or_refused(column):
     if column.dtype == bool:
         assert Law("y ~ a + b*x").bind_table(frame).predict(frame, np.array([1.0, 2.0])).tolist() == [3, 1, 3]
     else:
-        with pytest.raises(InputError, match="column x: (is not of numbers|1 of 3 rows)"):
+        with pytest.raises(InputError, match=r"column x: (is not of numbers|1 of 3 rows)"):
             Law("y ~ a + b*x").bind_table(frame)
 
 
