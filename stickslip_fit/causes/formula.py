@@ -22,7 +22,7 @@ import pandas as pd
 
 from stickslip_fit._function import NO_FUNCTIONS, find_function
 from stickslip_fit.causes.cause_formula import CauseFormula
-from stickslip_fit.causes.formula_step import FormulaStepCause, bind_formula_to_log, rebuild_formula_step
+from stickslip_fit.causes.formula_step import FormulaStepCause, bind_formula_to_log
 from stickslip_fit.causes.formula_table import FormulaTableCause, bind_formula_to_table
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.table_cause import ExtendedTableLaw
@@ -102,21 +102,3 @@ def restore_formula_cause(
     name, parameters = content.pop("name"), [CauseParameter(**one) for one in content.pop("parameters")]
     formula = content.pop("formula", None) or find_function(content.pop("function"), functions)
     return FormulaCause(name, formula, parameters, **content | {"joints": tuple(content["joints"])})
-
-
-def restore_formula_step(description: Mapping[str, Any]) -> FormulaStepCause:
-    """The cause of a log that `FormulaStepCause.describe_formula` described.
-
-    Raises
-    ------
-    InputError
-        For one with a Python function, and for a formula that cannot be read.
-    """
-    fields = {name: to_tuples(value) for name, value in description.items()}
-    del fields["name"], fields["formula_cause"]
-    return rebuild_formula_step(restore_formula_cause(description["formula_cause"]), fields)
-
-
-def to_tuples(value: Any) -> Any:
-    """Tuples in place of the lists of JSON."""
-    return tuple(map(to_tuples, value)) if isinstance(value, list | tuple) else value

@@ -6,10 +6,9 @@ millimetre, ten steps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.cause_formula import CauseFormula
-from stickslip_fit.causes.formula_trials import FormulaTrials, Place, TrialSearch, first_row, name_of_level
+from stickslip_fit.causes.formula_trials import FormulaTrials, Place, TrialSearch, first_row
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import State, float_column, state_at
@@ -74,18 +73,6 @@ class FormulaStepCause(FormulaTrials):
                 known[name] = quantity(state, name)
         return np.atleast_2d(self.source.effect.evaluate(known))
 
-    def describe_formula(self) -> dict[str, Any]:
-        """What `restore_formula_step` needs to build it again; plain JSON types.
-
-        Raises
-        ------
-        InputError
-            For a function that cannot be imported by a name.
-        """
-        fields = ("order", "levels", "null_values", "scale", "columns", "sizes")
-        own = {name: getattr(self, name) for name in fields}
-        return {"name": self.name, "formula_cause": self.source.describe()} | own
-
 
 @dataclass(frozen=True, kw_only=True)
 class FormulaTerm(FormulaStepCause, TermCause):
@@ -136,7 +123,7 @@ class FormulaCount(FormulaStepCause, CountCause):
         return self.evaluate(state, values)[:, :1]
 
 
-_KINDS: dict[str, type[FormulaStepCause]] = {
+STEP_CAUSES: dict[str, type[FormulaStepCause]] = {
     "+": FormulaTerm,
     "*": FormulaFactor,
     "=": FormulaState,
@@ -158,20 +145,9 @@ def bind_formula_to_log(cause: CauseFormula, rows: pd.DataFrame, machine: Machin
     joint = int(acting["joint"].iloc[0])
     columns = tuple(dict.fromkeys([*columns_of(used, rows, 0), *by]))
     search = _LogTrialSearch(cause, declared, levels, acting, machine, joint)
-    bound = search.choose(lambda **found: _KINDS[cause.operation](columns=columns, **found))
+    bound = search.choose(lambda **found: STEP_CAUSES[cause.operation](columns=columns, **found))
     assert isinstance(bound, FormulaStepCause)
     return bound
-
-
-def rebuild_formula_step(cause: CauseFormula, fields: Mapping[str, Any]) -> FormulaStepCause:
-    """The cause of which `FormulaStepCause.describe_formula` has the fields, as tuples."""
-    declared = {one.name: _in_si(one) for one in cause.declared}
-    parameters = tuple(
-        replace(declared[name], name=name_of_level(name, level))
-        for name in fields["order"]
-        for level in fields["levels"]
-    )
-    return _KINDS[cause.operation](source=cause, parameters=parameters, **fields)
 
 
 def _in_si(parameter: CauseParameter) -> CauseParameter:

@@ -26,6 +26,7 @@ from stickslip_fit.laws.table import is_linear, spread
 from stickslip_fit.units import to_si
 
 NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many parameters that are no amplitudes
+STATE_FACTORS = (1.0, 10.0, -10.0)
 NULL_TOL = 1e-9
 _PHRASES = {
     "+": "the law lacks {}",
@@ -62,7 +63,10 @@ class FormulaTrials(Cause):
     columns: tuple[str, ...]  # type: ignore[misc]
     sizes: tuple[tuple[Place, Place], ...] = ()
 
-    max_trial_factor = 100.0  # what is tried has the size of the scatter, or of a guess
+    @property
+    def max_trial_factor(self) -> float:  # type: ignore[override]
+        """See `Cause`: what is tried has the size of the scatter, or of a guess."""
+        return 10.0 if self.source.operation == "=" else 100.0
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -195,10 +199,10 @@ class TrialSearch(ABC):
         bound = self._with_order(make, (*amplitudes, *others), len(amplitudes))
         places = self._places(others)
         if amplitudes:
-            sizes = tuple((place, self._sizes(bound, place, amplitudes)) for place in places)
+            sizes = tuple(pair for place in places for pair in self._pairs(bound, place, amplitudes))
         else:
             sizes = tuple((place[1:], place[:1]) for place in self.moderate(others, places))
-        middle = sizes[len(sizes) // 2][1]
+        middle = self._own_sizes(bound, places[len(places) // 2], amplitudes) if amplitudes else sizes[0][1]
         return replace(bound, sizes=sizes, scale=(*middle, *bound.scale[len(middle) :]))
 
     def error(self, reason: str) -> InputError:
@@ -247,7 +251,7 @@ class TrialSearch(ABC):
         for k, name in enumerate(order):
             one, middle = self.declared[name], self._middle(name)
             for level in self.levels:
-                parameters.append(replace(one, name=name_of_level(name, level)))
+                parameters.append(replace(one, name=name if level is None else f"{name}[{level}]"))
                 null.append(0.0 if k < amplitudes or not amplitudes else middle)
                 scale.append(abs(middle) or 1.0)
         return make(
@@ -260,8 +264,22 @@ class TrialSearch(ABC):
         along = [spread(self.declared[name].lower, self.declared[name].upper, number) for name in others]
         return [tuple(map(float, place)) for place in product(*along)]
 
-    def _sizes(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Place:
-        """Of each amplitude the size that is tried: that which the user gives, else one that shows."""
+    def _pairs(
+        self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]
+    ) -> list[tuple[Place, Place]]:
+        """A place with the sizes that are tried there.
+
+        What is put in place of a column may act in another way when it is large, so that one amplitude is
+        tried at several sizes; a term and a factor act in proportion.
+        """
+        sizes = [self._own_sizes(bound, place, amplitudes)]
+        if self.cause.operation == "=" and len(sizes[0]) == 1:
+            (shows,) = self.sizes_at(bound, place, amplitudes).tolist()
+            sizes += [(factor * shows,) for factor in STATE_FACTORS]
+        return [(place, own) for own in dict.fromkeys(sizes)]
+
+    def _own_sizes(self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]) -> Place:
+        """Of each amplitude the size that the user gives, else one that shows."""
         sizes = self.sizes_at(bound, place, amplitudes)
         by_name = self.cause.size
         if not isinstance(by_name, Mapping):
@@ -275,11 +293,6 @@ class TrialSearch(ABC):
     def in_own_unit(self, name: str, value: float) -> float:
         """A number in the unit that a parameter is displayed in, in the one that is computed in."""
         return to_si(value, self.declared[name].unit)
-
-
-def name_of_level(name: str, level: Any) -> str:
-    """The name of a parameter that belongs to one value of a column, or to all."""
-    return name if level is None else f"{name}[{level}]"
 
 
 def first_row(rows: BoolArray) -> int:

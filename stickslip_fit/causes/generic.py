@@ -33,6 +33,7 @@ from stickslip_fit.units import TableUnit
 BY_DIRECTION = "-by-direction"
 TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
 COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
+MAX_MOMENTS = 2000  # of a sudden change, each tried; with more rows some are left out
 MAX_SESSIONS = 50  # that may each have an offset of their own
 # Of the longest session; what takes longer is a drift.
 TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35])
@@ -257,9 +258,17 @@ class SuddenChange(GenericCause):
         """See `GenericCause`."""
         return [
             (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
-            for session, moments in candidate_moments(rows)
+            for session, moments in self._moments(rows)
             if self.session in ("", session)
         ]
+
+    def _moments(self, rows: pd.DataFrame) -> list[tuple[str, Array]]:
+        """In autocorrelated noise a change shows most where it begins, so that every row may be its first."""
+        if self.direction or len(rows) > MAX_MOMENTS:
+            return candidate_moments(rows)
+        seconds = rows.groupby("session", sort=False)["session_seconds"].unique()
+        between = {name: ((times[1:] + times[:-1]) / 2)[2:-2] for name, times in seconds.items()}
+        return [(str(name), moments) for name, moments in between.items() if len(moments)]
 
     def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
         """See `GenericCause`: all moments at once."""

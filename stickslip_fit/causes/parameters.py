@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import capitalize_first, format_estimate, format_number
+from stickslip_fit._format import capitalize_first, format_estimate, format_measured, format_number
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import Parameter, Rows, State, float_column
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
-from stickslip_fit.units import Interval
+from stickslip_fit.units import Interval, TableUnit
 
 Row = Mapping[str, Any]
 """Quantities of each traverse by name, arrays of shape (n,)."""
@@ -63,6 +63,9 @@ class SizedParameter:
             return positive if self.size.estimate > 0 else negative
         if form.endswith("f"):
             return format_number(self.size.estimate, self.unit, int(form[1:-1]))
+        if isinstance(self.unit, TableUnit):
+            sign = 1.0 if form == "+" or self.size.estimate >= 0 else -1.0
+            return format_measured(self.size.times(sign), self.unit)
         return format_estimate(self.size, self.unit, signed=form == "+")
 
 

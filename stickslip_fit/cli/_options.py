@@ -22,7 +22,6 @@ from stickslip_fit.errors import InputError, InputIssue
 if TYPE_CHECKING:
     from stickslip_fit._typing import Array
     from stickslip_fit.bayes import Posterior
-    from stickslip_fit.causes import Cause
     from stickslip_fit.estimation import Result
     from stickslip_fit.laws import StepLaw
     from stickslip_fit.logs import Log
@@ -238,7 +237,7 @@ def is_law_file(name: str) -> bool:
     return name.endswith(".toml")
 
 
-def load_causes(names: list[Path] | None) -> tuple[Cause, ...]:
+def load_causes(names: list[Path] | None) -> tuple[Any, ...]:
     """Causes in the files of formulas among the laws that are named; raises InputError for a faulty file."""
     from stickslip_fit.causes.law_file import read_law_file
 

@@ -163,6 +163,9 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
     if finding.traverses is not None:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
+    if getattr(finding.version, "sentence", ""):
+        text = finding.version.describe(finding.parameters)
+        return text if finding.parameters else f"{text}, by {format_size(finding.effect.estimate, table)} rms"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:

@@ -39,17 +39,17 @@ def next_experiment(diagnosis: Diagnosis) -> tuple[NextTraverse, ...]:
     Returns
     -------
     tuple of NextTraverse
-        Empty where every cause is separate, or no traverse within reach separates them; see
-        `find_inseparable_pairs`.
+        Empty where every cause is separate, or no traverse within reach separates them (see
+        `find_inseparable_pairs`), and for a table, which has no traverses.
 
     Raises
     ------
     InputError
-        If causes are left and the data were no log.
+        If causes are left and the data were neither a log nor a table.
     """
     selection = diagnosis.selection
     doubtful = [finding for finding in diagnosis.findings if finding.equivalent and finding.cause != UNKNOWN]
-    if not doubtful:
+    if not doubtful or diagnosis.table is not None:
         return ()
     forecasts = forecast_candidates(selection.problem, diagnosis.require_log().machine)
     if not forecasts:

@@ -45,7 +45,7 @@ MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
 )  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
-MIN_ECHO_SD = 4.0  # of an outlier in autocorrelated noise, the larger ones and their traces subtracted
+MIN_ECHO_SD = 4.5  # of an outlier in autocorrelated noise, the larger ones and their traces subtracted
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection
 MIN_LOG_RATIO = 0.5  # nats; noise alone often gives as much and need not be simulated
 
@@ -191,7 +191,7 @@ def find_outliers(
     if not len(rows):
         return Outliers(rows, 1.0)
     if linearized.noise_filter is not None:
-        rows = _without_echoes(linearized, residual, rows)
+        rows = _without_echoes(linearized, rows)
         if not len(rows):
             return Outliers(rows, 1.0)
     allowed = [df for df, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - MAX_TAIL_LOG_RATIO]
@@ -199,20 +199,21 @@ def find_outliers(
     return Outliers(rows, min(1.0, p_value + (TAIL_ERROR_RATE if len(allowed) < len(TAIL_DF) else 0.0)))
 
 
-def _without_echoes(linearized: LinearizedFit, residual: Array, rows: IntArray) -> IntArray:
+def _without_echoes(linearized: LinearizedFit, rows: IntArray) -> IntArray:
     """Outlying rows of autocorrelated noise that are single responses far off.
 
     A filter predicts the row after an outlier wrongly, too; and a lasting change leaves one large residual,
-    where it begins. Rows are taken by size, each with its trace subtracted.
+    where it begins. Rows are taken by size, each with its trace subtracted, from residuals from which no
+    structure is removed: what was taken for structure may be the outliers'.
     """
     assert linearized.noise_filter is not None
-    n, session = len(residual), linearized.rows["session"].to_numpy(object)
+    n, session = len(linearized), linearized.rows["session"].to_numpy(object)
     single, lasting = np.zeros((n, len(rows))), np.zeros((n, len(rows)))
     single[rows, np.arange(len(rows))] = 1.0
     for k, row in enumerate(rows):
         lasting[row:, k] = session[row:] == session[row]
     traces, changes = (_unit_columns(np.asarray(linearized.noise_filter @ one)) for one in (single, lasting))
-    left, found = residual.copy(), []
+    left, found = linearized.residual.copy(), []
     for _ in rows:
         sizes, as_changes = np.abs(traces.T @ left), np.abs(changes.T @ left)
         k = int(np.argmax(np.maximum(sizes, as_changes)))

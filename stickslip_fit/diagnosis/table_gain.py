@@ -66,6 +66,8 @@ def measure_table_gain(
         return None, None, findings
     linearized = problem.linearize()
 
+    order = list(dict.fromkeys(problem.rows["session"].astype(object)))
+
     def estimate(kinds: IntArray, held_out: str) -> tuple[Gain, tuple[Finding, ...]] | None:
         n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
         folds, *others = (
@@ -87,8 +89,11 @@ def measure_table_gain(
             compute_errors=compute_table_errors,
             recolour=linearized.recolour,
         )
-        named = [replace(finding, gain=finding.gain and _describe(finding.gain, held_out)) for finding in own]
-        return _describe(gain, held_out), tuple(named)
+        named = [
+            replace(finding, gain=finding.gain and _describe(finding.gain, held_out, order))
+            for finding in own
+        ]
+        return _describe(gain, held_out, order), tuple(named)
 
     groups = table.roles.get("group", "")
     measured = new_session = None
@@ -104,8 +109,11 @@ def measure_table_gain(
     return gain, new_session[0] if new_session else None, own
 
 
-def _describe(gain: Gain, held_out: str) -> Gain:
-    return replace(gain, by_session=gain.by_session.rename(columns={"traverses": "rows"}), held_out=held_out)
+def _describe(gain: Gain, held_out: str, sessions: Sequence[str]) -> Gain:
+    """A table's gain: what was held out together, and the sessions in their order."""
+    by_session = gain.by_session.set_index("session").reindex(sessions).dropna().reset_index()
+    by_session = by_session.rename(columns={"traverses": "rows"}).astype({"rows": int})
+    return replace(gain, by_session=by_session, held_out=held_out)
 
 
 def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[IntArray, str]:

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stickslip_fit._format import format_percent
+from stickslip_fit._format import format_percent, format_significant
 from stickslip_fit.diagnosis.effect_size import size_unknown
-from stickslip_fit.diagnosis.finding import Finding, Gain
+from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection, form_cause_set, refit_selection
 
@@ -32,9 +32,13 @@ def find_unsupported(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def withdraw_causes(
-    selection: Selection, findings: Sequence[Finding], unsupported: Sequence[Finding], alpha: float
+    selection: Selection,
+    findings: Sequence[Finding],
+    unsupported: Sequence[Finding],
+    alpha: float,
+    table: TableInfo | None = None,
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """The selection and its findings with `unknown` for the unsupported ones."""
+    """The selection and its findings with `unknown` for the unsupported ones; of a log without a `table`."""
     names = [one.cause for one in unsupported]
     first = next(one for one in selection.selected if one.cause in names)
     assert first.misfit is not None
@@ -47,15 +51,22 @@ def withdraw_causes(
     )
     others = [one for one in selection.selected if one.cause not in (*names, UNKNOWN)]
     smaller = refit_selection(selection, (*others, unknown))
-    note = "; ".join(map(_explain, unsupported))
+    note = "; ".join(_explain(one, table) for one in unsupported)
     kept = [one for one in findings if one.cause not in (*names, UNKNOWN)]
     return smaller, (*kept, replace(size_unknown(smaller, unknown, alpha), note=note))
 
 
-def _explain(finding: Finding) -> str:
+def _explain(finding: Finding, table: TableInfo | None) -> str:
     gain = finding.gain
     assert gain is not None
+    if table is None:
+        held_out, after, before = "traverses", format_percent(gain.extended), format_percent(gain.baseline)
+    else:
+        after, before = (
+            f"{format_significant(value)} {table.unit}".rstrip() for value in (gain.extended, gain.baseline)
+        )
+        held_out = "rows"
     return (
-        f"{finding.cause} is not named, since with it in the law held-out traverses are not predicted better "
-        f"({format_percent(gain.extended)}, without it {format_percent(gain.baseline)})"
+        f"{finding.cause} is not named, since with it in the law held-out {held_out} are not predicted "
+        f"better ({after}, without it {before})"
     )

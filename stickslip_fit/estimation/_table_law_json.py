@@ -106,7 +106,7 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
         source = _restore_source(restore_formula_cause, own.pop("source"), functions)
         listed = {name: tuple(values) for name, values in own.items()}
         return FormulaTableCause(source=source, parameters=parameters, **listed)
-    restored = getattr(generic, kind)
+    restored: Any = getattr(generic, kind)
     if not (isinstance(restored, type) and issubclass(restored, generic.GenericCause)):
         raise ValueError(f"there is no cause {kind}")
     return restored(

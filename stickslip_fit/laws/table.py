@@ -224,10 +224,12 @@ def number_column(rows: Rows, name: str) -> Array:
     if name not in rows:
         raise InputError(InputIssue("the table has no such column, and the law needs it", column=name))
     column = rows[name]
-    try:
-        return np.asarray(column, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(InputIssue("is not of numbers, and the law computes with it", column=name)) from None
+    if isinstance(column, pd.Series) and pd.api.types.is_numeric_dtype(column):
+        column = column.to_numpy(dtype=complex if column.dtype.kind == "c" else float, na_value=np.nan)
+    values = np.asarray(column)
+    if values.dtype.kind not in "fiub":
+        raise InputError(InputIssue("is not of numbers, and the law computes with it", column=name))
+    return values.astype(float)
 
 
 def count_rows(rows: Rows) -> int:

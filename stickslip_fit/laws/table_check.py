@@ -184,7 +184,7 @@ def _kernel(columns: Array) -> Array:
     """An orthonormal basis of what the columns map to 0, shape (d, p)."""
     if columns.shape[1] == 0:
         return np.zeros((0, 0))
-    _, singular, right = np.linalg.svd(columns, full_matrices=True)
+    _, singular, right = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=True)
     singular = np.pad(singular, (0, columns.shape[1] - len(singular)))
     return right[singular <= RANK_TOL]
 

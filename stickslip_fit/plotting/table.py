@@ -72,11 +72,12 @@ class _TableRows:
 
 def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
     rows, law = diagnosis.selection.problem.rows, diagnosis.selection.problem.parts[0].law
-    units = {str(name): str(unit) for name, unit in (getattr(law.source, "units", None) or {}).items()}
-    roles, used = table.roles, [name for name in law.columns if name != table.response]
+    declared = getattr(getattr(law, "source", None), "units", None) or {}
+    units = {str(name): str(unit) for name, unit in declared.items()}
+    roles, used = table.roles, [name for name in getattr(law, "columns", ()) if name != table.response]
     names = [roles.get("position", ""), *used, *map(str, rows.columns)]
     hidden = {"joint", "session_seconds", roles.get("session"), roles.get("group"), roles.get("time")}
-    hidden |= {table.response, *getattr(law.left, "names", ())}
+    hidden |= {table.response, *getattr(getattr(law, "left", None), "names", ())}
     columns: dict[str, Array] = {}
     labels: dict[str, str] = {}
     if roles.get("time"):

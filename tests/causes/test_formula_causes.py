@@ -106,7 +106,10 @@ def test_trials_have_the_size_of_the_scatter(law, frame, case):
     for version, trials in versions:
         changes = version.changes(law, frame, np.tile(BASE, (len(frame), 1)), trials)
         assert trials.shape[1] == len(bound.parameters) == len(version.null_values)
-        assert bound.combine_trials == (len(trials) > 1 and case not in ("factor", "nonlinear"))
+        assert bound.combine_trials == (case in ("two amplitudes", "by", "nonlinear by"))
+        if case == "column":
+            assert (trials[:, 0] / trials[0, 0]).tolist() == [1.0, 10.0, -10.0]
+            changes = changes[:, :1]
         if "nonlinear" not in case:
             acts = np.where(changes == 0, np.nan, changes)
             np.testing.assert_allclose(np.sqrt(np.nanmean(acts**2, axis=0)), 0.02, rtol=0.35)
@@ -281,3 +284,23 @@ def test_a_law_with_causes_of_formulas_is_saved_and_loaded(log):
     np.testing.assert_array_equal(again.predict(rows, values), law.predict(rows, values))
     cause = ssf.Cause("c", squares, "k")
     assert restore_formula_cause(cause.describe(), {cause.describe()["function"]: squares}).formula is squares
+
+
+@pytest.mark.parametrize("size", [None, 0.005, 5.0])
+def test_a_cause_is_found_whatever_size_is_said_to_matter(size):
+    rng = np.random.default_rng(2)
+    x, z = rng.normal(size=(2, 300))
+    noise, run = 0.1 * rng.normal(size=300), np.repeat(["a", "b"], 150)
+    response = 2 * (x + 0.05 * z) + (x + 0.05 * z) ** 2 + 0.5 * z + noise
+    frame = pd.DataFrame({"x": x, "z": z, "F": response, "run": run})
+    causes = [
+        ssf.Cause("cross", "x = x + d*z", "d", size=size),
+        ssf.Cause("cube", "+ k*x**3", "k", size=size),
+        ssf.Cause("gain", "* (1 + g*z)", "g in %", size=size),
+    ]
+    law = Law("F ~ a*x + b*x**2 + c*z")
+    diagnosis = ssf.diagnose_table(frame, law, session="run", causes=causes, gain=False)
+    (finding,) = diagnosis.findings
+    assert finding.cause == "cross"
+    size = finding.parameters[0].size
+    assert size.low < 0.05 < size.high

@@ -174,6 +174,26 @@ def test_what_is_the_same_within_every_session_is_told_apart_only_if_shared(fram
     assert Law("F ~ a*vel + k*T + c").bind_table(frame).n_shared == 0
 
 
+@pytest.mark.parametrize(
+    "column",
+    [
+        pd.Series([1, None, 3], dtype="Float64"),
+        pd.Series([True, False, True]),
+        pd.Series(["1", "2", "3"]),
+        pd.Series(pd.to_datetime(["2026-01-01"] * 3)),
+        pd.Series([1j, 2j, 3j]),
+    ],
+    ids=["nullable", "bool", "text", "times", "complex"],
+)
+def test_columns_of_any_type_are_numbers_or_refused(column):
+    frame = pd.DataFrame({"x": column, "y": [1.0, 2.0, 4.0]})
+    if column.dtype == bool:
+        assert Law("y ~ a + b*x").bind_table(frame).predict(frame, np.array([1.0, 2.0])).tolist() == [3, 1, 3]
+    else:
+        with pytest.raises(InputError, match=r"column x: (is not of numbers|1 of 3 rows)"):
+            Law("y ~ a + b*x").bind_table(frame)
+
+
 def test_empty_cells_are_counted_and_placed(frame):
     frame.loc[[3, 9], "vel"] = np.nan
     with pytest.raises(InputError, match="column vel: 2 of 80 rows have no number here, first row 4"):

@@ -1,4 +1,4 @@
-"""Sampled motions of a stage under friction, with noise and effects of known strength; numpy and scipy alone."""
+"""Sampled motions of a stage under friction, with noise and effects of known strength; scipy alone."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def signal(rng: np.random.Generator, kind: str, sessions: int, length: int) -> p
 
 
 def with_effect(rows: pd.DataFrame, kind: str, name: str, strength: float) -> tuple[pd.DataFrame, float]:
-    """The table with an effect of this strength, and its z under the known noise, of expectation `strength`."""
+    """The table with an effect of this strength, and its z under the known noise."""
     runs = [np.flatnonzero(rows["run"] == run) for run in rows["run"].unique()]
     lower = cholesky(correlation(kind, len(runs[0])), lower=True)
 

@@ -43,7 +43,7 @@ def test_the_answer_is_that_of_a_comparison_by_hand(name):
 
 
 def name_rates(kind: str, name: str, strength: float, number: int) -> tuple[float, float, float]:
-    """Shares of tables with the cause in the answer, with another in its place, and of a z above its limit."""
+    """Shares of tables with the cause in the answer, with another instead, and of a z above its limit."""
     right = wrong = alarms = 0
     for k in range(number):
         rows = signal(np.random.default_rng([77, k]), kind, 1, 600)

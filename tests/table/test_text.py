@@ -7,11 +7,13 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis import save_diagnosis
 from stickslip_fit.diagnosis._json import diagnosis_to_json
+from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench
 from tests.table.conftest import diagnosed
 
@@ -106,7 +108,11 @@ def test_json_is_a_file_and_the_table_is_kept(named, file, tmp_path):
 
 def test_causes_that_cannot_be_told_apart_say_what_would_separate_them():
     twin = ssf.Cause(
-        "viscous-twin", "+ k*(abs(vel) + 0.001*vel)", "k in N s/m", shows_best="at speeds far apart", phrase="a twin"
+        "viscous-twin",
+        "+ k*(abs(vel) + 0.001*vel)",
+        "k in N s/m",
+        shows_best="at speeds far apart",
+        phrase="a twin",
     )
     one = replace(BY_DIRECTION, shows_best="at any speed")
     diagnosis = ssf.diagnose_table(bench(1), LAW, causes=[one, twin], generic_causes=(), gain=False)
@@ -162,3 +168,44 @@ def test_no_cause_no_log():
     diagnosis = ssf.diagnose_table(bench(1), LAW, causes=[CUBIC], generic_causes=(), gain=False)
     with pytest.raises(ssf.InputError, match="not of a log"):
         diagnosis.require_log()
+
+
+def withdrawn(diagnosis):
+    """What a finding that does not predict better is replaced by."""
+    (finding,) = diagnosis.findings
+    poor = replace(finding, gain=replace(finding.gain, extended=2.0 * finding.gain.baseline))
+    _, (unknown,) = withdraw_causes(
+        diagnosis.selection, [poor], [poor], diagnosis.alpha, table=diagnosis.table
+    )
+    return unknown
+
+
+def test_a_cause_that_is_withdrawn_has_its_reason_in_the_responses_unit(named):
+    unknown = withdrawn(named)
+    assert unknown.cause == "unknown"
+    assert re.search(
+        r"held-out rows are not predicted better \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note
+    )
+
+
+def days():
+    rng = np.random.default_rng(3)
+    frame = pd.DataFrame({"day": np.repeat([f"day {k}" for k in range(6)], 30), "x": rng.uniform(0, 10, 180)})
+    frame["T"] = rng.uniform(18, 24, 180)
+    noise = 0.2 * rng.standard_normal(180)
+    return frame.assign(y=2 * frame["x"] + 5 + 0.3 * frame["T"] + noise)
+
+
+def test_a_generic_cause_is_named_with_its_column_and_sessions_stand_in_their_order():
+    law = ssf.Law("y ~ slope*x + offset", units={"y": "mV", "x": "mm", "slope": "mV/mm", "offset": "mV"})
+    diagnosis = ssf.diagnose_table(days(), law, session="day")
+    assert [finding.cause for finding in diagnosis.findings] == ["covariate:T"]
+    assert re.search(r"^The response follows the column T, by 0\.\d+ mV rms\.", str(diagnosis))
+    assert list(diagnosis.gain.by_session["session"]) == [f"day {k}" for k in range(6)]
+    assert diagnosis.gain.by_session["rows"].sum() == 180
+    labels = [label.get_text() for label in diagnosis.plot_gain()[0].get_xticklabels()]
+    assert sorted(labels) == [f"day {k}" for k in range(6)]
+
+
+def test_a_table_has_no_next_experiment(named):
+    assert ssf.next_experiment(named) == ()

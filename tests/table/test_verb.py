@@ -75,24 +75,18 @@ def test_what_is_read_is_kept(desk, option, name):
     assert (desk / name).read_bytes() == before
 
 
-def test_faults_of_a_law_file_are_named_with_their_lines(desk):
-    text = LAW.replace("[units]", "[unitz]").replace('time = "t"', 'clock = "t"')
-    (desk / "friction.toml").write_text(text.replace("name = ", "nom = "), "utf-8")
-    with pytest.raises(ssf.InputError) as caught:
-        ssf.read_law_file("friction.toml")
-    message = str(caught.value)
-    assert "friction.toml, line 4, column unitz" in message
-    assert "did you mean units?" in message
-    assert "session, time, position, direction or group" in message
-    assert "give the cause a name" in message
+def test_a_fault_of_the_law_file_is_named_with_its_line_and_nothing_is_written(desk):
+    (desk / "friction.toml").write_text(LAW.replace("[units]", "[unitz]"), "utf-8")
+    done = run("bench.csv", "--law", "friction.toml", "--json", "out.json")
+    assert isinstance(done.exception, ssf.InputError)
+    assert "friction.toml, line 4, column unitz" in str(done.exception)
+    assert not (desk / "out.json").exists()
 
 
-def test_formulas_that_cannot_be_read_are_all_named(desk):
-    (desk / "friction.toml").write_text(LAW.replace("+ offset", "+ (").replace("+ dFv", "dFv"), "utf-8")
-    with pytest.raises(ssf.InputError) as caught:
-        ssf.read_law_file("friction.toml")
-    assert len(caught.value.problems) == 2
-    assert all(str(issue).startswith("friction.toml: ") for issue in caught.value.problems)
+def test_laws_of_joints_are_no_law_of_a_table(desk):
+    (desk / "friction.toml").write_text('[joint.1]\nformula = "gamma ~ a"\n', "utf-8")
+    done = run("bench.csv", "--law", "friction.toml")
+    assert "laws of a log's joints alone" in str(done.exception)
 
 
 def test_a_law_file_gives_what_python_would(desk):

@@ -1,0 +1,115 @@
+"""The generic causes: each adds what it says, has exact derivatives, and is there where its columns are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
+from tests.table.signals import LAW, ROLES, signal
+
+ALWAYS = {"outliers"}
+BY_TIME = {"drift", "warm-up", "sudden-change"}
+BY_PLACE = {"position", "periodic-in-position"}
+COVARIATE = {"covariate:temp"}
+
+
+def prepared(shared=(), **roles):
+    frame = signal(np.random.default_rng(6), "white", 2, 40)
+    rows = prepare_rows(frame, TableRoles(**roles))
+    law = ssf.Law(LAW, shared=shared).bind_table(rows, session=roles.get("session"))
+    return rows, law, {one.name: one for one in generic_causes(rows, law, TableRoles(**roles))}
+
+
+EVERY = sorted(prepared(shared="all", **ROLES)[2])
+
+
+@pytest.mark.parametrize(
+    ("roles", "names"),
+    [
+        ({}, ALWAYS | {"covariate:temp", "covariate:t", "covariate:q", "covariate:way"}),
+        (
+            {"time": "t", "position": "q", "session": "run"},
+            ALWAYS | BY_TIME | BY_PLACE | COVARIATE | {"covariate:way"},
+        ),
+        (
+            ROLES,
+            ALWAYS
+            | {"offset-by-direction"}
+            | {name + end for name in BY_TIME | BY_PLACE | COVARIATE for end in ("", "-by-direction")},
+        ),
+    ],
+)
+def test_a_cause_is_there_where_its_columns_are(roles, names):
+    assert set(prepared(**roles)[2]) == names
+
+
+def test_sessions_may_differ_where_parameters_are_shared():
+    assert "offset-by-session" in prepared(shared="all", **ROLES)[2]
+    assert "offset-by-session" not in prepared(**ROLES)[2]
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "outliers"])
+def test_a_law_with_a_cause_has_exact_derivatives_and_none_without_effect(name):
+    rows, law, causes = prepared(shared="all", **ROLES)
+    cause = causes[name]
+    version, trials = cause.trials(rows)[0]
+    extended, p = version.extend(law), len(law.parameters)
+    own = np.broadcast_to(law.start_values(rows, law.response(rows)[0]), (len(rows), p))
+
+    def predict(values):
+        return extended.predict(rows, np.hstack([own, np.tile(values, (len(rows), 1))]))
+
+    assert len(extended.parameters) == p + trials.shape[1]
+    np.testing.assert_allclose(predict(np.array(version.null_values)), law.predict(rows, own))
+    trial = trials[len(trials) // 2]
+    np.testing.assert_allclose(
+        version.changes(law, rows, own, trial[None])[:, 0],
+        predict(trial) - law.predict(rows, own),
+        atol=1e-12,
+    )
+    slopes = extended.jacobian(rows, np.hstack([own, np.tile(trial, (len(rows), 1))]))[:, p:]
+    for k, (parameter, scale) in enumerate(zip(version.parameters, version.scale, strict=True)):
+        if not parameter.sudden:
+            step = 1e-6 * scale * np.eye(len(trial))[k]
+            np.testing.assert_allclose(
+                slopes[:, k],
+                (predict(trial + step) - predict(trial - step)) / (2 * step[k]),
+                rtol=1e-5,
+                atol=1e-8,
+            )
+
+
+def test_an_effect_by_direction_has_the_opposite_sign_in_either():
+    rows, law, causes = prepared(**ROLES)
+    own = np.zeros((len(rows), len(law.parameters)))
+    for name in ("drift", "position", "covariate:temp"):
+        _, trials = causes[name].trials(rows)[0]
+        plain, signed = (
+            causes[one].changes(law, rows, own, trials) for one in (name, f"{name}-by-direction")
+        )
+        np.testing.assert_allclose(signed, rows["way"].to_numpy()[:, None] * plain)
+
+
+def test_every_cause_says_what_it_is():
+    for cause in prepared(shared="all", **ROLES)[2].values():
+        for text in (cause.phrase, cause.physics, cause.shows_best):
+            assert text
+            assert text[0].islower() == (text is not cause.physics)
+        assert all(parameter.meaning for parameter in cause.parameters)
+
+
+def test_columns_that_cannot_be_followed_are_explained():
+    frame = signal(np.random.default_rng(6), "white", 2, 40)
+    frame = frame.assign(
+        batch=np.where(frame["run"] == "r0", 1.0, 2.0),
+        gaps=np.where(np.arange(80) % 9, 1.0, np.nan),
+        same=4.0,
+        who="me",
+    )
+    untestable = ssf.diagnose_table(frame, LAW, session="run", gain=False).untestable
+    assert "same within every session" in untestable["covariate:batch"]
+    assert "9 of its cells are empty" in untestable["covariate:gaps"]
+    assert "the same in every row" in untestable["covariate:same"]
+    assert "not of numbers" in untestable["covariate:who"]
