@@ -422,7 +422,8 @@ def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
     for name in position_columns(rows):
         unit = coordinate_unit(name, log.machine)
         values = "moves" if name == f"q{joint}" else _format_values(rows[name], unit)
-        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
+        if values != MISSING or log.machine.has_published_geometry:
+            covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
     return covered
 
 
