@@ -354,8 +354,9 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
     for selected in diagnosis.selection.selected:
         if selected.misfit is not None:
-            for cause in (selected.cause, *selected.cause_set.rivals):
-                evidence[cause] = selected.misfit.log_evidence_by_cause[cause]
+            own = selected.misfit.log_evidence_by_cause
+            names = (selected.cause, *selected.cause_set.rivals)
+            evidence |= {cause: own[cause] for cause in names if cause in own}
     probability = {cause: value for cause, value in diagnosis.inclusion.items() if value is not None}
     order = sorted(probability, key=lambda cause: (-probability[cause], cause))
     return [(cause, probability[cause], evidence.get(cause, np.nan) / LN_10) for cause in order]

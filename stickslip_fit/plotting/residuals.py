@@ -304,7 +304,8 @@ def finding_picture(
     if is_named:
         caption += (
             f"Above under the {'published ' * machine.has_published_geometry}law ({before} rms), below with "
-            f"all that was found in it ({after} rms): the lines should lie within the grey band, where noise alone would keep them."
+            f"all that was found in it ({after} rms): the lines should lie within the grey band, where noise "
+            "alone would keep them."
         )
     else:
         caption += f"{after} rms; noise alone would keep the lines within the grey band."
