@@ -445,7 +445,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this {data} would be {np.floor(10 * strength) / 10:.1f}, "
+                f"even at its largest plausible size its strength in this {data} would be {min(strength, MIN_TESTABLE_STRENGTH - 0.1):.1f}, "
                 f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable
