@@ -1,6 +1,7 @@
 """What a diagnosis says of logs in which nothing is hidden but gross errors, or nothing at all.
 
-Counts are doubled or halved at a rate, at least one in a log; with the rate 0 the same logs are left as they are.
+Counts are doubled or halved at a rate, at least one in each log; at the rate 0 the same logs are left as they
+are.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def find_causes(size: str, rate: float, seed: int, gain: bool) -> tuple[str, ...
 
 
 def main() -> None:
-    """Print how many logs of each size and rate have gross errors alone, or a physical cause, as the answer."""
+    """Print in how many logs gross errors alone are named, and in how many a physical cause."""
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="seed of the first log")
