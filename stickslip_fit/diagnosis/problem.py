@@ -75,6 +75,10 @@ class DiagnosisProblem:
         Of the noise of a sampled signal; None for rows that are no such signal.
     outlier_cause : str
         Name of the cause of outlying rows.
+    n_refits : int
+        How many of the likeliest causes are refitted before one is named. Effects far above the noise are
+        not linear in their parameters, and a cause that is tried at few sizes loses to another that happens
+        to be tried at a better one.
     least_sd : float
         Least standard deviation of the noise: with less, the law fits to within rounding.
     """
@@ -92,6 +96,7 @@ class DiagnosisProblem:
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = MISFIRE
+    n_refits: int = 0
     least_sd: float = MIN_SD
 
     def __len__(self) -> int:

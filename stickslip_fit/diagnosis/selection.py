@@ -206,7 +206,8 @@ def select_causes(
     selected: list[SelectedCause] = []
     influential = outliers[:0]
     while last.p_value < level and len(selected) < MAX_CAUSES:
-        following = _make_selected(last, form_cause_set(last))
+        last, starts = _refit_likeliest(problem, selected, last)
+        following = _make_selected(last, form_cause_set(last), starts)
         if following.cause == UNKNOWN:
             following = _first_of_pair(problem, selected, last) or following
         support = assess_support(linearized, last, following.cause)
@@ -334,9 +335,10 @@ def _revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -
         others = [one for k, one in enumerate(revised) if k != place]
         trial, _, linearized = extend_problem(problem, others)
         misfit = _compute_evidence(linearized, trial, [one.cause for one in others])
+        misfit, starts = _refit_likeliest(trial, others, misfit)
         cause_set = form_cause_set(misfit)
         if cause_set.cause != UNKNOWN:
-            revised[place] = replace(_make_selected(misfit, cause_set), p_value=causes[place].p_value)
+            revised[place] = replace(_make_selected(misfit, cause_set, starts), p_value=causes[place].p_value)
     return revised
 
 
@@ -367,7 +369,44 @@ def _compute_evidence(
     return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
 
 
-def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
+def _refit_likeliest(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
+) -> tuple[Misfit, dict[str, Array]]:
+    """The test with the evidence of its likeliest causes after a refit of each, and the values then.
+
+    The squared residuals that a refit leaves take the place of those that the best trial would leave.
+    """
+    evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
+    likeliest = sorted((cause for cause in evidence if cause != UNKNOWN), key=lambda cause: -evidence[cause])
+    if not problem.n_refits or len(likeliest) < 2:
+        return misfit, starts
+    before, whole = (
+        problem.linearize_extended(_fit_causes(problem, selected)),
+        misfit.residual @ misfit.residual,
+    )
+    for cause in likeliest[: problem.n_refits]:
+        shape = misfit.best_hypothesis(cause)
+        assert isinstance(shape, Hypothesis)
+        one = _make_selected(misfit, form_cause_set(misfit, cause))
+        fit = _fit_causes(problem, [*selected, one])
+        after = problem.linearize_extended(fit)
+        left = (after.residual @ after.residual) / (before.residual @ before.residual)
+        explained = float(np.sum(shape.coefficients(misfit.residual) ** 2)) / whole
+        if np.isfinite(left) and left < 1.0 - explained:
+            evidence[cause] += 0.5 * before.df * float(np.log((1.0 - explained) / left))
+            starts[cause] = fit.values[len(fit.values) - len(one.start) :]
+    return replace(misfit, log_evidence_by_cause=evidence), starts
+
+
+def _fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> ExtendedFit:
+    causes = _law_causes(selected)
+    start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
+    return problem.fit_extended([one.version for one in causes], start)
+
+
+def _make_selected(
+    misfit: Misfit, cause_set: CauseSet, starts: Mapping[str, Array] | None = None
+) -> SelectedCause:
     shape = misfit.best_hypothesis(cause_set.cause)
     p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     start = np.zeros(0)
@@ -378,6 +417,7 @@ def _make_selected(misfit: Misfit, cause_set: CauseSet) -> SelectedCause:
             size = float(shape.coefficients(misfit.residual)[0]) / shape.length
             first = start[0] + (shape.values[0] - start[0]) * size
             start = np.concatenate([[first], shape.values[1:]])
+    start = (starts or {}).get(cause_set.cause, start)
     return SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, p_value)
 
 

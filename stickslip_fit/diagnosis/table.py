@@ -48,6 +48,7 @@ MAX_BYTES = 2**29  # of a file
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
 MIN_RELATIVE_SD = 1e-9  # of the noise, relative to the largest response; less is rounding
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
+N_REFITS = 4
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 
@@ -220,6 +221,7 @@ def problem_from_table(
         noise_ratio=np.ones(len(rows)),
         n_shared=bound.n_shared,
         outlier_cause="outliers",
+        n_refits=N_REFITS,
         least_sd=least_sd,
     )
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
