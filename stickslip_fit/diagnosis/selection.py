@@ -441,7 +441,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
                 if is_log(linearized)
-                else "the law's own parameters, fitted to each session, take up all of it in this table"
+                else "this table shows nothing of it, once the law is recalibrated to each session"
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
