@@ -511,9 +511,9 @@ def largest_strength(
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
-    if fits_exactly(linearized):
-        return "the law fits every row to within rounding: there is no scatter to compare anything with"
     if linearized.df >= MIN_DF:
+        if fits_exactly(linearized):
+            return "the law fits every row to within rounding: there is no scatter to compare anything with"
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
     if not is_log(linearized):
