@@ -139,7 +139,7 @@ def linear_term(basis: Array) -> Term:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drift(GenericCause):
+class SteadyDrift(GenericCause):
     """k t, t from the session's first row."""
 
     longest: float = 1.0
@@ -173,7 +173,7 @@ class Drift(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WarmUp(Drift):
+class WarmUp(SteadyDrift):
     """A (1 - exp(-t / tau)), t from the session's first row."""
 
     base_name = "warm-up"
@@ -290,7 +290,7 @@ class SuddenChange(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Covariate(GenericCause):
+class ColumnDependence(GenericCause):
     """f(column), f a polynomial over the table's range and constant beyond."""
 
     column: str = ""
@@ -345,8 +345,8 @@ class Covariate(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionDependence(Covariate):
-    """As `Covariate`, of the position, and less smooth."""
+class PositionDependence(ColumnDependence):
+    """As `ColumnDependence`, of the position, and less smooth."""
 
     order: int = POSITION_ORDER
 
@@ -485,7 +485,7 @@ class SessionOffset(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outliers(GenericCause):
+class OutlyingValues(GenericCause):
     """A few responses are off by a lot; the rest are right."""
 
     base_name = "outliers"
@@ -535,11 +535,11 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
     both: list[GenericCause] = []
     if roles.time:
         longest = float(rows["session_seconds"].max()) or 1.0
-        for kind in (Drift, WarmUp):
+        for kind in (SteadyDrift, WarmUp):
             both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
         both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
     for column in covariate_columns(rows, law, roles):
-        both.append(Covariate(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
+        both.append(ColumnDependence(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
     if roles.position and rows[roles.position].nunique() > 1:
         place = _range(rows[roles.position], POSITION_ORDER)
         both.append(PositionDependence(unit=unit, size=size, **place))
@@ -553,7 +553,7 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
         opposite = partial(replace, direction=roles.direction, labels=labels)
         causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
         causes += [opposite(cause) for cause in both]
-    return (*causes, Outliers(unit=unit, size=size))
+    return (*causes, OutlyingValues(unit=unit, size=size))
 
 
 def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:

@@ -218,7 +218,9 @@ def find_shock(linearized: LinearizedFit, effects: Array, noise_filter: csr_arra
     left = linearized.residual - basis @ (basis.T @ linearized.residual)
     innovations = left if noise_filter is None else np.asarray(noise_filter @ left)
     df = max(linearized.df - basis.shape[1], 1)
-    sd = min(np.sqrt(innovations @ innovations / df), float(np.median(np.abs(innovations))) / MEDIAN_OF_NORMAL)
+    sd = min(
+        np.sqrt(innovations @ innovations / df), float(np.median(np.abs(innovations))) / MEDIAN_OF_NORMAL
+    )
     session = linearized.rows["session"].to_numpy(object)
     shapes = []
     for row in np.argsort(-np.abs(innovations))[:MAX_SHOCK_ROWS]:

@@ -441,7 +441,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
                 if is_log(linearized)
-                else "the law's own parameters, fitted to each session, take up all of it in this table"
+                else "this table shows nothing of it, once the law is recalibrated to each session"
             )
         elif strength < MIN_TESTABLE_STRENGTH:
             untestable[cause.name] = (
@@ -471,9 +471,9 @@ def largest_strength(
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
-    if fits_exactly(linearized):
-        return "the law fits every row to within rounding: there is no scatter to compare anything with"
     if linearized.df >= MIN_DF:
+        if fits_exactly(linearized):
+            return "the law fits every row to within rounding: there is no scatter to compare anything with"
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
     if not is_log(linearized):

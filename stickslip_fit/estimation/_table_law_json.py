@@ -106,12 +106,11 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
         source = _restore_source(restore_formula_cause, own.pop("source"), functions)
         listed = {name: tuple(values) for name, values in own.items()}
         return FormulaTableCause(source=source, parameters=parameters, **listed)
-    restored: Any = getattr(generic, kind)
+    restored = getattr(generic, kind)
     if not (isinstance(restored, type) and issubclass(restored, generic.GenericCause)):
         raise ValueError(f"there is no cause {kind}")
-    return restored(
-        **{name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
-    )
+    settings: Any = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+    return restored(**settings)
 
 
 def _restore_source(restore: Any, description: Mapping[str, Any], functions: Functions) -> Any:
