@@ -13,7 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, NoReturn
 
 import numpy as np
@@ -97,6 +97,11 @@ class Expression:
         return self._parsed[0]
 
     @property
+    def node(self) -> Any:
+        """The expression as a node of sympy."""
+        return self._parsed[1]
+
+    @property
     def tree(self) -> ast.expr:
         """The parser's tree of an expression that has been read."""
         return _Reader(self).tree()
@@ -104,12 +109,12 @@ class Expression:
     @property
     def is_name(self) -> bool:
         """Whether it is one name alone."""
-        return bool(self._parsed[1].is_Symbol) and len(self.names) == 1
+        return bool(self.node.is_Symbol) and len(self.names) == 1
 
     @cached_property
     def active_names(self) -> frozenset[str]:
         """The names that do not cancel out."""
-        return frozenset(symbol.name for symbol in self._parsed[1].free_symbols)
+        return frozenset(symbol.name for symbol in self.node.free_symbols)
 
     def evaluate(self, quantities: Mapping[str, Any]) -> Array:
         """The expression's value.
@@ -131,7 +136,7 @@ class Expression:
         >>> value.tolist(), slopes.tolist()
         ([3.0, 12.0], [[1.0], [4.0]])
         """
-        tape = _Tape([self._parsed[1], *(self._derivative(name) for name in by)])
+        tape = _compile(self, tuple(by))
 
         def evaluate(quantities: Mapping[str, Any]) -> tuple[Array, Array]:
             value, *slopes = np.broadcast_arrays(*tape.run(quantities))
@@ -149,11 +154,12 @@ class Expression:
         >>> fall.is_linear_in("height", "velocity", "g"), fall.is_linear_in("t")
         (True, False)
         """
-        derivatives = (self._derivative(name).free_symbols for name in names)
+        derivatives = (self.derivative(name).free_symbols for name in names)
         return not any(symbol.name in names for symbols in derivatives for symbol in symbols)
 
-    def _derivative(self, name: str) -> Any:
-        return self._parsed[1].diff(_algebra().symbol(name))
+    def derivative(self, name: str) -> Any:
+        """The derivative by a name, as a node of sympy."""
+        return self.node.diff(_algebra().symbol(name))
 
     @cached_property
     def _parsed(self) -> tuple[tuple[str, ...], Any]:
@@ -441,6 +447,11 @@ def _fold(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
     for other in others:
         first = function(first, other)
     return first
+
+
+@lru_cache(maxsize=512)
+def _compile(expression: Expression, by: tuple[str, ...]) -> _Tape:
+    return _Tape([expression.node, *(expression.derivative(name) for name in by)])
 
 
 class _Tape:

@@ -368,8 +368,10 @@ def format_measured_range(interval: Interval) -> str:
 
     Examples
     --------
-    >>> format_measured_range(Interval(-0.51234, -0.55, -0.47)), format_measured_range(Interval(3e-9, 2e-9, 4e-9))
-    ('−0.550 to −0.470', '2.0×10⁻⁹ to 4.0×10⁻⁹')
+    >>> format_measured_range(Interval(-0.51234, -0.55, -0.47))
+    '−0.550 to −0.470'
+    >>> format_measured_range(Interval(3e-9, 2e-9, 4e-9))
+    '2.0×10⁻⁹ to 4.0×10⁻⁹'
     """
     if not (isfinite(interval.low) and isfinite(interval.high)):
         return MISSING

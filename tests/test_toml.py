@@ -9,6 +9,7 @@ import tomllib
 import pytest
 
 from stickslip_fit._toml import MAX_ISSUES, parse_toml
+from stickslip_fit.causes.law_file import FormulaFile
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine import load_machine
@@ -25,6 +26,7 @@ MODELS = {
     "law": (LawFile, None),
     "study": (StudyFile, (REFERENCE, load_machine())),
     "machine": (MachineFile, None),
+    "formula": (FormulaFile, None),
 }
 FILES = {path.name: path.read_text("utf-8") for path in sorted(REFERENCE.glob("*.toml"))}
 FILES |= {"mm3a.toml": (ROOT / "stickslip_fit/machine/mm3a.toml").read_text("utf-8")}
@@ -55,7 +57,8 @@ q3_mm = [0,
 
 
 def kind_of(text):
-    keys = {"sweep": "plan", "geometry": "machine", "scenario": "study", "law": "law", "cause": "law"}
+    keys = {"formula": "formula", "sweep": "plan", "geometry": "machine", "scenario": "study", "law": "law"}
+    keys |= {"cause": "law"}
     return next(kind for key, kind in keys.items() if key in tomllib.loads(text))
 
 

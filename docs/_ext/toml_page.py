@@ -10,6 +10,7 @@ from typing import Any
 from markdown import code, table, text
 
 from stickslip_fit._toml import TomlTable
+from stickslip_fit.causes.law_file import FormulaFile
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine.machine_file import JointsFile, MachineFile
 from stickslip_fit.simulation.truth import LawFile
@@ -21,6 +22,7 @@ FILES: dict[str, type[TomlTable]] = {
     "study": StudyFile,
     "machine": MachineFile,
     "joints": JointsFile,
+    "formula": FormulaFile,
 }
 Row = tuple[str, str, str, str, str]
 

@@ -68,7 +68,7 @@ class CauseFormula:
     parameters: str | Sequence[CauseParameter]
     _: KW_ONLY
     by: str = ""
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Mapping[str, Sequence[float]] = field(default_factory=dict)
     size: float | Mapping[str, float] | None = None
     phrase: str = ""
     physics: str = ""
@@ -118,7 +118,7 @@ class CauseFormula:
             declared = [self._read_parameter(part) for part in self.parameters.split(",")]
         else:
             declared = list(self.parameters)
-        bounds = {name: tuple(pair) for name, pair in self.bounds.items()}
+        bounds = {name: tuple(pair) for name, pair in self.bounds.items() if _are_bounds(pair)}
         return tuple(
             replace(one, lower=bounds[one.name][0], upper=bounds[one.name][1]) if one.name in bounds else one
             for one in declared
@@ -155,9 +155,9 @@ class CauseFormula:
         for name in dict.fromkeys([*self.bounds, *sizes]):
             if name not in names:
                 faults.append(f"{name} is none of its parameters ({', '.join(names)})")
-        for one in self.declared:
-            if not one.lower < one.upper:
-                faults.append(f"bounds of {one.name} must be a lower and a higher number")
+        for name, pair in self.bounds.items():
+            if not _are_bounds(pair):
+                faults.append(f"bounds of {name} must be a lower and a higher number, not {pair!r}")
         for value in sizes.values() if sizes else [self.size]:
             if value is not None and not (isinstance(value, Real) and isfinite(value) and value != 0):
                 faults.append(f"size must be a number other than 0, not {value!r}")
@@ -196,6 +196,13 @@ class CauseFormula:
 def _finite_bounds(parameter: CauseParameter) -> dict[str, float]:
     ends = {"lower": parameter.lower, "upper": parameter.upper}
     return {name: end for name, end in ends.items() if isfinite(end)}
+
+
+def _are_bounds(pair: Any) -> bool:
+    """Whether they are two numbers, the lower one first."""
+    if not (isinstance(pair, tuple | list) and len(pair) == 2):
+        return False
+    return all(isinstance(end, Real) and not isinstance(end, bool) for end in pair) and pair[0] < pair[1]
 
 
 def _read_cause(text: str) -> tuple[str, str, Expression]:

@@ -6,7 +6,8 @@ log, ``* expression`` multiplies it, ``name = expression`` stands in place of a 
 
 >>> FormulaCause("viscous-by-direction", "+ dFv*abs(vel)", "dFv in N s/m").names
 ('dFv', 'vel')
->>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds={"tau": (60, 3600)}).operation
+>>> bounds = {"tau": (60, 3600)}
+>>> FormulaCause("warm-up", "* (1 - A*expm1(-t/tau))", "A in %, tau in s", bounds=bounds).operation
 '*'
 
 `FormulaCause.bind_table` makes it a cause of a table, see `TableCause`; `FormulaCause.bind` one of a log.
@@ -15,20 +16,60 @@ log, ``* expression`` multiplies it, ``name = expression`` stands in place of a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 
 from stickslip_fit._function import load_function
 from stickslip_fit.causes.cause_formula import CauseFormula
+from stickslip_fit.causes.formula_step import FormulaStepCause, bind_formula_to_log
 from stickslip_fit.causes.formula_table import FormulaTableCause, bind_formula_to_table
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.table_cause import ExtendedTableLaw
 from stickslip_fit.laws import TableLaw
+from stickslip_fit.laws.quantities import OF_GEOMETRY, STATE_NAMES
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.machine import Machine
 
 
 class FormulaCause(CauseFormula):
     """What a law leaves out, as a formula or a Python function; `CauseFormula` has its parameters."""
+
+    @property
+    def needs_geometry(self) -> bool:
+        """See `Cause`."""
+        return any(name in OF_GEOMETRY for name in (*self.names, self.target))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """See `Cause`: every name that is no parameter."""
+        own = [one.name for one in self.declared]
+        return tuple(name for name in self.names if name not in own)
+
+    @property
+    def kind(self) -> Literal[""]:
+        """See `Cause`: `joints` says where it acts."""
+        return ""
+
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.explain_missing`: a column that the log has, and that is empty."""
+        if self.joints and not rows["joint"].isin(self.joints).any():
+            return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
+        for name in self.columns:
+            for column in (name, COVARIATE_PREFIX + name):
+                if column in rows and name not in STATE_NAMES and rows[column].isna().all():
+                    return f"the log has no {name}"
+        return None
+
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> FormulaStepCause:
+        """The cause in a log.
+
+        Raises
+        ------
+        InputError
+            As of `bind_table`.
+        """
+        return bind_formula_to_log(self, rows, machine)
 
     def bind_table(self, law: TableLaw | ExtendedTableLaw, frame: pd.DataFrame) -> FormulaTableCause:
         """The cause in a table under a law.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from importlib.metadata import EntryPoint, entry_points
+from math import inf
 from typing import Any
 
 import pandas as pd
@@ -13,8 +14,11 @@ import pandas as pd
 from stickslip_fit.causes import environment, geometry, load, position, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
+from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
+from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
+from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import Laws, StepLaw, describe_law, restore_law
+from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
@@ -77,10 +81,7 @@ def describe(law: StepLaw) -> dict[str, Any]:
     """
     if not isinstance(law, ExtendedLaw):
         return describe_law(law)
-    causes = [
-        {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
-        for cause in law.causes
-    ]
+    causes = [_describe_cause(cause) for cause in law.causes]
     return {"name": law.name, "joint": law.joint, "law": describe_law(law.law), "causes": causes}
 
 
@@ -110,7 +111,37 @@ def restore(
     return ExtendedLaw(restore_law(description["law"], machine, laws), restored)
 
 
+def _describe_cause(cause: Cause) -> dict[str, Any]:
+    if not isinstance(cause, FormulaStepCause):
+        return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
+    bound = {field.name: getattr(cause, field.name) for field in fields(cause)}
+    parameters = [
+        {key: value for key, value in asdict(parameter).items() if value not in (-inf, inf)}
+        for parameter in cause.parameters
+    ]
+    return {"name": cause.name} | bound | {"source": cause.source.describe(), "parameters": parameters}
+
+
+def _restore_formula_cause(description: Mapping[str, Any], known: Mapping[str, Any]) -> Cause:
+    """A formula from its text; a function from a cause that is given: no code is run for a file's sake."""
+    name, source = description["name"], description["source"]
+    own = known.get(name)
+    if "function" in source:
+        if not (isinstance(own, FormulaCause) and own.describe().get("function") == source["function"]):
+            raise UnknownLawError(
+                f"the saved law has a cause {name!r} that is the function {source['function']}, and no code "
+                "is run because a file names it; if you trust it, pass the cause in `causes`"
+            )
+    else:
+        own = restore_formula_cause(source)
+    bound = {key: _to_tuples(value) for key, value in description.items() if key != "name"}
+    parameters = tuple(CauseParameter(**parameter) for parameter in description["parameters"])
+    return STEP_CAUSES[own.operation](**bound | {"source": own, "parameters": parameters})
+
+
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
+    if "source" in description:
+        return _restore_formula_cause(description, known)
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})

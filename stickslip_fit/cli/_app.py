@@ -18,7 +18,21 @@ from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (
-    *(check, calibrate, fit, predict, anova, diagnose, diagnose_table, report, compare, study, simulate, plan, sheet),
+    *(
+        check,
+        calibrate,
+        fit,
+        predict,
+        anova,
+        diagnose,
+        diagnose_table,
+        report,
+        compare,
+        study,
+        simulate,
+        plan,
+        sheet,
+    ),
     *(plan_move, dead_reckon, demo),
 )
 

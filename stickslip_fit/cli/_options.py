@@ -85,8 +85,8 @@ LawNames = Annotated[
         "--law",
         metavar="[JOINT=]LAW",
         parser=parse_path,
-        help="A law of your own: MODULE:NAME of Python, or the name of an installed one; of one joint with "
-        "JOINT= before it, e.g. 2=mylab:ELBOW; repeatable.",
+        help="A law of your own: a FILE.toml of formulas, MODULE:NAME of Python, or the name of an installed "
+        "one; of one joint with JOINT= before it, e.g. 2=mylab:ELBOW; repeatable.",
     ),
     INPUT,
 ]
@@ -208,13 +208,18 @@ def load_laws(names: list[Path] | None, joints: Iterable[int]) -> dict[int, Any]
 def _find_law(name: str) -> Any:
     from stickslip_fit.laws.registry import check_kind, installed_laws
 
+    if is_law_file(name):
+        from stickslip_fit.causes.law_file import read_law_file
+
+        content = read_law_file(name)
+        return content.laws or content.law
     module, colon, variable = name.partition(":")
     if not colon:
         installed = installed_laws()
         if name in installed:
             return installed[name]
         known = f"; installed packages offer {', '.join(installed)}" if installed else ""
-        raise InputError(f"is no law that is known; give MODULE:NAME{known}")
+        raise InputError(f"is no law that is known; give MODULE:NAME, or a FILE.toml of formulas{known}")
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as Python itself has it for a script: a file of one's own beside the log
     try:
@@ -225,6 +230,20 @@ def _find_law(name: str) -> Any:
     if variable not in vars(found):
         raise InputError(f"the module {module} ({found.__file__}) has no {variable!r}")
     return check_kind(vars(found)[variable])
+
+
+def is_law_file(name: str) -> bool:
+    """Whether a law is named by a file of formulas."""
+    return name.endswith(".toml")
+
+
+def load_causes(names: list[Path] | None) -> tuple[Any, ...]:
+    """Causes in the files of formulas among the laws that are named; raises InputError for a faulty file."""
+    from stickslip_fit.causes.law_file import read_law_file
+
+    matches = [_LAW_PATTERN.fullmatch(str(name)) for name in names or ()]
+    files = dict.fromkeys(match[2] for match in matches if match is not None and is_law_file(match[2]))
+    return tuple(cause for file in files for cause in read_law_file(file).causes)
 
 
 def check_savable(log: Log, laws: Mapping[int, Any], path: Path | None) -> None:
@@ -246,7 +265,7 @@ def load_or_fit_result(paths: list[Path], machine: Path | None, law: list[Path] 
     if len(paths) == 1 and paths[0].suffix == ".json":
         if machine is not None:
             raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
-        return load_result(paths[0], laws=load_laws(law, range(1, MAX_JOINTS + 1)))
+        return load_result(paths[0], load_causes(law), laws=load_laws(law, range(1, MAX_JOINTS + 1)))
     log = load_log(paths, machine)
     return fit_least_squares(log, laws=load_laws(law, log.joints), command=command_line())
 

@@ -23,19 +23,21 @@ from stickslip_fit.cli._options import (
     check_chart,
     check_savable,
     command_line,
+    load_causes,
     load_law_values,
     load_laws,
     load_log,
     parse_path,
     reference_law,
 )
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from stickslip_fit.causes import Cause
     from stickslip_fit.diagnosis import Diagnosis
-    from stickslip_fit.estimation import Result
+    from stickslip_fit.estimation import Result, TableFit
     from stickslip_fit.logs import Log
     from stickslip_fit.logs.plan import Plan
     from stickslip_fit.machine import Machine
@@ -98,7 +100,7 @@ def diagnose(
     campaign = load_log(log, machine, since, until)
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
-    result = diagnose_with_progress(campaign, alpha, seed, laws)
+    result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
@@ -107,10 +109,16 @@ def diagnose(
 
 def diagnose_table(
     data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="Table: CSV or Parquet, a row for each measurement."), INPUT
+        Path,
+        typer.Argument(
+            metavar="DATA", parser=parse_path, help="Table: CSV or Parquet, a row for each measurement."
+        ),
+        INPUT,
     ],
     law: Annotated[
-        Path, typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."), INPUT
+        Path,
+        typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."),
+        INPUT,
     ],
     session: Annotated[
         str | None, typer.Option(help="Column: rows with equal values share the law's own parameters.")
@@ -121,7 +129,9 @@ def diagnose_table(
     ] = None,
     position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
     direction: Annotated[str | None, typer.Option(help="Column: which way it moves.")] = None,
-    group: Annotated[str | None, typer.Option(help="Column: what belongs together, held out as a whole.")] = None,
+    group: Annotated[
+        str | None, typer.Option(help="Column: what belongs together, held out as a whole.")
+    ] = None,
     json: Json = None,
     report: Annotated[
         Path | None,
@@ -146,10 +156,13 @@ def diagnose_table(
     Roles of columns may stand in the law file, under [roles]; an option goes before.
     """
     from stickslip_fit._io import show_progress
-    from stickslip_fit.causes import read_law_file
+    from stickslip_fit.causes.law_file import read_law_file
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
     file = read_law_file(law)
+    if file.law is None:
+        message = "has laws of a log's joints alone; give the table's law as formula, above all [tables]"
+        raise InputError(InputIssue(message, str(law)))
     given = {
         "session": session,
         "time": time,
@@ -157,9 +170,12 @@ def diagnose_table(
         "direction": direction,
         "group": group,
     }
-    roles = {**file.roles, **{role: column for role, column in given.items() if column is not None}}
+    roles: dict[str, Any] = {**file.roles}
+    roles |= {role: column for role, column in given.items() if column is not None}
     with show_progress() as progress:
-        result = diagnose(data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles)
+        result = diagnose(
+            data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles
+        )
     saved = save_diagnosis_outputs(result, json, report)
     if save_law is not None:
         result.extended_law(command=command_line()).save(save_law)
@@ -271,20 +287,28 @@ def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
 
 
 def diagnose_with_progress(
-    log: Log, alpha: float = 0.01, seed: int = 0, laws: Mapping[int, Any] | None = None
+    log: Log,
+    alpha: float = 0.01,
+    seed: int = 0,
+    laws: Mapping[int, Any] | None = None,
+    own_causes: tuple[Cause, ...] = (),
 ) -> Diagnosis:
-    """Diagnose a log, with a progress bar at a terminal."""
+    """Diagnose a log, with a progress bar at a terminal; candidates are one's own causes, too."""
     from stickslip_fit._io import show_progress
+    from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
+    candidates = (*library(), *covariates(log.usable), *own_causes)
     with show_progress() as progress:
-        return diagnose(log, laws=laws, alpha=alpha, seed=seed, progress=progress)
+        return diagnose(log, laws=laws, causes=candidates, alpha=alpha, seed=seed, progress=progress)
 
 
-def save_extended_law(law: Result, path: Path) -> str:
-    """Write a law; a line on its causes."""
+def save_extended_law(law: Result | TableFit, path: Path) -> str:
+    """Write the law of a log; a line on its causes."""
     from stickslip_fit.causes import ExtendedLaw
+    from stickslip_fit.estimation import Result
 
+    assert isinstance(law, Result)
     law.save(path)
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()

@@ -31,6 +31,7 @@ from stickslip_fit.cli._options import (
     check_savable,
     command_line,
     load_arm,
+    load_causes,
     load_fit,
     load_laws,
     load_log,
@@ -77,6 +78,8 @@ class EstimatorOptions:
         Of the closed form: a saved result whose causes are known.
     laws : mapping of int to law
         Laws of one's own, by joint.
+    own_causes : tuple of Cause
+        Causes of one's own, beside those of the library.
     """
 
     method: Method
@@ -90,6 +93,7 @@ class EstimatorOptions:
     causes: tuple[str, ...] = ()
     causes_from: Path | None = None
     laws: Mapping[int, Any] = field(default_factory=dict)
+    own_causes: tuple[Cause, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -150,7 +154,9 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     if options.method is Method.bayes:
         return _fit_bayes(log, options)
     if options.method is Method.closed_form:
-        known = load_result(options.causes_from, laws=options.laws) if options.causes_from else None
+        known = None
+        if options.causes_from is not None:
+            known = load_result(options.causes_from, options.own_causes, laws=options.laws)
         result = fit_closed_form(log, laws=options.laws, causes_from=known, command=command_line())
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
@@ -158,7 +164,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
         result = fit_least_squares(
             log,
             laws=options.laws,
-            causes=select_named_causes(options.causes, log),
+            causes=select_named_causes(options.causes, log, options.own_causes),
             likelihood=likelihood,
             shared=options.campaign_wide,
             bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
@@ -175,8 +181,8 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     return Estimate(result, str(summary))
 
 
-def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
-    """The causes of the library, and the log's own columns, with these names.
+def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = ()) -> tuple[Cause, ...]:
+    """The causes of the library, the log's own columns and one's own causes, with these names.
 
     Raises
     ------
@@ -186,7 +192,7 @@ def select_named_causes(names: Iterable[str], log: Log) -> tuple[Cause, ...]:
     from stickslip_fit.causes import covariates, explain_missing, library
 
     rows = log.usable
-    known = {cause.name: cause for cause in (*library(), *covariates(rows))}
+    known = {cause.name: cause for cause in (*library(), *covariates(rows), *own)}
     reasons = {name: explain_missing(cause, rows, log.machine) for name, cause in known.items()}
     missing = {name: reason for name, reason in reasons.items() if reason is not None}
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
@@ -227,7 +233,7 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     from stickslip_fit.bayes.checks import checks_section
 
     watched = sys.stderr.isatty()
-    causes = select_named_causes(options.causes, log)
+    causes = select_named_causes(options.causes, log, options.own_causes)
     posterior = fit_bayes(
         log,
         laws=options.laws,
@@ -415,7 +421,7 @@ def _fit_and_print(
 ) -> None:
     check_fit_options(options, outputs)
     log = load_log(*source)
-    options = replace(options, laws=load_laws(law, log.joints))
+    options = replace(options, laws=load_laws(law, log.joints), own_causes=load_causes(law))
     check_savable(log, options.laws, outputs.json or outputs.tree)
     estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)

@@ -22,6 +22,7 @@ from stickslip_fit.cli._options import (
     command_line,
     default_output,
     has_browser,
+    load_causes,
     load_law_values,
     load_laws,
     load_log,
@@ -116,7 +117,10 @@ def report(
 
     wanted = output or default_output(log)
     campaign = load_log(log, machine, since, until)
-    causes, laws = select_named_causes(cause or (), campaign), load_laws(law, campaign.joints)
+    causes, laws = (
+        select_named_causes(cause or (), campaign, load_causes(law)),
+        load_laws(law, campaign.joints),
+    )
     sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
     with show_progress() as progress:
         page = make_report(

@@ -17,6 +17,7 @@ from stickslip_fit.cli._options import (
     Until,
     check_chart,
     command_line,
+    load_causes,
     load_laws,
     load_log,
 )
@@ -83,11 +84,11 @@ def compare(
     strategies = default_strategies(more, seed)
     if cause:
         known = causes_from_other_sessions(
-            campaign, select_named_causes(cause, campaign), session_selector, laws
+            campaign, select_named_causes(cause, campaign, load_causes(law)), session_selector, laws
         )
         strategies += default_strategies_with_causes(known, more)
     if causes_from is not None:
-        known = causes_from_result(campaign, load_result(causes_from, laws=laws))
+        known = causes_from_result(campaign, load_result(causes_from, load_causes(law), laws=laws))
         strategies += default_strategies_with_causes(known, more)
     comparison = compare_strategies(
         campaign, strategies, laws=laws, session_selector=session_selector, command=command_line()

@@ -37,6 +37,7 @@ from stickslip_fit.units import Interval
 
 MAX_UNTESTABLE_NAMED, MAX_PARAMETERS_NAMED = 4, 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
+FEW_VALUES = 50  # independent ones
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 CARRIER_PHRASES = {
     "time": "changes slowly with time, in each session in its own way",
@@ -113,8 +114,8 @@ def describe_independence(table: TableInfo) -> str:
 
     Examples
     --------
-    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0, 0.05))
-    'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows (0.0500 s).'
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0))
+    'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows.'
     >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
     'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
     """
@@ -126,9 +127,12 @@ def describe_independence(table: TableInfo) -> str:
     span = f"{format_significant(table.correlation_rows, 2)} rows"
     if np.isfinite(table.correlation_time):
         span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
+    few = ""
+    if table.independent < FEW_VALUES:
+        few = " What changes as slowly as that passes for noise: a longer record would tell them apart."
     return (
         f"The {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
-        f"independent ones: the noise persists over {span}."
+        f"independent ones: the noise persists over {span}.{few}"
     )
 
 
@@ -216,8 +220,8 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
         if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
             return (
                 "The figures show it: compare them with whatever changed meanwhile, and add that as a column "
-                f"or a cause; until it has a name, count on errors of {format_size(diagnosis.misfit, table)}, "
-                f"where the noise is {noise}."
+                "or a cause; until it has a name, count on errors of "
+                f"{format_size(diagnosis.misfit, table)}, where the noise is {noise}."
             )
         return f"They are left out; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
     what = f"The law extended by {join_words([finding.cause for finding in named])}"
@@ -284,8 +288,8 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     )
     note = (
         f"Effect: rms over all rows of what the cause does to {table.response}, beyond what the law's own "
-        "parameters absorb. p: the chance of anything as far off, anywhere that was searched, if nothing were "
-        "wrong."
+        "parameters absorb. p: the chance of anything as far off, anywhere that was searched, if nothing "
+        "were wrong."
     )
     outliers = [
         _outliers_table(finding, table) for finding in diagnosis.findings if finding.traverses is not None

@@ -30,6 +30,8 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
+MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
@@ -84,7 +86,13 @@ class Autocorrelation:
         if self.candidate_effects is None:
             return self
         effects = linearized.project(linearized.whiten(self.candidate_effects))
-        return replace(self, coefficients=estimate_autoregression(linearized, effects, self.sample))
+        for _ in range(MAX_SHOCKS):
+            found = replace(self, coefficients=estimate_autoregression(linearized, effects, self.sample))
+            shock = find_shock(linearized, effects, found.noise_filter)
+            if shock is None:
+                break
+            effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
+        return found
 
 
 def autocovariances(coefficients: Array) -> float:
@@ -198,6 +206,30 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
         if without_gain == MAX_WITHOUT_GAIN:
             break
     return predictors(found)[-1]
+
+
+def find_shock(linearized: LinearizedFit, effects: Array, noise_filter: csr_array | None) -> Array | None:
+    """An outlier or a lasting change that is far beyond the noise, 1 in its rows, shape (n,), or None.
+
+    An outlier hides autocorrelation, a lasting change looks like it. Parameters are as of
+    `estimate_autoregression`; either shows in the largest of the innovations.
+    """
+    basis = _spanning(effects)
+    left = linearized.residual - basis @ (basis.T @ linearized.residual)
+    innovations = left if noise_filter is None else np.asarray(noise_filter @ left)
+    df = max(linearized.df - basis.shape[1], 1)
+    sd = min(np.sqrt(innovations @ innovations / df), float(np.median(np.abs(innovations))) / MEDIAN_OF_NORMAL)
+    session = linearized.rows["session"].to_numpy(object)
+    shapes = []
+    for row in np.argsort(-np.abs(innovations))[:MAX_SHOCK_ROWS]:
+        single, lasting = np.zeros(len(left)), np.zeros(len(left))
+        single[row], lasting[row:] = 1.0, session[row:] == session[row]
+        shapes += [single, lasting]
+    columns = np.stack(shapes, axis=1)
+    seen = columns if noise_filter is None else np.asarray(noise_filter @ columns)
+    z = np.abs(seen.T @ innovations) / np.linalg.norm(seen, axis=0) / max(sd, np.finfo(float).tiny)
+    best = int(np.argmax(z))
+    return None if z[best] < MIN_SHOCK_SD else columns[:, best]
 
 
 def _spanning(effects: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import pluralize
-from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.roles import ORDER, TableRoles
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, whiten
@@ -68,12 +68,14 @@ def make_table_fit(
 def _find_begins(rows: pd.DataFrame, roles: TableRoles) -> dict[str, float]:
     if roles.time is None or roles.time == ORDER or roles.time not in rows:
         return {}
-    first = pd.Series(absolute_seconds(rows[roles.time])).groupby(rows["session"].astype(str).to_numpy()).min()
+    first = (
+        pd.Series(absolute_seconds(rows[roles.time])).groupby(rows["session"].astype(str).to_numpy()).min()
+    )
     return {str(name): float(value) for name, value in first.items()}
 
 
 def _whitened_jacobian(
-    problem: DiagnosisProblem, part: LawBlock, session: Array, n_sessions: int, n_own: int
+    problem: DiagnosisProblem, part: LawBlock, session: IntArray, n_sessions: int, n_own: int
 ) -> Array:
     """Derivatives of every response by each session's own parameters, then by the shared ones, (n, q)."""
     n, slopes = len(problem), np.zeros((len(problem), part.values.shape[1]))
@@ -93,7 +95,7 @@ def _find_on_bound(part: LawBlock, values: Array, n_own: int) -> BoolArray:
 
 
 def _covariance(jacobian: Array, on_bound: BoolArray) -> tuple[Array, BoolArray]:
-    """Covariance of the parameters, (q, q), those on a bound held there; which of them the data do not tell."""
+    """Covariance of the parameters, (q, q), those on a bound held there, and which of them are not known."""
     covariance, unknown = np.full((len(on_bound),) * 2, np.nan), np.zeros(len(on_bound), dtype=bool)
     free = np.flatnonzero(~on_bound)
     columns = jacobian[:, free]

@@ -7,20 +7,23 @@ as there are independent values beyond the parameters.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.roles import ORDER, TableRoles, prepare_rows
 from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.estimation._table_law_json import describe_table_law, finite_or_null
 from stickslip_fit.estimation.noise import t_quantile
-from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation.result import AxesArray, compute_checksum
 
 ROW_NUMBER = "stickslip-fit: row"  # a column beside those of a table, while its rows are in another order
 OWN_COLUMNS = ("session", "session_seconds", "joint")  # which `prepare_rows` makes
@@ -220,8 +223,8 @@ class TableFit(Summarized):
             fitted = ", ".join(self.sessions[:MAX_NAMED]) + " ..." * (len(self.sessions) > MAX_NAMED)
             names = ", ".join(shorten(name) for name in unknown[:MAX_NAMED])
             raise InputError(
-                f"no parameters are known for session {names}; sessions fitted: {fitted}. Fit a table with these "
-                "sessions, or a law whose parameters are shared"
+                f"no parameters are known for session {names}; sessions fitted: {fitted}. Fit a table with "
+                "these sessions, or a law whose parameters are shared"
             )
         return index
 
@@ -238,12 +241,13 @@ class TableFit(Summarized):
         Raises
         ------
         InputError
-            If the file cannot be written or was read for this fit, or if the law or a cause in it is neither a
+            If the file cannot be written or was read for this fit; if the law or a cause in it is neither a
             formula nor a function that can be imported by a name.
         """
-        from stickslip_fit.estimation.saved_table_fit import save_table_fit
-
-        save_table_fit(self, path)
+        content = table_fit_to_json(self)
+        content |= {"checksum": compute_checksum(content)}
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, text + "\n", self.source.files)
 
     def plot_measured(self) -> AxesArray:
         """Measured against predicted values, and the residuals over the prediction."""
@@ -259,3 +263,37 @@ def absolute_seconds(cells: pd.Series[Any]) -> Array:
         return cells.to_numpy(dtype=float)
     times = pd.to_datetime(cells, utc=True)
     return (times - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
+
+
+FORMAT, VERSION = "stickslip-fit/table-fit", 1
+
+
+def table_fit_to_json(fit: TableFit) -> dict[str, Any]:
+    """The content of the file, but for its checksum; plain JSON types."""
+    numbers = ("estimate", "standard_error", "low", "high")
+    return {
+        "schema": f"{FORMAT}/{VERSION}",
+        "parameters": [
+            {"name": row.name, "session": row.session, "unit": row.unit}
+            | {number: finite_or_null(getattr(row, number)) for number in numbers}
+            for row in fit.parameters.itertuples(index=False)
+        ],
+        "flags": list(fit.flags),
+        "law": describe_table_law(fit.law),
+        "roles": fit.roles.columns,
+        "sessions": list(fit.sessions),
+        "begins": dict(fit.begins),
+        "n_shared": fit.n_shared,
+        "values": fit.values.tolist(),
+        "covariance": [[finite_or_null(value) for value in row] for row in fit.covariance.tolist()],
+        "noise_sd": fit.noise_sd,
+        "autocorrelation": fit.autocorrelation.tolist(),
+        "residuals": {str(name): _cells(column) for name, column in fit.residuals.items()},
+        "source": asdict(fit.source) | {"files": list(fit.source.files)},
+    }
+
+
+def _cells(column: pd.Series[Any]) -> list[Any]:
+    if pd.api.types.is_numeric_dtype(column):
+        return [finite_or_null(value) for value in column.astype(float)]
+    return [str(value) for value in column]

@@ -12,7 +12,7 @@ from stickslip_fit.laws.base import (
     traverse_length,
 )
 from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
-from stickslip_fit.laws.formula import Law, restore_formula_law
+from stickslip_fit.laws.formula import Law, restore_formula_law, restore_formula_step_law
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.published import (
     Base,
@@ -22,6 +22,7 @@ from stickslip_fit.laws.published import (
     Prismatic,
     Rotary,
     constant_law,
+    is_published,
     published_law,
 )
 from stickslip_fit.laws.registry import UnknownLawError, describe_law, installed_laws, restore_law
@@ -50,9 +51,11 @@ __all__ = [
     "expected_steps",
     "float_column",
     "installed_laws",
+    "is_published",
     "observed_count",
     "published_law",
     "restore_formula_law",
+    "restore_formula_step_law",
     "restore_law",
     "rounding_variance",
     "state_at",

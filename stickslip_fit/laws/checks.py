@@ -24,7 +24,8 @@ SHARES = (0.0, 0.02, -0.03)  # of the scales, at which the law is evaluated
 SPREADS = (0.003, 0.3)  # rad or m, by which the columns are moved
 MAX_ROWS = 100  # of which derivatives are compared with differences
 STEP = 1e-5  # of a difference, in scales
-SLOPE_TOL = 0.02  # of the greatest slope
+SLOPE_TOL = 0.02  # of a slope, and of the greatest slope
+DIFFERENCE_TOL = 1e-6  # of log(steps) for a change by one scale: what rounding may leave
 
 
 def check_law(law: StepLaw, rows: pd.DataFrame) -> None:
@@ -138,7 +139,7 @@ def _check_finite(law: StepLaw, rows: pd.DataFrame, response: Array, start: Arra
         place = ", ".join(f"{name} = {row[name]}" for name in names)
         raise InputError(
             f"{where}: at its start values ({at}; SI) it gives no step size above 0 in "
-            f"{pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; change start_values"
+            f"{pluralize(len(bad), 'traverse')} of {len(rows)}, first with {place}; give others"
         )
 
 
@@ -151,7 +152,7 @@ def _check_slopes(law: StepLaw, rows: pd.DataFrame, values: Array, scales: Array
         off = np.abs(slopes[:, k] - difference)
         size = np.maximum(np.abs(difference), np.abs(slopes[:, k]))
         # At a kink the two may differ in a few rows.
-        if np.nanmedian(off - SLOPE_TOL * np.fmax(size, SLOPE_TOL * np.nanmax(size))) > 0:
+        if np.nanmedian(off - SLOPE_TOL * np.fmax(size, SLOPE_TOL * np.nanmax(size))) > DIFFERENCE_TOL:
             worst = int(np.nanargmax(off))
             raise InputError(
                 f"joint {law.joint}, law {law.name!r}: the derivative by {parameter.name} is not that of its "

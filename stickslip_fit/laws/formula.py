@@ -9,8 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from math import inf, isfinite
 from numbers import Real
@@ -21,11 +21,15 @@ import pandas as pd
 from stickslip_fit._expression import Expression, parse_expression, parse_formula
 from stickslip_fit._function import NumericFunction, load_function
 from stickslip_fit.errors import InputError, InputIssue, shorten
-from stickslip_fit.laws.base import Parameter
+from stickslip_fit.laws.base import Parameter, Rows
+from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law, restore_step_law
+from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
 from stickslip_fit.laws.table import TableLaw, similar_name
 from stickslip_fit.laws.table_check import check_table_law
+from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
 
+SMALLER_STARTS = (0.1, 0.01, 0.0)  # in the unit of the parameter
 MAX_NAMES_SHOWN = 40
 Bounds = tuple[float | None, float | None]
 
@@ -160,6 +164,52 @@ class Law:
         check_table_law(law, frame, session)
         return law
 
+    def step_law(self, joint: int, rows: Rows, machine: Machine) -> FormulaStepLaw:
+        """The law of a joint of a log, ``gamma ~ expression``: gamma is the step size in rad or m.
+
+        Names are q (the position), q1 and so on, theta, psi, load, recoil, direction (1 or -1) and the
+        columns of `rows` that hold numbers, in SI; the others are parameters. Their units are those of logs
+        (nm, µrad, %, ...), in which `bounds` and `start` are given.
+
+        Raises
+        ------
+        InputError
+            As of `bind_table`.
+        """
+        if self.left is not None and self.response_name != RESPONSE:
+            raise InputError(
+                f"a law of a log predicts {RESPONSE}, the step size: write '{RESPONSE} ~ ...' in place of "
+                f"{self.text!r}"
+            )
+        if self.shared:
+            raise InputError("shared= is for tables; a fit of a log says which parameters sessions share")
+        known = [RESPONSE, *known_names(rows)]
+        issues, names = _Names(self, parse_expression(RESPONSE), known, "log").check()
+        if issues:
+            raise InputError(issues)
+        if unknown := [name for name in names if name in NOT_KNOWN_BEFORE]:
+            raise InputError(f"{unknown[0]} is what the law {self.text!r} is to predict; leave it out of it")
+        if not names:
+            raise InputError(f"the law {self.text!r} has no parameters, so that there is nothing to fit")
+        law = make_step_law(self, names, joint, rows, machine)
+        # An amplitude of 1 stalls many a law, as that of gamma ~ g*(1 + A*sin(q)) does.
+        for size in SMALLER_STARTS:
+            if law.moves_in(rows):
+                break
+            smaller = dict.fromkeys(self._open_starts(names, law), size)
+            nearer = replace(self, start=smaller | dict(self.start))
+            law = replace(make_step_law(nearer, names, joint, rows, machine), source=self)
+        return law
+
+    def _open_starts(self, names: Sequence[str], law: FormulaStepLaw) -> list[str]:
+        """Parameters in which the law is not linear, with neither bounds nor a start value."""
+        settled = {*self.start, *self.bounds}
+        return [
+            name
+            for name, is_linear in zip(names, law.proportional, strict=True)
+            if name not in settled and not is_linear
+        ]
+
     def _left_of(self, response: str | None) -> Expression:
         if self.left is None:
             if not response:
@@ -218,6 +268,17 @@ def restore_formula_law(description: Mapping[str, Any]) -> Law:
     return Law(formula, **content)
 
 
+def restore_formula_step_law(description: Mapping[str, Any]) -> FormulaStepLaw:
+    """The law of a joint that `FormulaStepLaw.describe` described.
+
+    Raises
+    ------
+    InputError
+        If its function cannot be imported, or its formula cannot be read.
+    """
+    return restore_step_law(description, restore_formula_law(description["formula_law"]))
+
+
 def _quote(name: str) -> Expression:
     """A column whatever its name, or an expression of columns."""
     if name.isidentifier():
@@ -252,6 +313,7 @@ class _Names:
     law: Law
     left: Expression
     columns: list[str]
+    of: str = "table"
 
     def check(self) -> tuple[list[InputIssue], list[str]]:
         """Faults, and the parameters: a session's own first, shared ones last."""
@@ -268,9 +330,7 @@ class _Names:
                 issues.append(self._unused(name))
             elif name in self.columns and name in (*law.bounds, *law.start, *listed):
                 issues.append(
-                    InputIssue(
-                        f"{name} is a column of the table and so no parameter; name the parameter otherwise"
-                    )
+                    InputIssue(f"{name} is a column of the {self.of} and so no parameter; name it otherwise")
                 )
         issues += [
             InputIssue(f"{name} cancels out of the formula {law.text!r}: it has no effect. Leave it out")
@@ -287,8 +347,8 @@ class _Names:
         hint = f"did you mean {similar}? " if similar else ""
         parameter = f". If {name} is a parameter, name it in units, bounds or start" if strict else ""
         return InputIssue(
-            f"the law {shorten(self.law.text)!r} has {name}, which is no column of the table; {hint}"
-            f"its columns are {_list_names(self.columns)}{parameter}"
+            f"the law {shorten(self.law.text)!r} has {name}, which is no column of the {self.of}; {hint}"
+            f"there are {_list_names(self.columns)}{parameter}"
         )
 
     def _unused(self, name: str) -> InputIssue:

@@ -377,6 +377,17 @@ def published_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     return Base(machine)
 
 
+def is_published(law: StepLaw) -> bool:
+    """Whether it is one of the thesis's laws, so that what the thesis says of them concerns it.
+
+    Examples
+    --------
+    >>> is_published(Prismatic()), is_published(ConstantStep(3))
+    (True, False)
+    """
+    return isinstance(law, Prismatic | Rotary)
+
+
 def describe_published(law: StepLaw) -> dict[str, str | int | float]:
     """What `restore_published` needs to rebuild the law, as plain JSON types."""
     description: dict[str, str | int | float] = {"name": law.name, "joint": law.joint}

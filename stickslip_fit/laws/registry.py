@@ -1,15 +1,19 @@
 """Laws by name: installed packages' laws, and what a saved result keeps of a law of one's own.
 
-A published law is kept by its name, a law of Python by ``module:name``. A file may come from a stranger: what
-it names is never imported. Who loads it gives such a law again, or has it installed.
+A published law is kept by its name, a formula as text, a law of Python by ``module:name``. A file may
+come from a stranger: what it names is never imported. Who loads it gives such a law again, or has it
+installed.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import entry_points
+from math import inf, isfinite
 from sys import modules
+from types import ModuleType
 from typing import Any
 
 import pandas as pd
@@ -18,6 +22,8 @@ from stickslip_fit._format import join_words
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws.base import StepLaw
 from stickslip_fit.laws.choice import Laws, LawSource, make_law
+from stickslip_fit.laws.formula import Law, restore_formula_law
+from stickslip_fit.laws.formula_step import FormulaStepLaw, restore_step_law
 from stickslip_fit.laws.published import (
     Base,
     BaseAtOneReach,
@@ -89,6 +95,8 @@ def describe_law(law: StepLaw) -> dict[str, Any]:
     """
     if type(law) in PUBLISHED:
         return dict(describe_published(law))
+    if isinstance(law, FormulaStepLaw):
+        return law.describe() | {"max_panel": law.max_panel if isfinite(law.max_panel) else None}
     parameters = [[parameter.name, str(parameter.unit)] for parameter in law.parameters]
     return {"name": law.name, "joint": law.joint, "source": importable_name(law), "parameters": parameters}
 
@@ -102,17 +110,23 @@ def importable_name(law: StepLaw) -> str:
         For a law of a notebook or script, or of a class within a function.
     """
     kind = type(law)
-    module = modules.get(kind.__module__)
-    # A module that was not imported from anywhere cannot be imported elsewhere.
-    if module is not None and module.__name__ != "__main__" and module.__spec__ is not None:
+    home = modules.get(kind.__module__)
+    if home is not None and _is_importable(home) and vars(home).get(kind.__qualname__) is kind:
+        return f"{home.__name__}:{kind.__qualname__}"
+    for module in filter(_is_importable, list(modules.values())):
         for name, value in vars(module).items():
-            if (value is kind and name == kind.__qualname__) or value is law:
+            if value is law:
                 return f"{module.__name__}:{name}"
     raise InputError(
         f"joint {law.joint}: the law {law.name!r} cannot be saved, for nothing could find it again: its "
         f"class {kind.__qualname__} is not in a module that can be imported. Move it into a file of its own "
         "and import it from there, or write it as a formula"
     )
+
+
+def _is_importable(module: Any) -> bool:
+    """Whether it was imported from somewhere, so that it can be imported elsewhere."""
+    return isinstance(module, ModuleType) and module.__name__ != "__main__" and module.__spec__ is not None
 
 
 def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | None = None) -> StepLaw:
@@ -132,6 +146,8 @@ def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | N
     InputError
         For a law that this version does not know.
     """
+    if "formula_law" in description:
+        return _restore_formula(description, laws)
     if "source" not in description:
         return restore_published(dict(description), machine)
     joint, source = int(description["joint"]), str(description["source"])
@@ -148,21 +164,44 @@ def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | N
             f"joint {joint}: the law {source} has changed since this was saved, when its parameters were "
             f"{names}; fit the log again"
         )
-    raise UnknownLawError(
+    raise _unknown_law(joint, source)
+
+
+def _unknown_law(joint: int, source: str) -> UnknownLawError:
+    return UnknownLawError(
         f"joint {joint} has a law of someone's own, {source}, and no code is run because a file names it; if "
         f"you trust it, give it again: laws={{{joint}: ...}}, at the command line --law {source}"
     )
 
 
+def _restore_formula(description: Mapping[str, Any], laws: Laws | None) -> StepLaw:
+    own, joint = description["formula_law"], int(description["joint"])
+    fields = {**description, "max_panel": description["max_panel"] or inf}
+    if "function" not in own:
+        return restore_step_law(fields, restore_formula_law(own))
+    for law in _given_or_installed(joint, laws):
+        if isinstance(law, Law) and callable(law.formula) and law.describe()["function"] == own["function"]:
+            return restore_step_law(fields, law)
+    raise _unknown_law(joint, own["function"])
+
+
 def _candidates(joint: int, machine: Machine, laws: Laws | None) -> Iterator[StepLaw]:
     """The joint's law among those given, then among the installed ones."""
     rows = pd.DataFrame({"joint": pd.Series(dtype=int)})
+    for law in _given_or_installed(joint, laws):
+        # A function that wants rows makes none here.
+        with suppress(InputError):
+            if not isinstance(law, LawSource):
+                yield make_law(law, joint, rows, machine)
+
+
+def _given_or_installed(joint: int, laws: Laws | None) -> Iterator[Any]:
     if laws is not None and joint in laws:
-        yield make_law(laws[joint], joint, rows, machine)
+        yield laws[joint]
     for law in installed_laws().values():
         own = laws_by_joint(law, (joint,))
         if joint in own:
-            yield make_law(own[joint], joint, rows, machine)
+            yield own[joint]
 
 
 def importable_name_or_empty(law: StepLaw) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import product
+from itertools import combinations, product
 from math import isfinite
 from typing import Any
 
@@ -23,6 +23,9 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Model, Parameter, Rows
 
 MAX_STARTS = 125  # places where a search may begin
+MAX_EVALUATIONS = 50  # for start values
+BAD_FIT = 1e6  # standard deviations, in place of what is no number
+MAX_LINEAR = 16  # parameters that are looked at
 LINEAR_TOL = 1e-9  # share of the response's change
 
 
@@ -108,6 +111,7 @@ class TableLaw:
         model, best, least = self.model(rows), np.ones(len(self.parameters)), np.inf
         first = np.array([given.get(one.name, _middle(one)) for one in self.parameters])
         free = [k for k, one in enumerate(self.parameters) if one.name not in given]
+        free.sort(key=lambda k: isfinite(self.parameters[k].upper - self.parameters[k].lower))
         linear = find_linear(model, first, free)
         searched = [
             k
@@ -122,23 +126,35 @@ class TableLaw:
             squares = float(residual @ residual)
             if squares < least:
                 best, least = values, squares
-        return best if isfinite(least) else first
+        if not isfinite(least):
+            return first
+        return best if len(linear) == len(free) else _refine(model, best, free, y, self.parameters)
 
 
-def find_linear(model: Model, values: Array, among: Iterable[int]) -> list[int]:
-    """Which of some parameters the prediction is linear in, all of these together; tried in their order."""
+def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
+    """The largest set of some parameters in which, all together, the prediction is linear.
+
+    Of two sets as large that which has the first parameters of `among`.
+    """
+    among = list(among)[:MAX_LINEAR]
+    singles = [k for k in among if is_linear(model, values, [k])]
+    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
+    for size in range(len(singles), 0, -1):
+        for some in combinations(singles, size):
+            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
+                return sorted(some)
+    return []
+
+
+def is_linear(model: Model, values: Array, together: Sequence[int]) -> bool:
+    """Whether the prediction is linear in some parameters together, the others at `values`."""
     base, slopes = model(values)
-    linear: list[int] = []
-    for k in among:
-        together = [*linear, k]
-        moved = values.copy()
-        moved[together] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
-        change = slopes @ (moved - values)
-        size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
-        error = np.abs(model(moved)[0] - base - change)
-        if np.isfinite(error).all() and error.max(initial=0.0) <= LINEAR_TOL * size:
-            linear = together
-    return linear
+    moved = values.copy()
+    moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
+    change = slopes @ (moved - values)
+    size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
+    error = np.abs(model(moved)[0] - base - change)
+    return bool(np.isfinite(error).all() and error.max(initial=0.0) <= LINEAR_TOL * size)
 
 
 def solve_linear(
@@ -158,6 +174,33 @@ def solve_linear(
     high = [parameters[k].upper for k in linear]
     solved[list(linear)] = np.clip(values[list(linear)] + change, low, high)
     return solved
+
+
+def _refine(
+    model: Model, values: Array, free: Sequence[int], y: Array, parameters: Sequence[Parameter]
+) -> Array:
+    """Values with some of them by nonlinear least squares, roughly."""
+    from scipy.optimize import least_squares
+
+    size, places = float(np.std(y)) or 1.0, list(free)
+
+    def evaluate(some: Array) -> tuple[Array, Array]:
+        moved = values.copy()
+        moved[places] = some
+        predicted, slopes = model(moved)
+        return np.nan_to_num((predicted - y) / size, nan=BAD_FIT), np.nan_to_num(slopes[:, places] / size)
+
+    low = np.array([parameters[k].lower for k in places])
+    high = np.array([parameters[k].upper for k in places])
+    length = np.sqrt(np.sum(evaluate(values[places])[1] ** 2, axis=0))
+    solved = least_squares(
+        lambda some: evaluate(some)[0], np.clip(values[places], low, high), lambda some: evaluate(some)[1],
+        bounds=(low, high), x_scale=np.sqrt(len(y)) / np.where(length > 0, length, np.sqrt(len(y))),
+        gtol=None, max_nfev=MAX_EVALUATIONS,
+    )  # fmt: skip
+    refined = values.copy()
+    refined[places] = solved.x
+    return refined if np.isfinite(model(refined)[0]).all() else values
 
 
 def number_column(rows: Rows, name: str) -> Array:

@@ -8,6 +8,7 @@ alone is determined; where that of the logarithms is, a product.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,8 +17,9 @@ from stickslip_fit._expression import Expression
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.laws.base import Rows
 from stickslip_fit.laws.dimensions import check_dimensions
-from stickslip_fit.laws.table import TableLaw, number_column, similar_name
+from stickslip_fit.laws.table import TableLaw, count_rows, number_column, similar_name
 
 RANK_TOL = 1e-7  # singular values relative to the largest, columns of length 1
 SAME_TOL = 1e-4  # between two points, and of a coefficient that is 0
@@ -49,7 +51,9 @@ def check_table_law(law: TableLaw, frame: pd.DataFrame, session: str | None) -> 
     _check_start(law, frame, start)
     if len(law.parameters) == 0:
         raise InputError(f"the law {law.name!r} has no parameters, so that there is nothing to fit")
-    _check_identifiable(law, frame, session, start)
+    if len(frame) > MAX_ROWS:
+        frame = frame.iloc[np.linspace(0, len(frame) - 1, MAX_ROWS).astype(int)]
+    check_identifiable(law, frame, None if session is None else frame[session].tolist(), start)
 
 
 def _check_units(law: TableLaw) -> None:
@@ -95,12 +99,20 @@ def _first(rows: BoolArray) -> int:
     return int(np.argmax(rows)) + 1
 
 
-def _check_identifiable(law: TableLaw, frame: pd.DataFrame, session: str | None, start: Array) -> None:
-    """Refuse parameters that the rows cannot tell apart in any session."""
-    if len(frame) > MAX_ROWS:
-        frame = frame.iloc[np.linspace(0, len(frame) - 1, MAX_ROWS).astype(int)]
-    labels = np.zeros(len(frame)) if session is None else frame[session].astype(object)
-    places = list(pd.Series(range(len(frame))).groupby(pd.factorize(labels)[0]).indices.values())
+def check_identifiable(law: TableLaw, frame: Rows, labels: Sequence[Any] | None, start: Array) -> None:
+    """Refuse parameters that the rows cannot tell apart in any session; `labels` name each row's.
+
+    Raises
+    ------
+    InputError
+        With what is determined of them.
+    """
+    n = count_rows(frame)
+    places = [np.arange(n)]
+    if labels is not None:
+        places = list(
+            pd.Series(range(n)).groupby(pd.factorize(np.asarray(labels, object))[0]).indices.values()
+        )
     points = _generic_points(law, frame, start)
     jacobians = [law.jacobian(frame, point) for point in points]
     idle = [
@@ -116,7 +128,8 @@ def _check_identifiable(law: TableLaw, frame: pd.DataFrame, session: str | None,
     if len(first) == 0 or len(first) != len(second):
         return
     reasons = [
-        _explain(law.parameter_names, one, other, points) for one, other in zip(first, second, strict=True)
+        _explain(law.parameter_names, (one, other), jacobians, points)
+        for one, other in zip(first, second, strict=True)
     ]
     within = ", within each session" if len(places) > 1 else ""
     advice = "; leave one of them out, or give it a value in the formula"
@@ -128,11 +141,12 @@ def _check_identifiable(law: TableLaw, frame: pd.DataFrame, session: str | None,
     )
 
 
-def _generic_points(law: TableLaw, frame: pd.DataFrame, start: Array) -> tuple[Array, Array]:
+def _generic_points(law: TableLaw, frame: Rows, start: Array) -> tuple[Array, Array]:
     """Two points near the start values, within bounds, at which no parameter is 0."""
-    y, (_, slopes) = law.response(frame)[0], law.model(frame)(start)
+    predicted, slopes = law.model(frame)(start)
     moved = np.sqrt(np.mean(slopes**2, axis=0))
-    natural = np.where(moved > 0, 0.5 * (np.std(y) or 1.0) / np.where(moved > 0, moved, 1.0), 1.0)
+    size = 0.5 * (float(np.sqrt(np.mean(predicted**2))) or 1.0)
+    natural = np.where(moved > 0, size / np.where(moved > 0, moved, 1.0), 1.0)
     centre = np.where(np.abs(start) < 1e-3 * natural, natural, start)
     low, high = np.array([(one.lower, one.upper) for one in law.parameters]).T
     wave = np.sin(1.0 + np.arange(len(start)))
@@ -144,7 +158,10 @@ def _generic_points(law: TableLaw, frame: pd.DataFrame, start: Array) -> tuple[A
 
 
 def _null_space(jacobian: Array, places: Sequence[IntArray], n_shared: int) -> Array:
-    """Directions of parameter space that no row shows in any session, shape (d, p), in echelon form."""
+    """Directions of parameter space that no row shows in any session, shape (d, p), in echelon form.
+
+    In units of each parameter's effect, the length of its column.
+    """
     length = np.linalg.norm(jacobian, axis=0)
     scaled, p = jacobian / length, jacobian.shape[1]
     own = p - n_shared
@@ -160,7 +177,7 @@ def _null_space(jacobian: Array, places: Sequence[IntArray], n_shared: int) -> A
         shared = _kernel(remaining)
         follow = np.linalg.lstsq(scaled[largest, :own], scaled[largest, own:] @ shared.T, rcond=RANK_TOL)[0]
         null = np.hstack([-follow.T, shared])
-    return _echelon(null / length)
+    return _echelon(null)
 
 
 def _kernel(columns: Array) -> Array:
@@ -187,12 +204,19 @@ def _echelon(rows: Array) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def _explain(names: Sequence[str], first: Array, second: Array, points: tuple[Array, Array]) -> str:
-    """What is determined of the parameters that a direction changes together."""
-    share = np.abs(first) * np.abs(points[0])
-    together = sorted(np.flatnonzero(share > SAME_TOL * share.max()).tolist(), key=lambda k: abs(first[k]))
-    changed = [names[k] for k in reversed(together)]
-    together.reverse()
+def _explain(
+    names: Sequence[str],
+    nulls: tuple[Array, Array],
+    jacobians: Sequence[Array],
+    points: tuple[Array, Array],
+) -> str:
+    """What is determined of the parameters that a direction changes together; all at two points."""
+    first, second = (
+        null / np.linalg.norm(jacobian, axis=0) for null, jacobian in zip(nulls, jacobians, strict=True)
+    )
+    acts = np.flatnonzero(np.abs(nulls[0]) > SAME_TOL * np.abs(nulls[0]).max()).tolist()
+    together = sorted(acts, key=lambda k: -abs(first[k]))
+    changed = [names[k] for k in together]
     one, other = first[together], second[together]
     if _are_parallel(one, other):
         return f"only {join_words(_sums(changed, one))} {_is(changed)} determined"
@@ -207,8 +231,8 @@ def _explain(names: Sequence[str], first: Array, second: Array, points: tuple[Ar
 
 
 def _are_parallel(one: Array, other: Array) -> bool:
-    cosine = abs(one @ other) / (np.linalg.norm(one) * np.linalg.norm(other))
-    return bool(cosine > 1.0 - SAME_TOL**2)
+    ratio = other / one
+    return bool(np.all(np.abs(ratio - ratio[0]) <= SAME_TOL * abs(ratio[0])))
 
 
 def _is(changed: Sequence[str]) -> str:
@@ -235,13 +259,13 @@ def _products(names: Sequence[str], direction: Array) -> list[str]:
     return products
 
 
-def _hints(law: TableLaw, frame: pd.DataFrame, null: Array) -> str:
+def _hints(law: TableLaw, frame: Rows, null: Array) -> str:
     """Parameters that may be mistyped columns."""
     declared = {*law.source.units, *law.source.bounds, *law.source.start, *law.source.shared}
     hints = []
     for k in np.flatnonzero(np.abs(null).max(axis=0) > 0):
         name = law.parameter_names[k]
-        similar = similar_name(name, [str(column) for column in frame.columns])
+        similar = similar_name(name, [str(column) for column in frame])
         if similar and name not in declared and len(name) >= MIN_NAME:
             hints.append(f". {name} is no column and so taken for a parameter; did you mean {similar}?")
     return "".join(hints[:1])

@@ -77,7 +77,8 @@ def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
     names = [roles.get("position", ""), *used, *map(str, rows.columns)]
     hidden = {"joint", "session_seconds", roles.get("session"), roles.get("group"), roles.get("time")}
     hidden |= {table.response, *getattr(law.left, "names", ())}
-    columns, labels = {}, {}
+    columns: dict[str, Array] = {}
+    labels: dict[str, str] = {}
     if roles.get("time"):
         label = TIME_LABELS[table.time_unit]
         columns[label] = rows["session_seconds"].to_numpy(float)
@@ -114,7 +115,10 @@ def _entries(kinds: Mapping[str, BoolArray], *, points: bool = True, effect: boo
     entries += [make_legend_entry(label, colour, "o", "-") for label, colour in _colours(kinds).items()]
     if effect:
         entries.append(make_legend_entry("effect of the finding", INK, line="--"))
-    return [*entries, make_legend_entry("95 % of tables with nothing wrong", ENVELOPE_COLOUR, line="-", width=6.0)]
+    return [
+        *entries,
+        make_legend_entry("95 % of tables with nothing wrong", ENVELOPE_COLOUR, line="-", width=6.0),
+    ]
 
 
 def _axis_label(table: TableInfo, what: str = "residual") -> str:
@@ -143,9 +147,9 @@ def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
         before, after = _size(_rms(comparison.before), table), _size(_rms(comparison.after), table)
         if is_named:
             caption += (
-                f"Above what the law leaves of {table.response} ({before} rms), dashed the part that the finding "
-                f"explains; below with all that was found in the law ({after} rms): the lines should lie within "
-                "the grey band, where noise alone would keep them."
+                f"Above what the law leaves of {table.response} ({before} rms), dashed the part that the "
+                f"finding explains; below with all that was found in the law ({after} rms): the lines should "
+                "lie within the grey band, where noise alone would keep them."
             )
         else:
             caption += f"{after} rms; noise alone would keep the lines within the grey band."
@@ -282,9 +286,9 @@ def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
     extended = bool(diagnosis.selection.law_causes)
     left_out = len(rows.columns) - MAX_PANELS
     caption = (
-        f"Mean residuals{' with all that was found in the law' if extended else ''}, by classes of each column; "
-        f"{_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of 100 tables in "
-        "which nothing is wrong."
+        f"Mean residuals{' with all that was found in the law' if extended else ''}, by classes of each "
+        f"column; {_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of "
+        "100 tables in which nothing is wrong."
         + " Dotted: the means under the law as it was." * extended
         + f" {pluralize(left_out, 'column')} left out." * (left_out > 0)
     )
@@ -312,7 +316,9 @@ def plot_columns(diagnosis: Diagnosis, table: TableInfo) -> Figure:
         )
         largest = 0.0
         for axis, (label, values) in zip(axes.ravel(), shown, strict=False):
-            largest = max(largest, _draw_means(axis, values, comparison.after, comparison.null_after, rows.kinds))
+            largest = max(
+                largest, _draw_means(axis, values, comparison.after, comparison.null_after, rows.kinds)
+            )
             if extended:
                 null = comparison.null_before
                 dotted = _draw_means(axis, values, comparison.before, null, rows.kinds, dotted=True)
@@ -338,7 +344,8 @@ def measured_picture(fit: TableFit) -> Picture:
     key, title = "measured", "Measured and predicted"
     response, unit = fit.law.response_name, str(fit.law.response_unit)
     caption = (
-        f"{response} as measured over what the law with its fitted parameters predicts; below, the difference. "
+        f"{response} as measured over what the law with its fitted parameters predicts; below, the "
+        "difference. "
         f"{format_significant(fit.rms)} {unit}".rstrip()
         + " rms. All values that were used took part in the fit."
     )

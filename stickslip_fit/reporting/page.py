@@ -20,6 +20,7 @@ from stickslip_fit._format import (
     capitalize_first,
     format_configuration,
     format_direction,
+    join_words,
     joint_name,
     step_unit,
     typeset_text,
@@ -44,7 +45,8 @@ from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
 from stickslip_fit.estimation.prediction import collect_traverses
 from stickslip_fit.estimation.result import choose_repeatability
-from stickslip_fit.laws import Laws
+from stickslip_fit.estimation.with_causes import law_without_causes
+from stickslip_fit.laws import Elbow, Laws, is_published
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.machine import Machine, load_machine
@@ -229,9 +231,15 @@ def _render(
     command: str,
 ) -> str:
     errors = held_out_errors(log, calibration, fit_constant_step(log, calibration))
-    coefficients = tabulate_load_coefficients(log, calibration, fit)
+    published = [joint for joint, each in fit.joints.items() if is_published(law_without_causes(each.law))]
+    coefficients = (
+        tabulate_load_coefficients(log, calibration, fit) if Elbow.joint in published else pd.DataFrame()
+    )
     both = compare_estimators(calibration, fit)
-    traverses, is_arm = make_traverses_payload(log, calibration, fit), log.machine.has_published_geometry
+    traverses, claimed = (
+        make_traverses_payload(log, calibration, fit),
+        errors[errors["joint"].isin(published)],
+    )
     return load_template("report.html.j2").render(
         title=_write_title(log),
         answer=write_headline(log, calibration, errors),
@@ -241,10 +249,11 @@ def _render(
         parameters=[*parameter_tables(both, fit), *departures_tables(fit)],
         repeatability=repeatability_table(calibration, fit),
         d_table=load_coefficient_table(coefficients) if len(coefficients) else None,
-        figures=_figure_groups(log, calibration, fit, errors, coefficients),
+        figures=_figure_groups(log, calibration, fit, errors, coefficients, published),
         accuracy_explained=explain_tables(errors),
         accuracy=_accuracy_sections(errors, log),
-        claims=claims_table(errors, log.machine) if len(errors) and is_arm else None,
+        claims=claims_table(claimed, log.machine) if len(claimed) else None,
+        no_claims=_explain_no_claims(fit, published),
         factors=make_anova_section(anova),
         diagnosed=make_diagnosis_section(diagnosis) if isinstance(diagnosis, Diagnosis) else None,
         not_diagnosed=_explain_missing(diagnosis),
@@ -266,6 +275,14 @@ def _explain_missing(section: object) -> str:
     return typeset_text(str(section)) if isinstance(section, InputError) else ""
 
 
+def _explain_no_claims(fit: Result, published: Collection[int]) -> str:
+    others = [str(joint) for joint in fit.joints if joint not in published]
+    if not others:
+        return ""
+    joints = f"joint{'s' if len(others) > 1 else ''} {join_words(others)}"
+    return f"What the thesis says is left out for {joints}: it is about its own laws."
+
+
 def _write_title(log: Log) -> str:
     names = [Path(name).name for name, _ in log.sources]
     return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1:,} more"
@@ -284,7 +301,12 @@ def _accuracy_sections(errors: pd.DataFrame, log: Log) -> list[tuple[str, list[T
 
 
 def _figure_groups(
-    log: Log, calibration: Result, fit: Result, errors: pd.DataFrame, coefficients: pd.DataFrame
+    log: Log,
+    calibration: Result,
+    fit: Result,
+    errors: pd.DataFrame,
+    coefficients: pd.DataFrame,
+    published: Collection[int],
 ) -> list[tuple[str, list[Picture]]]:
     """Headed groups of figures: accuracy, then each joint's residuals, sweeps and parameters."""
     accuracy = [errors_picture(errors, calibration, fit)]
@@ -297,7 +319,7 @@ def _figure_groups(
         sweeps, d = [], []
         if log.machine.has_published_geometry:
             sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
-            d = [load_coefficient_picture(coefficients, fit)] if joint == 2 else []
+            d = [load_coefficient_picture(coefficients, fit)] if joint == 2 and joint in published else []
         pictures = [fit_residuals_picture(rows, fit.machine), *sweeps, *d, control_picture(joint, fit)]
         groups.append((capitalize_first(joint_name(joint, log.machine)), pictures))
     return groups

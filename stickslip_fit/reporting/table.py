@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from stickslip_fit._summary import Section, Summary
 from stickslip_fit.diagnosis import Diagnosis, TableInfo
+from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.estimation._table_summary import describe_fit, parameters_table
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, ranking_picture
@@ -14,7 +15,8 @@ from stickslip_fit.plotting.table import columns_picture, finding_pictures, meas
 
 def make_table_section(diagnosis: Diagnosis, table: TableInfo, command: str = "") -> Summary:
     """A table's diagnosis with its figures, and the law with what was found in it."""
-    fit, summary = diagnosis.extended_law(command=command), diagnosis.summary()
+    selection, summary = diagnosis.selection, diagnosis.summary()
+    fit = make_table_fit(selection.problem, selection.fit, table, command=command)
     findings, alternatives, untestable = summary.sections
     named = [finding.cause for finding in diagnosis.findings if finding.version is not None]
     flags = tuple(f"Of the law: {flag}." for flag in fit.flags)

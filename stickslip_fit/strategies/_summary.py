@@ -115,6 +115,13 @@ WORST_NOTE = (
 MAX_WORST = 2
 
 
+def _claims(comparison: Comparison, joint: int) -> tuple[Table, ...]:
+    """The thesis's claims, where the joint has the law that they are about."""
+    if joint not in comparison.published_joints:
+        return ()
+    return implied_table(comparison, joint), claimed_table(comparison, joint)
+
+
 @summarize.register
 def summarize_comparison(comparison: Comparison) -> Summary:
     """Each joint's answer, then its strategies' cost and errors, and what was left out."""
@@ -125,8 +132,7 @@ def summarize_comparison(comparison: Comparison) -> Summary:
             errors_table(comparison, joint),
             _directions_table(comparison, joint),
             worst_table(comparison, joint),
-            implied_table(comparison, joint),
-            claimed_table(comparison, joint),
+            *_claims(comparison, joint),
         )
         sections.append(
             Section(

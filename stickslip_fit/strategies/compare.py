@@ -20,7 +20,7 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation.result import AxesArray, Provenance, build_provenance
-from stickslip_fit.laws import Laws
+from stickslip_fit.laws import Laws, is_published
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 from stickslip_fit.strategies.base import SessionSelector, Strategy, handling_seconds, other_sessions
@@ -65,6 +65,8 @@ class Comparison(Summarized):
         Seconds that a traverse costs beside its steps.
     session_scope : str
         Which sessions a strategy may use besides the one that it calibrates, in words.
+    published_joints : tuple of int
+        Joints with their published law, of which the thesis makes its claims.
     """
 
     strategies: tuple[str, ...]
@@ -76,6 +78,7 @@ class Comparison(Summarized):
     repeatability: dict[tuple[int, str], float]
     handling_seconds: float
     session_scope: str
+    published_joints: tuple[int, ...]
     machine: Machine
     provenance: Provenance
 
@@ -231,6 +234,7 @@ def compare_strategies(
         repeatability={(case.task.law.joint, case.task.direction): case.task.repeatability for case in cases},
         handling_seconds=handling_time,
         session_scope=session_selector.__name__.replace("_", " "),
+        published_joints=tuple(sorted({c.task.law.joint for c in cases if is_published(c.task.law)})),
         machine=log.machine,
         provenance=build_provenance(log, command),
     )

@@ -26,7 +26,7 @@ def test_independent_noise_is_ordinary_least_squares():
 
 
 def test_correlated_noise_is_generalized_least_squares():
-    """GLSAR drops the first row, and its phi is biased towards 0 by the parameters: hence not digit for digit."""
+    """Not digit for digit: GLSAR drops the first row, and the parameters bias its phi towards 0."""
     frame = bench(4, n=600, difference=0.0, phi=0.7)
     fit = ssf.fit_table(frame, LAW, time="t")
     by_others = sm.GLSAR(frame["F"], design(frame, extended=False), rho=1)
@@ -93,9 +93,13 @@ def test_predictions_are_those_of_others_in_whatever_order_and_cover_new_values(
     predicted = fit.predict(new.drop(columns="F"))
     expected = by_others.get_prediction(design(new, extended=False)).summary_frame()
     assert list(predicted.index) == list(new.index)
-    for name, other in (
-        ("predicted", "mean"), ("standard_error", "mean_se"), ("low", "obs_ci_lower"), ("high", "obs_ci_upper")
-    ):  # fmt: skip
+    names = {
+        "predicted": "mean",
+        "standard_error": "mean_se",
+        "low": "obs_ci_lower",
+        "high": "obs_ci_upper",
+    }
+    for name, other in names.items():
         assert predicted[name].to_numpy() == pytest.approx(expected[other].to_numpy(), rel=1e-6), name
     assert 0.9 < np.mean((predicted["low"] < new["F"]) & (new["F"] < predicted["high"])) < 0.99
 
@@ -141,7 +145,9 @@ def test_generic_causes_and_sessions_are_saved(tmp_path):
     assert diagnosis.verdict != "nothing wrong"
     assert fit.law.columns != fit.law.law.columns
     fit.save(tmp_path / "law.json")
-    pd.testing.assert_frame_equal(fit.predict(frame), ssf.load_table_fit(tmp_path / "law.json").predict(frame))
+    pd.testing.assert_frame_equal(
+        fit.predict(frame), ssf.load_table_fit(tmp_path / "law.json").predict(frame)
+    )
 
 
 def edited(path, change):
@@ -178,7 +184,13 @@ def test_a_damaged_file_is_one_message(saved, change):
 
 def test_other_files_are_refused(tmp_path, named):
     path = tmp_path / "x.json"
-    for text in ("", "{}", "[1]", '{"schema": "stickslip-fit/result/1"}', '{"schema": "stickslip-fit/table-fit/2"}'):
+    for text in (
+        "",
+        "{}",
+        "[1]",
+        '{"schema": "stickslip-fit/result/1"}',
+        '{"schema": "stickslip-fit/table-fit/2"}',
+    ):
         path.write_text(text)
         with pytest.raises(ssf.InputError, match=r"x\.json: (is no|was made by a newer)"):
             ssf.load_table_fit(path)

@@ -99,6 +99,7 @@ def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
         ssf.Law("F ~ M*acc + Fv*vel + Fc*sign(vel) + offset + light*lamp"),
         causes=[BY_DIRECTION],
         generic_causes=(),
+        gain=False,
     )
     kinds, _ = number_time_blocks(diagnosis.selection.problem.rows, 1.0)
     held = np.concatenate([held for _, held in splits_of(diagnosis, kinds)])
@@ -109,7 +110,7 @@ def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
 @pytest.mark.nightly
 @pytest.mark.parametrize("phi", [0.0, 0.7])
 def test_the_interval_covers_the_gain_of_a_replicate(phi):
-    """Ten diagnoses, each interval against the gains of all others: not independent, so the bound is loose."""
+    """Each interval against the gains of all: not independent, so that the bound is loose."""
     gains = [
         ssf.diagnose_table(
             bench(seed, phi=phi), LAW, time="t", causes=[BY_DIRECTION, CUBIC], generic_causes=()

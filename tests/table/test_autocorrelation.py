@@ -1,0 +1,117 @@
+"""The noise of a sampled signal: its filter, its estimate, and what it does to a diagnosis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.causes import TableRoles
+from stickslip_fit.diagnosis.autocorrelation import (
+    Autocorrelation,
+    FilterPattern,
+    number_samples,
+    partial_autocorrelations,
+    predictors,
+)
+from stickslip_fit.diagnosis.table import problem_from_table
+from tests.table.signals import LAW, RESONANCE, ROLES, correlation, signal
+
+SHARED = {"session": "run", "time": "t"}
+
+
+@pytest.mark.parametrize("kind", ["0.9", "rings"])
+def test_the_filter_whitens_exactly_from_the_first_sample_of_every_sequence(kind):
+    sample = np.r_[0:15, 17:25, 100:117]
+    coefficients = np.array({"0.9": (0.9,), "rings": RESONANCE}[kind])
+    noise_filter = Autocorrelation(sample, None, coefficients).noise_filter.toarray()
+    covariance = np.zeros((40, 40))
+    for rows in (slice(0, 15), slice(15, 23), slice(23, 40)):
+        covariance[rows, rows] = correlation(kind, rows.stop - rows.start)
+    np.testing.assert_allclose(noise_filter @ covariance @ noise_filter.T, np.eye(40), atol=1e-8)
+
+
+def test_a_removed_row_ends_a_sequence():
+    before = Autocorrelation(np.arange(20), None, np.array([0.8]))
+    kept = np.delete(np.arange(20), 7)
+    after = before.select(kept).noise_filter.toarray()
+    assert after[7, 6] == 0  # row 8 has lost the one before
+    assert after[7, 7] == 1
+    np.testing.assert_array_equal(after[:7, :7], before.noise_filter.toarray()[:7, :7])
+
+
+def test_coefficients_and_partial_autocorrelations_are_two_ways_to_say_the_same():
+    partial = np.array([0.9, -0.5, 0.2])
+    np.testing.assert_allclose(partial_autocorrelations(predictors(partial)[-1]), partial)
+    pattern = FilterPattern.of(np.r_[0:9, 12:20], 3)
+    _, log_determinant = np.linalg.slogdet(pattern.fill(partial).toarray())
+    assert pattern.log_determinant(partial) == pytest.approx(log_determinant)
+
+
+def restricted_likelihood(rows, phi: float) -> float:
+    """Of a first-order autoregression about the law, written down directly."""
+    vel = rows["vel"].to_numpy()
+    law = np.column_stack([rows["acc"], vel, np.sign(vel), np.ones(len(rows))])
+    inverse = np.linalg.inv(phi ** np.abs(np.subtract.outer(np.arange(len(rows)), np.arange(len(rows)))))
+    normal = law.T @ inverse @ law
+    left = rows["F"].to_numpy() - law @ np.linalg.solve(normal, law.T @ inverse @ rows["F"].to_numpy())
+    df = len(rows) - law.shape[1]
+    squares = left @ inverse @ left
+    return 0.5 * (np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(normal)[1] - df * np.log(squares))
+
+
+def test_the_estimate_maximizes_the_restricted_likelihood():
+    rows = signal(np.random.default_rng(4), "0.9", 1, 120)
+    problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**SHARED), generic_causes=())
+    (found,) = problem.with_autocorrelation().correlation
+    grid = np.arange(0.6, 0.99, 0.002)
+    assert found == pytest.approx(
+        grid[np.argmax([restricted_likelihood(rows, phi) for phi in grid])], abs=0.003
+    )
+
+
+def test_short_sessions_do_not_make_the_autocorrelation_too_small():
+    found, plain = [], []
+    for seed in range(12):
+        rows = signal(np.random.default_rng(seed), "0.9", 5, 60)
+        problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**ROLES))
+        residual = problem.linearize().residual
+        plain.append(residual[1:] @ residual[:-1] / (residual @ residual))
+        found.append(problem.with_autocorrelation().correlation.sum())
+    assert np.mean(plain) < 0.85
+    assert np.mean(found) == pytest.approx(0.9, abs=0.03)
+
+
+@pytest.mark.parametrize(("kind", "order"), [("white", 0), ("0.5", 1), ("rings", 2)])
+def test_the_order_is_that_of_the_noise(kind, order):
+    orders = []
+    for seed in range(6):
+        rows = signal(np.random.default_rng(seed), kind, 1, 400)
+        problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**ROLES))
+        orders.append(len(problem.with_autocorrelation().correlation))
+    assert np.median(orders) == order
+    assert np.mean(np.array(orders) == order) > 0.6
+
+
+def test_only_a_regular_sequence_is_a_sampled_signal():
+    rng = np.random.default_rng(1)
+    assert number_samples(np.cumsum(rng.exponential(size=200)), np.zeros(200, int)) is None
+    assert number_samples(np.zeros(50), np.zeros(50, int)) is None
+    jitter = np.arange(200) + rng.uniform(-0.05, 0.05, 200)
+    np.testing.assert_array_equal(number_samples(jitter, np.zeros(200, int)), np.arange(200))
+
+
+def test_a_diagnosis_says_how_many_independent_values_there_are():
+    rows = signal(np.random.default_rng(2), "0.9", 1, 600)
+    table = ssf.diagnose_table(rows, LAW, **ROLES, gain=False).table
+    assert table.correlation_rows == pytest.approx(1.9 / 0.1, rel=0.5)
+    assert table.independent == pytest.approx(600 / table.correlation_rows)
+    assert table.correlation_time == pytest.approx(0.01 * table.correlation_rows, rel=1e-6)
+
+
+def test_rows_without_a_time_have_no_order():
+    rows = signal(np.random.default_rng(2), "0.9", 1, 300)
+    diagnosis = ssf.diagnose_table(rows, LAW, session="run", gain=False)
+    assert diagnosis.table.independent == 300
+    for name in ("drift", "warm-up", "sudden-change", "memory"):
+        assert "time='order'" in diagnosis.untestable[name]
