@@ -56,12 +56,18 @@ def write_atomically(path: str | Path, content: str | bytes, sources: Iterable[s
         if is_stream(path):
             _write_to_stream(path, raw)
             return
-        if os.path.lexists(path) and identify_file(path) in map(identify_file, sources):
-            message = "is a log that this was computed from; name another file"
-            raise InputError(InputIssue(message, str(path)))
+        if clash := find_source(path, sources):
+            raise InputError(clash)
         _replace(follow_links(path), raw)
     except (OSError, ValueError) as error:
         raise InputError(InputIssue(_describe_failure(error), str(path))) from None
+
+
+def find_source(path: str | Path, sources: Iterable[str | Path]) -> InputIssue | None:
+    """That a file to be written is one of the sources; None if it is not."""
+    if os.path.lexists(path) and identify_file(path) in map(identify_file, sources):
+        return InputIssue("is a log that this was computed from; name another file", str(path))
+    return None
 
 
 def find_write_fault(path: str | Path) -> InputIssue | None:

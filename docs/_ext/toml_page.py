@@ -12,7 +12,7 @@ from markdown import code, table, text
 from stickslip_fit._toml import TomlTable
 from stickslip_fit.causes.law_file import FormulaFile
 from stickslip_fit.logs.plan_reader import PlanFile
-from stickslip_fit.machine.machine_file import MachineFile
+from stickslip_fit.machine.machine_file import JointsFile, MachineFile
 from stickslip_fit.simulation.truth import LawFile
 from stickslip_fit.studies.plan import StudyFile
 
@@ -21,6 +21,7 @@ FILES: dict[str, type[TomlTable]] = {
     "law": LawFile,
     "study": StudyFile,
     "machine": MachineFile,
+    "joints": JointsFile,
     "formula": FormulaFile,
 }
 Row = tuple[str, str, str, str, str]
@@ -60,14 +61,21 @@ def _rows(schema: dict[str, Any], tables: dict[str, Any], place: str = "") -> It
             listed = [list(_rows(tables[kind], tables, inside)) for kind in kinds]
             shown = f"[[{inside}]]" if "items" in entry else f"[{inside}]"
             for row in dict.fromkeys(row for rows in listed for row in rows):
-                of = [str(number) for number, rows in enumerate(listed, start=1) if row in rows]
-                mark = "" if len(of) == len(listed) else f", joint {' and '.join(of)}"
+                label, names = _name_variants(kinds, tables)
+                of = [name for name, rows in zip(names, listed, strict=True) if row in rows]
+                mark = "" if len(of) == len(listed) else f", {label}{' and '.join(of)}"
                 yield (row[0] or code(shown) + mark, *row[1:])
         else:
             usual = json.dumps(entry.get("default"), ensure_ascii=False)
             without = "" if usual in ("null", '""', "[]") else code(usual)
             meaning = entry.get("description", "")
             yield "", key, "must be given" if key in needed else without, entry["title"], meaning
+
+
+def _name_variants(names: list[str], tables: dict[str, Any]) -> tuple[str, list[str]]:
+    """What tells the variants of a table apart: the kind that each is for, or the joint."""
+    kinds = [tables[name]["properties"].get("kind", {}).get("const") for name in names]
+    return ("", kinds) if all(kinds) else ("joint ", [str(number) for number in range(1, len(names) + 1)])
 
 
 def _sentence(phrase: str) -> str:

@@ -80,7 +80,7 @@ def cell_residuals(values: Array, cell: IntArray) -> Array:
     return values - (values @ share / share.sum(axis=0)) @ share.T
 
 
-ASSUMPTION_LEVEL = 0.01  # a log has dozens of checks; at 0.05 one in twenty would fail by chance
+ASSUMPTION_LEVEL = 0.01  # of each check, for normal readings; a log has dozens, at 0.05 most would doubt one
 MIN_RESIDUAL_DF = 6  # for a check of a distribution or a trend
 MIN_CELL_SIZE = 3  # two observations are always equally far from their median
 MAX_TIME_SHARE = 0.9  # of the variance of time, explained by levels measured one after another

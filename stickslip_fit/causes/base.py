@@ -180,8 +180,7 @@ class Cause(ABC):
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """Why the rows of a log cannot show it, or None where nothing is missing; see `explain_missing`."""
-        every = bool(self.kind) or self.joints == EVERY_JOINT
-        if not every and not rows["joint"].isin(self.joints).any():
+        if self.joints != EVERY_JOINT and not rows["joint"].isin(self.joints).any():
             return f"the log has no traverse of joint {' or '.join(map(str, self.joints))}"
         return None
 
@@ -192,8 +191,6 @@ class Cause(ABC):
 
 def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:
     """Why a log of a machine cannot show a cause, or None where nothing is missing."""
-    if cause.needs_geometry and not machine.has_published_geometry:
-        return "the machine has no arm lengths, from which loads and recoil follow"
     if not has_times(rows) and HISTORY_COLUMNS & {*cause.columns}:
         return NO_TIMES
     if cause.kind:
@@ -202,6 +199,9 @@ def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str |
         if rows.empty:
             of = f"joint {' or '.join(map(str, joints))}" if joints else f"a {cause.kind} joint"
             return f"the log has no traverse of {of}"
+        rows = rows.assign(joint=cause.joints[0])  # the numbers of its joints are the published arm's
+    if cause.needs_geometry and not machine.has_published_geometry:
+        return "the geometry of the published arm is needed, and the machine has another"
     return cause.explain_missing(rows)
 
 

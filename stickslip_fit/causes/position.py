@@ -62,7 +62,8 @@ class GuideProfileCause(FactorCause):
     """gamma times a factor that depends on the position along the guide alone."""
 
     joints = (PRISMATIC,)
-    needs_geometry = True
+    kind = "prismatic"
+    needs_geometry = True  # middle and ends of its guide
     varies_along_traverse = True
 
     @abstractmethod

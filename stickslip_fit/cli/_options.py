@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -153,7 +153,7 @@ def require_option[Value](value: Value | None, option: str) -> Value:
 
 _DRIVE_PATTERN = re.compile(r"([123])([+-])([1-9]\d{0,11})")
 _BOUND_PATTERN = re.compile(r"([^=]+)=([^:]*):([^:]*)")
-_REPEATABILITY_PATTERN = re.compile(r"(?:([123])([+-])=)?(\d{1,6}(?:\.\d{1,12})?|\.\d{1,12})")
+_REPEATABILITY_PATTERN = re.compile(r"(?:([1-9]\d?)([+-])=)?(\d{1,6}(?:\.\d{1,12})?|\.\d{1,12})")
 
 
 def command_line() -> str:
@@ -409,7 +409,9 @@ def parse_bound(text: str, option: str, laws: Iterable[StepLaw]) -> tuple[str, t
     return match[1], (to_si(low, units[match[1]]), to_si(high, units[match[1]]))
 
 
-def parse_repeatabilities(texts: tuple[str, ...], option: str) -> dict[tuple[int, str], float]:
+def parse_repeatabilities(
+    texts: tuple[str, ...], option: str, joints: Sequence[int]
+) -> dict[tuple[int, str], float]:
     """Repeatabilities such as "0.3" (of every joint and direction) or "3+=0.25", in per cent."""
     values: dict[tuple[int, str], float] = {}
     for text in texts:
@@ -417,7 +419,7 @@ def parse_repeatabilities(texts: tuple[str, ...], option: str) -> dict[tuple[int
         if match is None:
             message = "give per cent, e.g. 0.3, or for one drive 3+=0.3"
             raise InputError(InputIssue(message, column=option, value=text))
-        drives = [(joint, direction) for joint in (1, 2, 3) for direction in "+-"]
+        drives = [(joint, direction) for joint in joints for direction in "+-"]
         if match[1]:
             drives = [(int(match[1]), match[2])]
         values |= dict.fromkeys(drives, float(match[3]) / 100)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 def anova(
     log: LogPath,
-    joint: Annotated[int | None, typer.Option(min=1, max=3, help="This joint only.")] = None,
+    joint: Annotated[int | None, typer.Option(min=1, help="This joint only.")] = None,
     session: Annotated[str | None, typer.Option(help="This session only.")] = None,
     formula: Annotated[
         str | None, typer.Option(help="A model formula, e.g. 'step_size ~ C(session) * direction'.")

@@ -168,7 +168,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
             likelihood=likelihood,
             shared=options.campaign_wide,
             bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
-            repeatability=parse_repeatabilities(options.repeatability, "--repeatability"),
+            repeatability=parse_repeatabilities(options.repeatability, "--repeatability", log.machine.joints),
             command=command_line(),
         )
     summary = result.summary()

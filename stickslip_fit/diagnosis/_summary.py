@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.selection import MISFIRE
+from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.units import PRISMATIC
 
 MAX_UNTESTABLE_NAMED = 4
@@ -108,11 +109,16 @@ def describe_carrier(carrier: str) -> str:
     return CARRIER_PHRASES.get(carrier, f"follows {carrier}")
 
 
+def baseline_name(diagnosis: Diagnosis) -> str:
+    """What the laws are called that are put to the test."""
+    return name_of_laws(part.law for part in diagnosis.selection.problem.parts)
+
+
 def _describe_no_misfit(diagnosis: Diagnosis) -> str:
     if not np.isfinite(diagnosis.repeatability):
         return f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
     return (
-        "Nothing is wrong that this log can show: the published law leaves "
+        f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
         f"{format_percent(diagnosis.misfit)} rms, and a traverse repeats to "
         f"{format_percent(diagnosis.repeatability)} "
         f"(p {format_p_value(diagnosis.p_value, relation=True)})."
@@ -319,7 +325,7 @@ def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     if not rows or not named:
         return []
-    heads = ("published law", "extended law", "gain", "95 % interval", "noise floor")
+    heads = (baseline_name(diagnosis), "extended law", "gain", "95 % interval", "noise floor")
     columns = (Column("predicted", text=True), *(Column(head, "%") for head in heads))
     note = (
         "Rms error of the step size on traverses that took no part in choosing or fitting anything. The "
@@ -348,8 +354,9 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
     for selected in diagnosis.selection.selected:
         if selected.misfit is not None:
-            for cause in (selected.cause, *selected.cause_set.rivals):
-                evidence[cause] = selected.misfit.log_evidence_by_cause[cause]
+            own = selected.misfit.log_evidence_by_cause
+            names = (selected.cause, *selected.cause_set.rivals)
+            evidence |= {cause: own[cause] for cause in names if cause in own}
     probability = {cause: value for cause, value in diagnosis.inclusion.items() if value is not None}
     order = sorted(probability, key=lambda cause: (-probability[cause], cause))
     return [(cause, probability[cause], evidence.get(cause, np.nan) / LN_10) for cause in order]

@@ -256,7 +256,9 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     joints = _joints_of_laws(
         part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
     )
-    carrier = best.cause.removeprefix(f"{UNKNOWN}:")
+    # Where nothing but the causes was searched, the shape is that of one that is not supported.
+    is_cause = not best.cause.startswith(UNKNOWN)
+    carrier = f"{best.cause} to some extent" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
     return Finding(UNKNOWN, None, (), selected.p_value, joints, effect, (), None, closest, share, carrier)
 
 

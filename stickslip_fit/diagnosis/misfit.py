@@ -211,8 +211,9 @@ class Misfit:
         return float(np.quantile(self.null_log_evidence, 1.0 - level / self.p_value_factor))
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
-        """The likeliest shape of a cause."""
+        """The likeliest shape of a cause; of all causes, if this one has no shape."""
         places = [k for k, one in enumerate(self.hypotheses) if classify_cause(one) == cause]
+        places = places or list(range(len(self.hypotheses)))
         return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
 
     def n_shapes(self, cause: str) -> int:

@@ -40,6 +40,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import (
+    MISFIRE,
     Selection,
     cause_probabilities,
     empty_selection,
@@ -169,6 +170,9 @@ def diagnose_problem(
     )
 
 
+NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"
+
+
 @dataclass(frozen=True, eq=False)
 class _Search:
     """A selection, the problem with the causes that were searched, and why the others were not."""
@@ -192,10 +196,14 @@ def _search(
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
     else:
         unable = find_untestable(problem, linearized)
+        if not problem.alternatives(linearized):
+            unable[UNKNOWN] = NO_ALTERNATIVE
     untestable = {**missing, **unable}
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
+    if UNKNOWN in untestable and not any(cause.name != MISFIRE for cause in testable.causes):
+        too_small = too_small or NO_ALTERNATIVE
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )

@@ -120,15 +120,13 @@ class Problem:
     subset: RowSubsetModel | None = field(default=None, kw_only=True)
     """Positions of some rows to their model."""
 
-    def minimize(self, weight: Array, start: Array) -> Minimum:
-        """The minimum of the sum of weight (y - model)^2."""
+    def minimize(self, weight: Array, start: Array, most: int = MAX_ITERATIONS) -> Minimum:
+        """The minimum of the sum of weight (y - model)^2, in `most` iterations at most."""
         if self.sharing.parameters.any():
             arguments = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
-            return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper, most=MAX_ITERATIONS)
+            return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper, most=most)
         data = (self.model, self.y, weight, self.groups, start, self.scales)
-        return minimize(
-            *data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=MAX_ITERATIONS
-        )
+        return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most)
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""

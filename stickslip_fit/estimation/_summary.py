@@ -19,7 +19,9 @@ from stickslip_fit._summary import Column, Section, Summary, Table, numbers, sum
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.prediction import NO_ORDER, format_latest_control, has_order, latest_control
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import Parameter
+from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.logs.log import MAX_ROWS, file_names, latest
 
 MAX_NAMED = 6
@@ -157,7 +159,8 @@ def departures_tables(result: Result) -> list[Table]:
     ]
     columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
     note = "One number each for all joints, directions and sessions. ± one standard error."
-    return [Table("Departures from the published laws", columns, tuple(rows), note=note)] if rows else []
+    name = name_of_laws(law_without_causes(fit.law) for fit in result.joints.values())
+    return [Table(f"Departures from the {name}s", columns, tuple(rows), note=note)] if rows else []
 
 
 def profile_section(table: pd.DataFrame) -> Section:

@@ -139,10 +139,12 @@ def tabulate_load_coefficients(log: Log, calibration: Result, fit: Result) -> pd
     DataFrame
         session, direction, q3, gamma0, gamma0_error, delta (change of the mean step under the full
         load), d, d_error, iteration_0 ... iteration_3 (the thesis's iteration) and quadratic (its
-        Eq. 6.6); rad and m. Empty where the log has no such pair.
+        Eq. 6.6); rad and m. Empty where the log has no such pair, or the machine another geometry.
     """
     joint = Elbow.joint
-    rows = log.usable if log.machine.has_published_geometry else log.usable[:0]
+    rows = log.usable
+    if not log.machine.has_published_geometry:
+        return rows[:0]
     rows = rows[(rows["joint"] == joint) & (np.abs(rows["psi"]) < LOAD_TOL)]
     rows = rows[is_full(rows, log.machine.span(joint))]
     swing = np.abs(np.cos(rows["theta"].to_numpy(float)))

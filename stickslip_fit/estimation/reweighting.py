@@ -27,7 +27,14 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._optimize import Minimum
-from stickslip_fit.estimation._problem import FitOptions, JointProblem, Problem, columns_of, single_problem
+from stickslip_fit.estimation._problem import (
+    MAX_ITERATIONS,
+    FitOptions,
+    JointProblem,
+    Problem,
+    columns_of,
+    single_problem,
+)
 from stickslip_fit.estimation.noise import (
     Flag,
     Likelihood,
@@ -81,17 +88,21 @@ class ConvergedFit:
 
 
 def iterate_weights(
-    joints: Sequence[JointProblem], whole: Problem, options: FitOptions, weight: Array | None = None
+    joints: Sequence[JointProblem],
+    whole: Problem,
+    options: FitOptions,
+    weight: Array | None = None,
+    most: int = MAX_ITERATIONS,
 ) -> ConvergedFit:
     """Minimize `whole`, weigh the rows by their residuals, and repeat until the weights converge.
 
     `whole` is `combined_problem` of the joints or the only joint itself; `weight`, shape (n,), is the first
-    one, by default 1.
+    one, by default 1. Each pass makes `most` iterations at most.
     """
     likelihood, start = options.likelihood, whole.start
     weight = np.ones(len(whole.y)) if weight is None else weight
     for _ in range(MAX_PASSES):
-        minimum = whole.minimize(weight, start)
+        minimum = whole.minimize(weight, start, most)
         repeatability = tuple(
             from_residuals(joint, _minimum_of(joints, whole, minimum, number), likelihood)
             | options.known_noise(joint.law.joint)
@@ -142,6 +153,7 @@ def _place(number: int, sizes: Sequence[int]) -> slice:
 
 ROBUST_Z = 18.0  # see above
 SUSPICIOUS_Z = 5.0  # in a fit that an outlier may have pulled towards it
+SEARCH_ITERATIONS = 50  # of one pass; where the law suits no count, more would take long and show no outlier
 TYPICAL_SIGMA = 0.003  # of log steps; the least scatter that a few small residuals may show
 SIGMA_PER_MAD = 1.4826
 
@@ -165,8 +177,8 @@ def outliers(law: StepLaw, rows: pd.DataFrame) -> list[Flag]:
     names = tuple(parameter.name for parameter in law.parameters)
     campaign = single_problem(law, rows, FitOptions(StudentT(), shared=names))
     sessions, heavy_tails = single_problem(law, rows, FitOptions()), FitOptions(StudentT())
-    first = iterate_weights([campaign], campaign, heavy_tails).weight
-    fit = iterate_weights([sessions], sessions, heavy_tails, first)
+    first = iterate_weights([campaign], campaign, heavy_tails, most=SEARCH_ITERATIONS).weight
+    fit = iterate_weights([sessions], sessions, heavy_tails, first, SEARCH_ITERATIONS)
     residual, sigma = fit.minimum.residual, fit.repeatability[0]
     df = {direction: sigma[direction].df for direction in sigma}
     z = robust_z(residual, rows["direction"].to_numpy(dtype=object), df)

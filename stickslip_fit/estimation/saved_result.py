@@ -38,6 +38,7 @@ STEP_SIZES = 1e-12, 1e-2  # rad or m; beyond, the numbers are in other units
 MAX_LENGTH = 10.0  # m, of a manipulator
 MAX_REPEATABILITY = 10.0
 NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its size
+COMMON_TOL = 1e-6  # relative, and of a standard error: each group has its own rounding
 ADVICE = "fit the log again"
 
 
@@ -133,6 +134,7 @@ def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws |
     fits = [_build_joint(item, machine, causes, laws) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
     _check(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
+    _check_common_values(fits)
     read = file.residuals
     _check(len({len(read.row), len(read.joint), len(read.residual), len(read.used)}) == 1, "residuals")
     _check(len(set(read.row)) == len(read.row) and {*read.joint} <= {*joints}, "residuals")
@@ -248,6 +250,32 @@ def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Law
         _check(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
     _check(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
     return fit
+
+
+def _check_common_values(fits: Sequence[JointFit]) -> None:
+    """That a parameter of all sessions, or of the campaign, has the same estimate wherever it stands."""
+    first: dict[tuple[str, ...], Array] = {}
+    for fit in fits:
+        names = [parameter.name for parameter in fit.law.parameters]
+        of_campaign = [name for name in names if name in fit.cause_parameters]
+        of_direction = [name for name in names if name in fit.shared and name not in of_campaign]
+        for group, direction in enumerate(fit.groups["direction"]):
+            for common, key in ((of_campaign, ()), (of_direction, (str(fit.law.joint), str(direction)))):
+                here = _estimates_of(fit, group, [names.index(name) for name in common])
+                other = first.setdefault((*key, *common), here)
+                sd = np.nan_to_num(np.sqrt(np.abs(np.diag(other[:, 2:]))))
+                slack = COMMON_TOL * np.column_stack([sd, sd, np.outer(sd, sd)])
+                same = np.isclose(here, other, rtol=COMMON_TOL, atol=slack, equal_nan=True).all()
+                _check(bool(same), f"joint {fit.law.joint}: {', '.join(common)} differ between its groups")
+
+
+def _estimates_of(fit: JointFit, group: int, columns: list[int]) -> Array:
+    """Value, whether it is known, and covariance of some parameters, shape (p, 2 + p).
+
+    Their intervals may differ: each group's noise has its own degrees of freedom.
+    """
+    covariance = fit.covariance[group][np.ix_(columns, columns)]
+    return np.column_stack([fit.values[group, columns], fit.known[group, columns], covariance])
 
 
 def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:

@@ -12,6 +12,7 @@ Micromanipulator", M.S. thesis, Department of Mechanical Engineering, University
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from math import pi, radians
 
 import numpy as np
@@ -419,3 +420,9 @@ def restore_published(description: dict[str, str | int | float], machine: Machin
 def constant_law(law: StepLaw) -> ConstantStep:
     """The constant step of thesis Ch. 7 for the joint of `law`, from its first calibration configuration."""
     return ConstantStep(law.joint, next(iter(law.calibration()), None), prismatic=law.prismatic)
+
+
+def name_of_laws(laws: Iterable[object]) -> str:
+    """What laws are called in a sentence."""
+    published = all(isinstance(law, Prismatic | Elbow | Base) for law in laws)
+    return "published law" if published else "law"

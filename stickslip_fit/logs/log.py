@@ -399,7 +399,8 @@ def _session_table(log: Log) -> Table:
 
 def _coverage_table(log: Log) -> Table | None:
     """What was covered: one column for each joint."""
-    covered = [_describe_coverage(log, joint) for joint in log.joints]
+    usable, configurations = log.usable, log.configurations()
+    covered = [_describe_coverage(log, joint, usable, configurations) for joint in log.joints]
     if not covered:
         return None
     columns = words("covered", *(joint_name(joint, log.machine) for joint in log.joints))
@@ -408,9 +409,10 @@ def _coverage_table(log: Log) -> Table | None:
     return Table("Coverage, usable traverses", columns, body, note=note)
 
 
-def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
-    rows, configurations = log.usable, log.configurations()
-    rows, configurations = rows[rows["joint"] == joint], configurations[configurations["joint"] == joint]
+def _describe_coverage(
+    log: Log, joint: int, usable: pd.DataFrame, configurations: pd.DataFrame
+) -> dict[str, str]:
+    rows, configurations = usable[usable["joint"] == joint], configurations[configurations["joint"] == joint]
     distinct = configurations[_position_columns(rows)].drop_duplicates()
     length = (rows["stop"] - rows["start"]).abs()
     covered = {
@@ -422,7 +424,8 @@ def _describe_coverage(log: Log, joint: int) -> dict[str, str]:
     for name in position_columns(rows):
         unit = coordinate_unit(name, log.machine)
         values = "moves" if name == f"q{joint}" else _format_values(rows[name], unit)
-        covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
+        if values != MISSING or log.machine.has_published_geometry:
+            covered[f"{name} ({'°' if unit == 'deg' else unit})"] = values
     return covered
 
 

@@ -378,24 +378,25 @@ def read_log(
         files, kept = _select_rows(files, chosen), identity.select(chosen)
     columns, notes = _build_columns(files, kept, machine)
     issues.raise_if_any()
+    notes = (
+        *sources.notes,
+        *(note for cells in files for note in cells.layout.notes),
+        *notes,
+        *note_similar_sessions(identity),
+    )
+    hashes = tuple((file.table.file, file.sha256) for file in sources.files)
+    file_sha256 = hash_sources(sources.files)
+    # The cells of a large log take as much memory as its rows, and history needs more.
+    del files, tables, sources
+    rows = _order_columns(columns, kept.order)
     if kept.has_times:
-        rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order], machine)
+        rows = add_session_history(rows, kept.session[kept.order], machine)
         rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
     else:
-        rows = add_unknown_history(_order_columns(columns, kept.order))
-    return Log(
-        rows=rows,
-        sources=tuple((file.table.file, file.sha256) for file in sources.files),
-        file_sha256=hash_sources(sources.files),
-        machine=machine,
-        notes=(
-            *sources.notes,
-            *(note for cells in files for note in cells.layout.notes),
-            *notes,
-            *note_similar_sessions(identity),
-        ),
-        rows_as_read=rows.copy(),
-    )
+        rows = add_unknown_history(rows)
+    # Pandas copies a shared column when it is first changed.
+    as_read = rows.copy(deep=False)
+    return Log(rows, hashes, file_sha256, machine, notes, rows_as_read=as_read)
 
 
 def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:

@@ -83,12 +83,14 @@ class Machine:
         InputError
             If the machine has no published geometry.
         """
-        if not self.has_published_geometry:
-            raise InputError(
-                f"{what}: needs the arm's lengths, and the machine {self.name} has none; for an arm of two "
-                "rotary joints and a prismatic one, give [geometry], [range] and [[link]] in its file as "
-                "mm3a.toml does"
-            )
+        if self.has_published_geometry:
+            return
+        reason = (
+            f"{what}: this is for an arm of two rotary joints and a prismatic one whose lengths are known, "
+            f"and the machine {self.name} is none"
+        )
+        advice = "; give [geometry], [range] and [[link]] in its file, as mm3a.toml does"
+        raise InputError(reason + advice * (self.kinds == ARM_KINDS))
 
     def is_prismatic(self, joint: int) -> bool:
         """Whether a joint, of 1 to n, slides rather than turns."""

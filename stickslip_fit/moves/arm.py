@@ -163,8 +163,9 @@ def calibrated_arm(
     Raises
     ------
     InputError
-        If the result has no such session.
+        If the result has no such session, or its machine no published geometry.
     """
+    result.machine.require_geometry("moves and positions of the tip")
     sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
     latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
     if session is None:

@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from stickslip_fit._format import format_percent, format_significant, pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis import Diagnosis, Finding
+from stickslip_fit.diagnosis._summary import baseline_name
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
 from stickslip_fit.diagnosis.separability import (
@@ -82,7 +83,7 @@ def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, t
     selected = [
         cause for cause in diagnosis.selection.selected if cause.misfit is not None and diagnosis.findings
     ]
-    steps, title = [], "the published law" if diagnosis.table is None else "the law"
+    steps, title = [], f"the {baseline_name(diagnosis)}"
     for index, cause in enumerate(selected):
         assert cause.misfit is not None
         steps.append((title, cause.misfit, cause.cause, equivalent.get(cause.cause, ())))
@@ -175,10 +176,11 @@ def gain_picture(diagnosis: Diagnosis) -> Picture:
     before, after, floor = (
         _format_error(value, diagnosis) for value in (gain.baseline, gain.extended, gain.noise_floor)
     )
+    name = baseline_name(diagnosis) if is_log else "law as it was"
     caption += (
         f"Each {'traverse' if is_log else 'row'} predicted by laws to which it contributed nothing, the "
-        f"search for causes included: {before} rms by the {'published law' if is_log else 'law as it was'}, "
-        f"{after} by the extended one, over all sessions. No law can be better than the line, {floor}."
+        f"search for causes included: {before} rms by the {name}, {after} by the extended one, over all "
+        f"sessions. No law can be better than the line, {floor}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
 
@@ -205,8 +207,9 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
     place, crowded = np.arange(len(recent)), len(recent) > MAX_HORIZONTAL_LABELS
     before, after = (factor * recent[name].to_numpy(float) for name in ("baseline", "extended"))
     unit = "%" if table is None else table.unit
+    name = baseline_name(diagnosis) if table is None else "law as it was"
     legend = [
-        make_legend_entry("published law" if table is None else "law as it was", VERMILLION, marker="s"),
+        make_legend_entry(name, VERMILLION, marker="s"),
         make_legend_entry("extended law", BLUE, marker="o"),
         make_legend_entry(FLOOR_LABEL if table is None else "noise", INK, line="--"),
     ]

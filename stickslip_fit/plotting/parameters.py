@@ -19,7 +19,7 @@ from stickslip_fit._format import format_direction, join_words, joint_name, plur
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import JointFit, Result
-from stickslip_fit.estimation.prediction import control_chart
+from stickslip_fit.estimation.prediction import control_chart, has_order
 from stickslip_fit.machine import Machine
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
@@ -61,7 +61,7 @@ def control_picture(joint: int, fit: Result) -> Picture:
         return make_missing_picture(key, title, "It would need a second session.")
     if chart.empty:
         return make_missing_picture(key, title, "It would need a session in which a parameter can be known.")
-    return make_picture(key, title, _write_caption(chart, sessions), draw_control(fit, chart))
+    return make_picture(key, title, _write_caption(chart, sessions, has_order(fit)), draw_control(fit, chart))
 
 
 def plot_control(result: Result) -> Figure:
@@ -165,14 +165,17 @@ def _limit_view(axes: Axes, y: np.ndarray, ends: np.ndarray) -> None:
     axes.set_ylim(low - margin, high + margin)
 
 
-def _write_caption(chart: pd.DataFrame, sessions: list[str]) -> str:
+def _write_caption(chart: pd.DataFrame, sessions: list[str], in_order: bool) -> str:
     recent = sessions[-MAX_SESSIONS:]
     of_latest = "" if recent == sessions else f"The latest {len(recent)} of "
+    order = "in order of time" if in_order else "whose order is not known"
     points = (
-        f"{of_latest}{pluralize(len(sessions), 'session')} in order of time, each parameter by least squares "
+        f"{of_latest}{pluralize(len(sessions), 'session')} {order}, each parameter by least squares "
         "over all the session's traverses; bars: 95 %, cut short where they would hide the rest."
     )
     limited = chart[chart["expected_low"].notna()]
+    if not in_order:
+        return points
     if limited.empty:
         return f"{points} Limits, from what the sessions before lead one to expect, begin with the fourth."
     band = (

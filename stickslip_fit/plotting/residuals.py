@@ -303,8 +303,9 @@ def finding_picture(
     caption = f"Over {label}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
     if is_named:
         caption += (
-            f"Above under the published law ({before} rms), below with all that was found in it ({after} "
-            "rms): the lines should lie within the grey band, where noise alone would keep them."
+            f"Above under the {'published ' * machine.has_published_geometry}law ({before} rms), below with "
+            f"all that was found in it ({after} rms): the lines should lie within the grey band, where noise "
+            "alone would keep them."
         )
     else:
         caption += f"{after} rms; noise alone would keep the lines within the grey band."
@@ -377,7 +378,8 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison, machi
     if not _select_covariates(comparison.rows, subset, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
     rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
-    before = " Dotted: the means under the published law." if extended else ""
+    published = "published " * machine.has_published_geometry
+    before = f" Dotted: the means under the {published}law." if extended else ""
     caption = (
         f"Mean residuals{' with all that was found in it' if extended else ''}, by classes "
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "

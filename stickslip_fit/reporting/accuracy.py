@@ -22,7 +22,7 @@ from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.estimation import Result, summarize_errors
 from stickslip_fit.estimation.prediction import assess_held_out
 from stickslip_fit.estimation.result import choose_repeatability, has_enough_replicates
-from stickslip_fit.laws import expected_steps
+from stickslip_fit.laws import ConstantStep, expected_steps
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine
@@ -153,7 +153,7 @@ def write_headline(log: Log, calibration: Result, errors: pd.DataFrame) -> list[
     """How well the law predicts, whether that is as good as can be, and what is missing."""
     kept = check_coverage(log, calibration, errors).groupby(errors["joint"]).mean()
     return [
-        *_describe_predictions(errors, log.machine),
+        *_describe_predictions(errors, calibration),
         *_describe_coverage(kept, assess_held_out(log, calibration), errors),
         *_describe_untested(errors, calibration),
         _describe_missing(calibration),
@@ -213,20 +213,21 @@ def headline_table(log: Log, calibration: Result, fit: Result, errors: pd.DataFr
     return Table(caption, columns, tuple(body), stubs=2, note=note)
 
 
-def _describe_predictions(errors: pd.DataFrame, machine: Machine) -> list[str]:
+def _describe_predictions(errors: pd.DataFrame, calibration: Result) -> list[str]:
     if errors.empty:
         return []
     totals = summarize_errors(errors, ["joint"])
     law = [
         f"{format_percent(row.law_rms_relative)} rms for joint {row.joint} "
-        f"({format_value(row.law_rms, step_unit(row.joint, machine))})"
+        f"({format_value(row.law_rms, step_unit(row.joint, calibration.machine))})"
         for row in totals.itertuples()
     ]
     constant = [format_percent(share) for share in totals["constant_rms_relative"]]
+    alike = all(isinstance(fit.law, ConstantStep) for fit in calibration.joints.values())
     return [
         "Calibrated in each session, the law predicts the step size of "
-        f"{pluralize(len(errors), 'traverse')} that the calibration did not use to {join_words(law)}. "
-        f"A constant step is off by {join_words(constant)} rms."
+        f"{pluralize(len(errors), 'traverse')} that the calibration did not use to {join_words(law)}."
+        + ("" if alike else f" A constant step is off by {join_words(constant)} rms.")
     ]
 
 

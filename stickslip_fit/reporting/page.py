@@ -5,6 +5,7 @@ The page makes no request and runs only its own script. The same input gives the
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -210,7 +211,15 @@ def _try_section[Section](make: Callable[[], Section]) -> Section | InputError:
     except InputError as error:
         return error
     except np.linalg.LinAlgError as error:
-        return InputError(f"its numbers did not converge ({error}); look for gross errors in the log")
+        where = _name_computation(error)
+        return InputError(f"{where} did not converge ({error}); look for gross errors in the log")
+
+
+def _name_computation(error: Exception) -> str:
+    """The innermost function of this package that an error came from."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    frame = [each for each in frames if each.f_globals["__name__"].startswith("stickslip_fit")][-1]
+    return f"{frame.f_globals['__name__']}.{frame.f_code.co_name}"
 
 
 def _compare_strategies(log: Log, laws: Laws | None, causes: Sequence[Cause], command: str) -> Comparison:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import find_source, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue
@@ -310,18 +310,20 @@ def save_tables(
     Raises
     ------
     InputError
-        If the folder cannot be made or written to, or holds one of the sources under such a name.
+        If the folder cannot be made or written to, or holds one of the sources under such a name; then
+        nothing is written.
     """
     folder = Path(folder)
     make_folder(folder)
-    written = []
+    paths = [folder / f"{name}{suffix}" for name in tables for suffix in (".csv", ".parquet")]
+    if clashes := [clash for path in paths if (clash := find_source(path, sources))]:
+        raise InputError(clashes)
     for name, table in tables.items():
         stream = io.BytesIO()
         table.to_parquet(stream, index=False)
         for suffix, content in ((".csv", table.to_csv(index=False)), (".parquet", stream.getvalue())):
-            written.append(folder / f"{name}{suffix}")
-            write_atomically(written[-1], content, sources)
-    return written
+            write_atomically(folder / f"{name}{suffix}", content, sources)
+    return paths
 
 
 def make_folder(folder: Path) -> None:

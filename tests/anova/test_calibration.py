@@ -67,7 +67,7 @@ def null_logs(question: FactorTestDesign, rng: np.random.Generator, interaction:
 @pytest.mark.parametrize("analysis", ANALYSES)
 def test_false_alarms_of_ten_thousand_null_logs(log_of_readings, readings_of, analysis, design):
     log = log_of_readings(readings_of(DESIGNS[design]))
-    asked = ANALYSES[analysis](step_size_observations(log), log.machine.span(3), choose_most_informative)
+    asked = ANALYSES[analysis](step_size_observations(log), log.machine, choose_most_informative)
     questions = [each for each in asked if isinstance(each, FactorTestDesign)]
     assert questions
     rng = np.random.default_rng(3)

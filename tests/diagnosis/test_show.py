@@ -13,6 +13,7 @@ from stickslip_fit.diagnosis.residuals import (
     explained_share,
     find_carrier,
 )
+from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.residuals import SESSION_HOURS, collect_covariates, concatenate_sessions
 from tests.diagnosis.conftest import hours_in
 
@@ -82,7 +83,7 @@ def test_the_error_is_that_of_a_mean_of_noise(nothing):
 
 def test_a_drift_is_carried_by_the_hours_in_the_session(named, left):
     shape = compute_shape(named.selection.selected[0], named.selection.problem.linearize())
-    columns = collect_covariates(left.rows)
+    columns = collect_covariates(left.rows, load_machine())
     groups = left.rows["joint"].to_numpy()
     assert find_carrier(shape, columns, groups) == SESSION_HOURS
     assert (
@@ -111,6 +112,6 @@ def test_sessions_in_a_row_do_not_overlap(table, drifting):
 
 
 def test_a_quantity_that_does_not_vary_has_no_axis(left):
-    labels = set(collect_covariates(left.rows))
+    labels = set(collect_covariates(left.rows, load_machine()))
     assert {"load along the axis", "q2 (°)", "q3 (mm)", "theta (°)"} <= labels
     assert not {"psi (°)", "q1 (°)", "temperature (°C)"} & labels

@@ -207,6 +207,13 @@ def at(*place, value):
     return apply
 
 
+def scaled(covariance, parameter, factor):
+    """A covariance matrix with another standard error of one parameter."""
+    factors = np.ones(len(covariance))
+    factors[parameter] = factor
+    return (np.array(covariance) * np.outer(factors, factors)).tolist()
+
+
 def swap_joints(content):
     first, second = content["joints"][0]["law"], content["joints"][1]["law"]
     content["joints"][0]["law"], content["joints"][1]["law"] = second, first
@@ -233,6 +240,8 @@ def as_metres_were_nanometres(content):
         (at("joints", 0, "covariance", 0, 0, 0, value=lambda v: -v), "covariance of joint 1 is none"),
         (at("joints", 0, "covariance", 0, 0, 1, value=lambda v: 9 * v), "covariance of joint 1 is none"),
         (at("joints", 0, "covariance", 0, value=lambda v: v[1:]), "covariance of joint 1: its shape|damaged"),
+        (at("joints", 2, "covariance", 1, value=lambda v: scaled(v, 6, 1e6)), "differ between its groups"),
+        (at("joints", 1, "covariance", 1, value=lambda v: scaled(v, -1, 1.1)), "differ between its groups"),
         (at("joints", 0, "repeatability", "+", "value", value=1e6), "repeatability of joint 1"),
         (at("joints", 2, "values", 0, 0, value=lambda v: 1.01 * v), "parameters: estimate of a is not what"),
         (at("machine", "ranges", "1", value=[1.0, -1.0]), "machine's ranges"),

@@ -21,10 +21,10 @@ def spoil(hidden: Hidden, rows: Ints, factors: float | np.ndarray = 2.0) -> Hidd
 
 
 def make_gross(size: str, rate: float, seed: int) -> tuple[Hidden, Ints]:
-    """A log of this size with gross errors at this rate, at least one; and their rows."""
+    """A log of this size with gross errors at this rate, at least one unless it is 0; and their rows."""
     design = SIZES[size][seed % len(SIZES[size])]
     hidden = hide(design, noise=KINDS[(seed // 2) % len(KINDS)], seed=seed)
     rng = np.random.default_rng([seed, 9])
     rows = np.flatnonzero(rng.random(len(hidden.table)) < rate)
-    rows = rows if len(rows) else rng.integers(len(hidden.table), size=1)
+    rows = rows if len(rows) or not rate else rng.integers(len(hidden.table), size=1)
     return spoil(hidden, rows, rng.choice([2.0, 0.5], len(rows))), rows

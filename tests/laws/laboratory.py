@@ -95,6 +95,11 @@ class Doubled(Guide):
         return np.concatenate([super().scales(mean_step), mean_step[:, None]], axis=1)
 
 
+def slope(load, free, weight):
+    """The step size by the load alone."""
+    return free - weight * load
+
+
 GUIDE = Guide()
 EVERY_JOINT = {1: Eccentric(), 3: GUIDE}
 NUMBER = 5

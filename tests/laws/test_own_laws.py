@@ -376,3 +376,57 @@ def test_a_bound_is_of_the_law_in_hand(path, lab, run):
     status, _, complaint = run("fit", path, "--law", "laboratory:GUIDE", "--bound", "b=0:1")
     assert status == 2
     assert "free, recoil, weight" in complaint
+
+
+FORMULA = """
+[joint.3]
+formula = "gamma ~ (free - weight*load) * (1 - share*abs(cos(q2)))"
+units = { free = "nm", weight = "nm", share = "1" }
+start = { share = 0.2 }
+
+[[cause]]
+name = "slow"
+formula = "* (1 + A*session_seconds/3600)"
+parameters = "A in %"
+
+[roles]
+"""
+
+
+def test_a_file_of_formulas_gives_laws_and_causes(path, log, tmp_path, run):
+    (tmp_path / "law.toml").write_text(FORMULA)
+    options = ("--law", tmp_path / "law.toml", "--cause", "slow")
+    status, printed, complaint = run("fit", path, *options, "--json", tmp_path / "result.json")
+    assert (status, complaint) == (0, "")
+    assert "slow.A" in printed
+    back = ssf.load_result(tmp_path / "result.json")  # text, so that nothing has to be given again
+    table = back.parameters
+    assert list(table["name"].unique()) == ["free", "weight", "share", "slow.A"]
+    content = ssf.read_law_file(tmp_path / "law.toml")
+    fitted = ssf.fit(log, laws=content.laws, causes=content.causes)
+    pd.testing.assert_frame_equal(back.predict(log.usable), fitted.predict(log.usable))
+    plain = ssf.fit(log, laws=content.laws)
+    np.testing.assert_allclose(
+        parameters(plain, ("free", "share", "weight")), parameters(ssf.fit(log), THESIS), rtol=1e-6
+    )
+    status, _, complaint = run("fit", path, *options, "--json", tmp_path / "law.toml")
+    assert status == 2
+    assert "would overwrite" in complaint
+
+
+def test_a_function_in_a_saved_result_is_not_imported(log, lab, tmp_path):
+    law = ssf.Law(lab.slope, units={"free": "nm", "weight": "nm"})
+    result = ssf.fit(log, laws={3: law})
+    result.save(tmp_path / "result.json")
+    with pytest.raises(ssf.InputError, match=r"laboratory:slope.*no code is run"):
+        ssf.load_result(tmp_path / "result.json")
+    back = ssf.load_result(tmp_path / "result.json", laws={3: law})
+    pd.testing.assert_frame_equal(back.predict(log.usable), result.predict(log.usable))
+
+
+def test_an_amplitude_starts_where_no_traverse_stalls(campaign, tmp_path):
+    table = campaign(("2012-03-05",), ({"joint": 1}, {"joint": 1, "from_deg": 60.0, "to_deg": -20.0}))
+    table.to_csv(tmp_path / "log.csv", index=False)
+    result = ssf.fit(ssf.read_log(tmp_path / "log.csv"), laws={1: ssf.Law("gamma ~ g*(1 + A*sin(q))")})
+    assert np.isfinite(result.joints[1].values).all()
+    assert not any(flag.flag == "not_converged" for flag in result.flags)

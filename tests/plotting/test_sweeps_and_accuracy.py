@@ -7,6 +7,7 @@ import pytest
 from stickslip_fit.estimation import held_out_errors as errors_of
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
 from stickslip_fit.estimation.prediction import collect_traverses
+from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting._style import direction_styles, select_recent, thin_rows
 from stickslip_fit.plotting.accuracy import draw_errors
 from stickslip_fit.plotting.residuals import draw_fit_residuals, fit_residuals_picture
@@ -50,7 +51,7 @@ def test_every_traverse_of_the_sweep_is_drawn_once(swept, rows):
     panels, left_out = make_panels(select_fixed(rows, {"psi": 0.0}), THETA, ["q2"], swept.fit)
     assert left_out == 0
     assert [panel.title for panel in panels] == ["q2 = 0°", "q2 = −60°", "q2 = −90°"]
-    figure = draw_panels(panels, direction_styles(3), x_label="theta", unit="nm", angle=True)
+    figure = draw_panels(panels, direction_styles(3, load_machine()), x_label="theta", unit="nm", angle=True)
     above = figure.axes[:3]
     # 3 theta, 2 directions, 2 replicates, 2 sessions
     assert [points_in(axes) for axes in above] == [24, 24, 24]
@@ -126,7 +127,7 @@ def test_far_points_are_marked_at_the_edge_and_counted(swept, rows):
     far.loc[far.index[5], "departure"] = 0.4
     panels, _ = make_panels(select_fixed(far, {"psi": 0.0}), THETA, ["q2"], swept.fit)
     assert count_beyond_scale(panels) == 1
-    figure = draw_panels(panels, direction_styles(3), x_label="theta", unit="nm", angle=True)
+    figure = draw_panels(panels, direction_styles(3, load_machine()), x_label="theta", unit="nm", angle=True)
     crosses = [line for axes in figure.axes[3:] for line in axes.lines if line.get_marker() == "x"]
     assert sum(len(line.get_xdata()) for line in crosses) == 1
     limit = figure.axes[3].get_ylim()[1]
@@ -149,16 +150,16 @@ def test_recent_means_the_last_sessions_in_time():
 
 
 def test_departures_show_all_traverses_and_say_where_the_middle_is(swept, rows):
-    shown = draw_fit_residuals(rows, 1.0)
+    shown = draw_fit_residuals(rows, 1.0, load_machine())
     assert {points_in(axes) for axes in shown.axes} == {len(rows)}
     inside = np.median(np.abs(rows["departure"]))
-    assert f"within {100 * inside:.2f} % of the law" in fit_residuals_picture(rows).caption
+    assert f"within {100 * inside:.2f} % of the law" in fit_residuals_picture(rows, load_machine()).caption
 
 
 def test_shares_of_traverses_predicted_better(whole):
     errors = errors_of(whole.log, whole.calibration, whole.constant)
     noise = {(joint, sign): 0.003 for joint in (1, 2, 3) for sign in ("+", "-")}
-    figure = draw_errors(errors, noise)
+    figure = draw_errors(errors, noise, load_machine())
     subset = errors[(errors["joint"] == 3) & (errors["direction"] == "-")]
     size = np.sort(100 * np.abs(subset["constant"] / subset["measured"] - 1))
     (curve,) = (

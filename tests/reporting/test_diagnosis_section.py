@@ -18,6 +18,7 @@ from stickslip_fit.diagnosis._summary import write_headline
 from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
 from stickslip_fit.diagnosis.selection import cause_probabilities
 from stickslip_fit.errors import InputError
+from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.diagnosis import (
     compute_confusion_rates,
     list_selection_steps,
@@ -171,7 +172,7 @@ def test_before_shows_the_drift_and_after_shows_none(found):
     left = compare_residuals(found.selection, found.seed)
     look = found.selection.selected[0]
     shape = compute_shape(look, found.selection.problem.linearize())
-    label, figure = draw_finding(found.findings[0], look, shape, left)
+    label, figure = draw_finding(found.findings[0], look, shape, left, load_machine())
     assert label == "hours in session"
     slopes = []
     for axis in figure.axes:
@@ -184,7 +185,7 @@ def test_before_shows_the_drift_and_after_shows_none(found):
 
 def test_a_panel_for_everything_that_varied(found):
     left = compare_residuals(found.selection, found.seed)
-    labels = {axis.get_xlabel() for axis in draw_residuals_overview(3, left).axes} - {""}
+    labels = {axis.get_xlabel() for axis in draw_residuals_overview(3, left, load_machine()).axes} - {""}
     assert {"hours in session", "load along the axis", "q2 (°)", "theta (°)"} <= labels
     assert "psi (°)" not in labels
 

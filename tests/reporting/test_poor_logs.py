@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+
+from stickslip_fit.diagnosis import pipeline
+from stickslip_fit.reporting import report
 
 CALIBRATION = (
     {"joint": 3, "q2_deg": -90.0},
@@ -47,6 +51,18 @@ POOR = {
 def test_a_poor_log_is_reported_with_what_it_lacks(campaign, reported, name):
     how, said = POOR[name]
     assert said in reported(campaign(**how)).page.text
+
+
+def test_a_section_that_does_not_converge_says_which_computation_failed(campaign, reported, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr(pipeline, "find_gross_errors", fail)
+    log = reported(campaign(settings=CALIBRATION)).log
+    failed = (
+        "stickslip_fit.diagnosis.pipeline.diagnose_problem did not converge (Eigenvalues did not converge)"
+    )
+    assert failed in report(log, sections=("diagnosis",)).html
 
 
 def test_what_cannot_be_known_is_called_so(campaign, reported):

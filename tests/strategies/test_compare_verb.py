@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pandas as pd
 
 from stickslip_fit import estimation as fit
@@ -51,3 +53,16 @@ def test_causes_of_another_log_may_be_taken(run, written, tmp_path):
     status, told, _ = run("compare", path, "--causes-from", tmp_path / "law.json")
     assert status == 0
     assert "closed form, with causes" in told
+
+
+def test_tables_never_replace_the_log_that_they_are_of(run, written, tmp_path, monkeypatch):
+    """Its name is that of a table, so that the folder that it is in cannot take the tables."""
+    path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)
+    (tmp_path / "day").mkdir()
+    content = path.rename(tmp_path / "day" / "pairs.csv").read_bytes()
+    monkeypatch.chdir(tmp_path / "day")
+    status, told, complained = run("compare", "pairs.csv", "--numbers", ".")
+    assert (status, told) == (2, "")
+    assert complained == "pairs.csv: is a log that this was computed from; name another file\n"
+    assert [each.name for each in Path().iterdir()] == ["pairs.csv"]
+    assert Path("pairs.csv").read_bytes() == content

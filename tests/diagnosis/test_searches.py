@@ -1,0 +1,41 @@
+"""The searches of a diagnosis: what is told of outliers is that of the search that was made last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stickslip_fit.diagnosis import diagnose, pipeline
+from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.logs import read_log
+
+MISFIRE = "end-stop-misfire"
+
+
+@pytest.fixture
+def searches(monkeypatch):
+    """The number of rows of every search; each finds that its first row alone made its finding."""
+    sizes = []
+
+    def select(problem, alpha, bootstrap, rng):
+        sizes.append(len(problem))
+        found = pipeline.empty_selection(problem)
+        return replace(found, influential=np.array([0]), p_value=alpha / 2)
+
+    nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
+    monkeypatch.setattr(pipeline, "find_gross_errors", lambda *_: nothing)
+    monkeypatch.setattr(pipeline, "select_causes", select)
+    return sizes
+
+
+def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, campaign, tmp_path):
+    """Every search asks for another, so that the number of searches ends them."""
+    campaign(("2012-03-05",), replicates=1).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    (finding,) = diagnose(log, gain=False).findings
+    assert len(searches) == pipeline.MAX_SEARCHES
+    assert finding.cause == MISFIRE
+    assert len(finding.traverses) == len(log) - searches[-1]
+    assert list(finding.traverses.index) == list(range(pipeline.MAX_SEARCHES - 1))
