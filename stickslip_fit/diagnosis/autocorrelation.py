@@ -68,7 +68,7 @@ class Autocorrelation:
     @property
     def correlation_rows(self) -> float:
         """Autocorrelation time in rows: so many rows say as much of a mean as one independent value does."""
-        gamma = autocovariances(self.coefficients)
+        gamma = variance_over_innovations(self.coefficients)
         long_run = 1.0 / (1.0 - float(self.coefficients.sum())) ** 2
         return max(float(long_run / gamma), 1.0)
 
@@ -95,12 +95,12 @@ class Autocorrelation:
         return found
 
 
-def autocovariances(coefficients: Array) -> float:
+def variance_over_innovations(coefficients: Array) -> float:
     """Variance of an autoregression over that of its innovations.
 
     Examples
     --------
-    >>> round(autocovariances(np.array([0.6])), 4)
+    >>> round(variance_over_innovations(np.array([0.6])), 4)
     1.5625
     """
     return float(np.prod(1.0 / (1.0 - partial_autocorrelations(coefficients) ** 2)))

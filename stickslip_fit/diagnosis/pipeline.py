@@ -1,6 +1,7 @@
 """diagnose: the whole diagnosis of a log, in the order of the mathematics. Start reading here.
 
-1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise.
+1. `problem`: the log becomes a `DiagnosisProblem`: rows with their laws, responses and noise. Any other table
+   becomes one in `table`, whose autocorrelated noise `autocorrelation` estimates and removes.
 2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
 4. `hypotheses`: what could be wrong, each as a subspace of effects.
