@@ -21,8 +21,8 @@ FILES: dict[str, type[TomlTable]] = {
     "law": LawFile,
     "study": StudyFile,
     "machine": MachineFile,
-    "formula": FormulaFile,
     "joints": JointsFile,
+    "formula": FormulaFile,
 }
 Row = tuple[str, str, str, str, str]
 

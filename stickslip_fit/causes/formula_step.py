@@ -16,7 +16,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.cause_formula import CauseFormula
-from stickslip_fit.causes.formula_trials import FormulaTrials, Place, TrialSearch, first_row
+from stickslip_fit.causes.formula_trials import MAX_LEVELS, FormulaTrials, Place, TrialSearch, first_row
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import State, float_column, state_at
@@ -173,6 +173,8 @@ def _find_faults(cause: CauseFormula, rows: pd.DataFrame) -> list[str]:
             )
     if cause.by and cause.by not in rows:
         faults.append(f"the log has no column {cause.by}")
+    elif cause.by and (number := rows[cause.by].nunique()) > MAX_LEVELS:
+        faults.append(f"the column {cause.by} has {number:,} values; by= takes at most {MAX_LEVELS}")
     if cause.operation == "=" and cause.target not in known:
         faults.append(f"{cause.target} is nothing that the log has; there are {', '.join(known)}")
     if cause.joints and not rows["joint"].isin(cause.joints).any():

@@ -11,7 +11,7 @@ import pandas as pd
 from stickslip_fit._expression import Expression
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.cause_formula import CauseFormula
-from stickslip_fit.causes.formula_trials import FormulaTrials, Place, TrialSearch, first_row
+from stickslip_fit.causes.formula_trials import MAX_LEVELS, FormulaTrials, Place, TrialSearch, first_row
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.table_cause import Effect, ExtendedTableLaw, Stage, TableCause
 from stickslip_fit.errors import InputError, InputIssue
@@ -111,6 +111,8 @@ def _find_faults(cause: CauseFormula, law: TableLaw, frame: pd.DataFrame) -> lis
         faults.append("a table has no steps; what is added to the response begins with + alone")
     if cause.by and cause.by in columns and frame[cause.by].isna().any():
         faults.append(f"the column {cause.by} has empty cells, and every row needs its own parameters")
+    if cause.by in columns and (number := frame[cause.by].nunique()) > MAX_LEVELS:
+        faults.append(f"the column {cause.by} has {number:,} values; by= takes at most {MAX_LEVELS}")
     if cause.operation == "=":
         if cause.target not in law.right.names or cause.target not in columns:
             faults.append(f"{cause.target} is no column that the law {law.name!r} uses")

@@ -26,6 +26,7 @@ from stickslip_fit.laws.table import is_linear, spread
 from stickslip_fit.units import to_si
 
 NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many parameters that are no amplitudes
+MAX_LEVELS = 100  # values of a column with parameters of their own
 STATE_FACTORS = (1.0, 10.0, -10.0)
 NULL_TOL = 1e-9
 _PHRASES = {

@@ -484,8 +484,9 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
                 else "this table shows nothing of it, once the law is recalibrated to each session"
             )
         elif strength < MIN_TESTABLE_STRENGTH:
+            shown = min(strength, MIN_TESTABLE_STRENGTH - 0.1)
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this {data} would be {min(strength, MIN_TESTABLE_STRENGTH - 0.1):.1f}, "
+                f"even at its largest plausible size its strength in this {data} would be {shown:.1f}, "
                 f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable

@@ -388,11 +388,12 @@ def read_log(
     file_sha256 = hash_sources(sources.files)
     # The cells of a large log take as much memory as its rows, and history needs more.
     del files, tables, sources
+    rows = _order_columns(columns, kept.order)
     if kept.has_times:
-        rows = add_session_history(_order_columns(columns, kept.order), kept.session[kept.order], machine)
+        rows = add_session_history(rows, kept.session[kept.order], machine)
         rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
     else:
-        rows = add_unknown_history(_order_columns(columns, kept.order))
+        rows = add_unknown_history(rows)
     # Pandas copies a shared column when it is first changed.
     as_read = rows.copy(deep=False)
     return Log(rows, hashes, file_sha256, machine, notes, rows_as_read=as_read)

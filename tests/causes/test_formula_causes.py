@@ -173,6 +173,7 @@ def test_more_causes_that_cannot_be_used(law, frame):
         ({"parameters": "k", "bounds": {"k": (2, 1)}}, "a lower and a higher number"),
         ({"parameters": "k", "bounds": {"z": (1, 2)}}, "z is none of its parameters"),
         ({"parameters": "k", "size": 0}, "size must be a number other than 0"),
+        ({"parameters": "k", "by": "vel"}, "the column vel has 240 values; by= takes at most 100"),
         ({"parameters": "k", "by": "bal"}, "bal is no column.*did you mean ball"),
     ):
         with pytest.raises(InputError, match=message):

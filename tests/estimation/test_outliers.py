@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.estimation.reweighting import outliers
-from stickslip_fit.laws import Prismatic
+from stickslip_fit.laws import Prismatic, published_law
+from stickslip_fit.logs import read_log
 
 STEP = {"+": (970e-9, 0.30, 430e-9), "-": (950e-9, 0.27, -400e-9)}
 
@@ -67,3 +68,27 @@ def test_heavy_tails_are_no_outliers():
 def test_heavy_tails_are_flagged_in_one_of_a_hundred_logs_of_400_rows(sessions, each):
     """At that rate 3 of 300 are expected, and more than 7 once in a hundred tries."""
     assert flagged(300, sessions, each, 4) <= 7
+
+
+def test_the_search_ends_where_the_law_suits_no_count(monkeypatch, campaign, tmp_path):
+    """Positions a thousand times too small: it took ten seconds, nearly all in passes that led nowhere."""
+    days = ("2012-03-05", "2012-03-06", "2012-03-07")
+    settings = [{"joint": 2, "q3_mm": q3, "theta_deg": theta} for q3 in (0.0, 12.0) for theta in (0.0, -60.0)]
+    table = campaign(days, settings=settings, replicates=2).assign(q3_mm=lambda rows: rows["q3_mm"] / 1000)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    law, evaluations = published_law(2, log.usable, log.machine), []
+    model = type(law).model
+
+    def counted(self, rows):
+        evaluate = model(self, rows)
+
+        def evaluate_once_more(values):
+            evaluations.append(values)
+            return evaluate(values)
+
+        return evaluate_once_more
+
+    monkeypatch.setattr(type(law), "model", counted)
+    outliers(law, log.usable)
+    assert 100 < len(evaluations) < 4000
