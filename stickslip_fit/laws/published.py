@@ -422,7 +422,6 @@ def constant_law(law: StepLaw) -> ConstantStep:
     return ConstantStep(law.joint, next(iter(law.calibration()), None), prismatic=law.prismatic)
 
 
-def name_of_laws(laws: Iterable[object]) -> str:
+def name_of_laws(laws: Iterable[StepLaw]) -> str:
     """What laws are called in a sentence."""
-    published = all(isinstance(law, Prismatic | Elbow | Base) for law in laws)
-    return "published law" if published else "law"
+    return "published law" if all(map(is_published, laws)) else "law"
