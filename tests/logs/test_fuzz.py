@@ -433,9 +433,9 @@ def try_mutated_log(seed: int, folder: Path) -> bool:
     path = folder / f"day.{kind}"
     path.write_bytes(raw)
     for command in ("check", "fit"):
-        began = time.monotonic()
+        began = time.process_time()  # not that of other programs
         result = CliRunner().invoke(app, [command, str(path)])
-        assert time.monotonic() - began < 10, (seed, command)
+        assert time.process_time() - began < 10, (seed, command)
         if result.exception:
             assert isinstance(result.exception, InputError), (seed, command, result.exc_info)
             assert command == "fit" or str(path) in str(result.exception), (seed, result.exception)
