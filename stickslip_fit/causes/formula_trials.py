@@ -128,8 +128,7 @@ class FormulaTrials(Cause):
         if self._lacks_amplitude:
             each = np.eye(len(self.levels))
             places = [np.array([*first, *place]) for place, first in self.sizes]
-            trials = [np.kron(place, level) for place in places for level in each]
-            return [(self, np.array(trials))]
+            return [(self, np.array([np.kron(place, level) for place in places for level in each]))]
         versions = []
         for place, amplitudes in self.sizes:
             null = np.concatenate([np.zeros(len(amplitudes)), np.repeat(place, len(self.levels))])
