@@ -11,7 +11,8 @@ Barndorff-Nielsen and G. Schou, J. Multivar. Anal. 3:408, 1973).
 
 The prediction-error filter subtracts from each value its prediction from those before it, exactly from the
 first one of a sequence on, where there are fewer than p before (Levinson's recursion). A gap, a removed row
-and a new session begin a new sequence.
+and a new session begin a new sequence. What persists over more than a quarter of the longest sequence is not
+called noise: the poles are drawn in until it does not.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
@@ -29,6 +30,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
+MAX_SHARE_OF_SEQUENCE = 0.25  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
@@ -81,13 +83,29 @@ class Autocorrelation:
         """The same, not to be estimated again."""
         return replace(self, candidate_effects=None)
 
+    def shorten(self) -> Autocorrelation:
+        """The same with an autocorrelation time of at most a share of the longest sequence."""
+        starts = np.flatnonzero(np.diff(np.sort(self.sample), prepend=self.sample.min() - 2) != 1)
+        longest = int(np.diff(starts, append=len(self.sample)).max())
+        limit = max(MAX_SHARE_OF_SEQUENCE * longest, 1.0)
+
+        def drawn_in(factor: float) -> Autocorrelation:
+            powers = factor ** np.arange(1, len(self.coefficients) + 1)
+            return replace(self, coefficients=self.coefficients * powers)
+
+        if self.correlation_rows <= limit:
+            return self
+        factor = brentq(lambda factor: drawn_in(factor).correlation_rows - limit, 0.0, 1.0, xtol=1e-6)
+        return drawn_in(float(factor))
+
     def estimate(self, linearized: LinearizedFit) -> Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
         if self.candidate_effects is None:
             return self
         effects = linearized.project(linearized.whiten(self.candidate_effects))
         for _ in range(MAX_SHOCKS):
-            found = replace(self, coefficients=estimate_autoregression(linearized, effects, self.sample))
+            coefficients = estimate_autoregression(linearized, effects, self.sample)
+            found = replace(self, coefficients=coefficients).shorten()
             shock = find_shock(linearized, effects, found.noise_filter)
             if shock is None:
                 break

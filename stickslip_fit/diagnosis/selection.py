@@ -51,6 +51,8 @@ MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; 
 # Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
 # unknown structure; the number of causes that are tried.
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
+# Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
+MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
 MIN_DF = 10
 EXACT_TOL = 1e-3  # standard deviations
@@ -377,8 +379,10 @@ def _refit_likeliest(
     The squared residuals that a refit leaves take the place of those that the best trial would leave.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
-    likeliest = sorted((cause for cause in evidence if cause != UNKNOWN), key=lambda cause: -evidence[cause])
-    if not problem.n_refits or len(likeliest) < 2:
+    least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
+    strong = (cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least)
+    likeliest = sorted(strong, key=lambda cause: -evidence[cause])
+    if not problem.n_refits or not likeliest:
         return misfit, starts
     before, whole = (
         problem.linearize_extended(_fit_causes(problem, selected)),

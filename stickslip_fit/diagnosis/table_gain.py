@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis.selection import Selection
 
 CORRELATION_TIMES = 10.0  # least length of a block
 MIN_BLOCKS, MAX_BLOCKS = 10, 50  # over all rows
+MIN_SEQUENCE_BLOCKS = 4  # of each sequence, whose own parameters the others tell
 
 
 def measure_table_gain(
@@ -127,9 +128,10 @@ def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[Int
     place = pd.Series(np.arange(n)).groupby(sequence).cumcount().to_numpy()
     size = np.bincount(sequence)[sequence]
     # Blocks of one sequence are equally long, so that none is a remainder of a few rows.
-    number = np.maximum(size // length, 1)
+    number = np.maximum(size // length, np.minimum(MIN_SEQUENCE_BLOCKS, size))
     keys = np.column_stack([sequence, place * number // size])
     kinds = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    length = int(np.median(np.bincount(kinds)))
     return kinds, f"blocks of about {pluralize(length, 'consecutive row')}"
 
 
