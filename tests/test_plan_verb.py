@@ -128,7 +128,7 @@ def test_causes_that_a_log_confuses_come_with_the_traverses_that_tell_them_apart
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--law", "law.toml"), "--law belongs to a plan"),
+        (("--law", "law.toml"), "name an existing law file"),
         (("--chart", "out.png"), "--chart belongs to a plan"),
         (("--json", "nowhere/out.json"), "nowhere"),
     ],

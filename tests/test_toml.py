@@ -13,7 +13,7 @@ from stickslip_fit.causes.law_file import FormulaFile
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine import load_machine
-from stickslip_fit.machine.machine_file import MachineFile
+from stickslip_fit.machine.machine_file import JointsFile, MachineFile
 from stickslip_fit.simulation.truth import LawFile
 from stickslip_fit.studies.plan import StudyFile
 from tests.docs.commands import ROOT
@@ -27,6 +27,7 @@ MODELS = {
     "study": (StudyFile, (REFERENCE, load_machine())),
     "machine": (MachineFile, None),
     "formula": (FormulaFile, None),
+    "joints": (JointsFile, None),
 }
 FILES = {path.name: path.read_text("utf-8") for path in sorted(REFERENCE.glob("*.toml"))}
 FILES |= {"mm3a.toml": (ROOT / "stickslip_fit/machine/mm3a.toml").read_text("utf-8")}
@@ -60,6 +61,8 @@ def kind_of(text):
     content = tomllib.loads(text)
     if "formula" in content or isinstance(content.get("joint"), dict):
         return "formula"
+    if isinstance(content.get("joint"), list):
+        return "joints"
     keys = {"sweep": "plan", "geometry": "machine", "scenario": "study", "law": "law", "cause": "law"}
     return next(kind for key, kind in keys.items() if key in content)
 

@@ -68,6 +68,12 @@ class Autocorrelation:
         )
 
     @property
+    def log_determinant(self) -> float:
+        """Logarithm of the filter's determinant."""
+        pattern = FilterPattern.of(self.sample, len(self.coefficients))
+        return pattern.log_determinant(partial_autocorrelations(self.coefficients))
+
+    @property
     def correlation_rows(self) -> float:
         """Autocorrelation time in rows: so many rows say as much of a mean as one independent value does."""
         gamma = variance_over_innovations(self.coefficients)
@@ -327,7 +333,7 @@ def number_samples(seconds: Array, session: IntArray) -> IntArray | None:
     --------
     >>> seconds = np.r_[np.arange(40.0), 45.0, 46.0, 10.0, 11.0]
     >>> number_samples(seconds, np.repeat([0, 1], [42, 2]))[[0, 1, 39, 40, 41, 42, 43]]
-    array([ 0,  1, 39, 44, 45, 47, 48])
+    array([ 0,  1, 39, 45, 46, 48, 49])
     """
     same, spacing = np.diff(session) == 0, np.diff(seconds)
     if not np.any(same & (spacing > 0)):

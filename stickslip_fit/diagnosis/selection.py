@@ -376,29 +376,35 @@ def _refit_likeliest(
 ) -> tuple[Misfit, dict[str, Array]]:
     """The test with the evidence of its likeliest causes after a refit of each, and the values then.
 
-    The squared residuals that a refit leaves take the place of those that the best trial would leave.
+    The squared residuals that a refit leaves take the place of those that the best trial would leave. Between
+    causes that are refitted the likelihoods decide, each under the noise that it leaves.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
     strong = (cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least)
-    likeliest = sorted(strong, key=lambda cause: -evidence[cause])
-    if not problem.n_refits or not likeliest:
+    likeliest = sorted(strong, key=lambda cause: -evidence[cause])[: problem.n_refits]
+    if not likeliest:
         return misfit, starts
-    before, whole = (
-        problem.linearize_extended(_fit_causes(problem, selected)),
-        misfit.residual @ misfit.residual,
-    )
-    for cause in likeliest[: problem.n_refits]:
+    before, likelihoods = problem.linearize_extended(_fit_causes(problem, selected)), dict[str, float]()
+    for cause in likeliest:
         shape = misfit.best_hypothesis(cause)
         assert isinstance(shape, Hypothesis)
         one = _make_selected(misfit, form_cause_set(misfit, cause))
         fit = _fit_causes(problem, [*selected, one])
         after = problem.linearize_extended(fit)
         left = (after.residual @ after.residual) / (before.residual @ before.residual)
-        explained = float(np.sum(shape.coefficients(misfit.residual) ** 2)) / whole
+        whole = misfit.residual @ misfit.residual
+        explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
         if np.isfinite(left) and left < 1.0 - explained:
             evidence[cause] += 0.5 * before.df * float(np.log((1.0 - explained) / left))
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
+        if len(likeliest) > 1:
+            one = replace(one, start=starts.get(cause, one.start))
+            trial, fit, _ = extend_problem(problem, [*selected, one])
+            likelihoods[cause] = trial.log_likelihood(fit)
+    if likelihoods:
+        highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
+        evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     return replace(misfit, log_evidence_by_cause=evidence), starts
 
 

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -146,22 +142,3 @@ def test_the_order_of_a_file_does_not_matter():
     assert search(rows).findings[0].effect.estimate == pytest.approx(
         search(shuffled).findings[0].effect.estimate, rel=0.01
     )
-
-
-@pytest.mark.nightly
-def test_a_signal_of_600_values_takes_less_than_ten_seconds_of_cpu(tmp_path):
-    with_effect(signal(np.random.default_rng(11), "0.9", 1, 600), "0.9", "stribeck", 9.0)[0].to_csv(
-        tmp_path / "signal.csv", index=False
-    )
-    code = (
-        "import sys, stickslip_fit as ssf\n"
-        "from tests.table.signals import LAW, ROLES, own_causes\n"
-        "print(ssf.diagnose_table(sys.argv[1], LAW, **ROLES, causes=own_causes()).verdict)"
-    )
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    said = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "signal.csv")], capture_output=True, text=True, check=True
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert said.stdout.strip() == "cause named"
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 10.0
