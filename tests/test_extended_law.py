@@ -207,7 +207,10 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     rows = log.rows.copy()
     rows.loc[misheard, "steps"] = (rows.loc[misheard, "steps"] * 1.3).astype(int)
     log = replace(log, rows=rows)
+    search = SimpleNamespace(problem=SimpleNamespace(parts=()))
     found = SimpleNamespace(
+        table=None,
+        selection=search,
         require_log=lambda: log,
         findings=[
             SimpleNamespace(version=ThermalWarmUp(), traverses=None),
@@ -232,8 +235,10 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
         "session_min=30",
     )
     assert run(*move)[0] == 0
-    nothing = Diagnosis.extended_law(SimpleNamespace(findings=[], require_log=lambda: log))
-    assert "published, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
+    nothing = Diagnosis.extended_law(
+        SimpleNamespace(findings=[], table=None, selection=search, require_log=lambda: log)
+    )
+    assert "as it was, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
 
 
 def test_the_guide_s_example_comes_out_as_printed_there(run):

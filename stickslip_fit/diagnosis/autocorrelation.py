@@ -11,8 +11,8 @@ Barndorff-Nielsen and G. Schou, J. Multivar. Anal. 3:408, 1973).
 
 The prediction-error filter subtracts from each value its prediction from those before it, exactly from the
 first one of a sequence on, where there are fewer than p before (Levinson's recursion). A gap, a removed row
-and a new session begin a new sequence. What persists over more than a quarter of the longest sequence is not
-called noise: the poles are drawn in until it does not.
+and a new session begin a new sequence. What persists over much of the longest sequence is not called
+noise: the poles are drawn in until it does not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
-MAX_SHARE_OF_SEQUENCE = 0.25  # over which noise persists
+MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise

@@ -401,7 +401,8 @@ def _refit_likeliest(
         if len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
             trial, fit, _ = extend_problem(problem, [*selected, one])
-            likelihoods[cause] = trial.log_likelihood(fit)
+            # Less what the Bayesian information criterion takes for its parameters.
+            likelihoods[cause] = trial.log_likelihood(fit) - 0.5 * len(one.start) * np.log(before.df)
     if likelihoods:
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
