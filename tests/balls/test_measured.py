@@ -47,6 +47,7 @@ def by_scipy(rows):
     return least_squares(residuals, [0.1, 47.0, 0.0, 47.0, 0.0], x_scale=[0.1, 1, 1, 1, 1]).x[0]
 
 
+@pytest.mark.nightly
 def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     diagnosis = ssf.diagnose_table(
         frames, LAW, session="run", time="seconds", causes=[*drags(by="ball"), SLANT], gain=False

@@ -102,6 +102,7 @@ def check_agreement(found, theirs):
 
 
 @pytest.mark.nightly
+@pytest.mark.nightly
 def test_constant_step_agrees_with_nested_sampling(traverses_of, fitted):
     law = ConstantStep(3, Configuration("anywhere"))
     rows = traverses_of(TRUTHS, 0.003, np.random.default_rng(1), replicates=4).rows

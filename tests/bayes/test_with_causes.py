@@ -93,6 +93,7 @@ def study(cases, campaigns, wrong=None):
     return distance, kstwo.ppf(1 - 0.001 / distance.size, campaigns)
 
 
+@pytest.mark.nightly
 def test_truths_rank_evenly_among_the_draws(cases):
     distance, band = study(cases, 6)
     assert np.all(distance < band), distance

@@ -80,6 +80,7 @@ def capture(folder, journal, replay, rig, controller, tuning, pull_at=math.inf):
         return Campaign(*where, Rig(controller, ear, RealClock()), operator).run()
 
 
+@pytest.mark.nightly
 def test_unplugged_in_mid_traverse_it_loses_nothing_and_goes_on_later(tmp_path):
     with rig_at_work() as (rig, controller):
         tuning = tune_emulated(controller, rig, RealClock(), 10)

@@ -200,6 +200,7 @@ def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(proble
     assert whole.noise_floor < whole.baseline < 2 * whole.noise_floor
 
 
+@pytest.mark.nightly
 def test_the_number_of_processes_makes_no_difference(problem, monkeypatch):
     monkeypatch.setattr(gain, "MAX_SERIAL_ROWS", 0)  # or this small log would never have two
     own_problem = replace(

@@ -40,7 +40,12 @@ COPIES = {
     "stickslip_fit.reporting.page.diagnose": "stickslip_fit.diagnosis.diagnose",
     "stickslip_fit.reporting.page.compare_strategies": "stickslip_fit.strategies.compare_strategies",
 }
-WITH_CODE = [page for page in PAGES if any(fences(page))]
+LONG = ("compare-strategies.md",)  # by night
+WITH_CODE = [
+    pytest.param(page, marks=pytest.mark.nightly if page.name in LONG else ())
+    for page in PAGES
+    if any(fences(page))
+]
 
 
 @pytest.fixture(scope="session")

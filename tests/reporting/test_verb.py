@@ -53,6 +53,7 @@ def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, campa
     assert "Sessions and traverses" in page.tables
 
 
+@pytest.mark.nightly
 def test_many_sessions_are_compared_by_the_latest(written, campaign, monkeypatch):
     monkeypatch.setattr("stickslip_fit.reporting.page.MAX_COMPARED_SESSIONS", 3)
     page = written(campaign(DAYS, CALIBRATION + PSI[:1], replicates=1), "--no-diagnosis")

@@ -39,6 +39,7 @@ def cluster():
         yield started
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no signal that kills a worker")
 @pytest.mark.nightly
 def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):

@@ -80,6 +80,7 @@ def sessions(shared):
     )
 
 
+@pytest.mark.nightly
 def test_new_sessions_are_predicted_where_all_parameters_are_shared():
     gain = sessions("all").gain_new_session
     assert gain.held_out == "whole sessions"

@@ -83,7 +83,7 @@ def test_outliers_of_a_signal_are_those_rows_alone():
 
 
 def test_a_lasting_change_in_a_signal_is_no_outlier():
-    rows, _ = with_effect(signal(np.random.default_rng(5), "0.9", 1, 600), "0.9", "sudden-change", 25.0)
+    rows, _ = with_effect(signal(np.random.default_rng(5), "0.5", 1, 600), "0.5", "sudden-change", 25.0)
     assert "sudden-change" in [one.cause for one in search(rows).findings]
 
 
