@@ -84,7 +84,8 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
         for part in problem.parts
     ):
         return problem
-    smaller = replace(problem, parts=fit_robustly(problem)[1]).without_rows(rows)
+    trimmed = replace(problem, parts=fit_robustly(problem)[1], trimmed=len(rows) > 0)
+    smaller = trimmed.without_rows(rows)
     linearized, drive = smaller.linearize(), smaller.noise_group
     squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
     df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))

@@ -10,8 +10,8 @@ calibration parameters projected out again (J. L. Horowitz, Annu. Rev. Econ. 11:
 would inflate it, so the best hypothesis is subtracted first; residuals are divided by sqrt(1 - leverage)
 as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985). A wild bootstrap keeps
 the largest residuals where they are; in small logs with heavy tails their places look like structure about
-twice as often as the p-value says. So where it comes out small, Student t noise is simulated, too, and the
-larger p-value counts.
+twice as often as the p-value says. So where it comes out small, Student t noise with tails as heavy as the
+residuals' is simulated, too, and the larger p-value counts.
 
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
-from scipy.special import logsumexp
+from scipy.special import logsumexp, poch
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
@@ -50,7 +50,8 @@ MAX_LOG_EVIDENCE = 600.0  # nats; keeps sums of Bayes factors finite
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
-MIN_TAIL_DF = 5.0  # of the Student t noise that is simulated as well, or instead
+MIN_TAIL_DF = 5.0  # of the Student t noise that is simulated instead
+TAIL_DF = (MIN_TAIL_DF, 8.0, 15.0, 200.0)  # of which one is simulated as well
 # Student t noise cannot change the answer where the bootstrap's p-value is above this, or where the statistic
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
@@ -268,7 +269,9 @@ def compute_misfit(
         doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
-            heavy_tailed, its_share = simulate(_make_student_sampler(linearized, rng), number)
+            kept = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
+            df = _estimate_tail_df(left.residual / kept)
+            heavy_tailed, its_share = simulate(_make_student_sampler(linearized, rng, df), number)
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
@@ -291,8 +294,22 @@ def _make_wild_sampler(
     return lambda number: rng.choice([-1.0, 1.0], (len(linearized), number)) * sizes
 
 
-def _make_student_sampler(linearized: LinearizedFit, rng: np.random.Generator) -> NoiseSampler:
-    return lambda number: rng.standard_t(MIN_TAIL_DF, (len(linearized), number))
+def _make_student_sampler(
+    linearized: LinearizedFit, rng: np.random.Generator, df: float = MIN_TAIL_DF
+) -> NoiseSampler:
+    return lambda number: rng.standard_t(df, (len(linearized), number))
+
+
+def _estimate_tail_df(residual: Array) -> float:
+    """Which of `TAIL_DF` residuals, shape (n,), are likeliest under."""
+    z = residual / np.sqrt(np.mean(residual**2))
+
+    def log_likelihood(df: float) -> float:
+        scale = np.sqrt((df - 2.0) / df)
+        constant = float(np.log(poch(0.5 * df, 0.5)) - 0.5 * np.log(np.pi * df)) - np.log(scale)
+        return len(z) * constant - 0.5 * (df + 1.0) * float(np.sum(np.log1p((z / scale) ** 2 / df)))
+
+    return max(TAIL_DF, key=log_likelihood)
 
 
 def _log_weights(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:

@@ -79,6 +79,8 @@ class DiagnosisProblem:
         How many of the likeliest causes are refitted before one is named. Effects far above the noise are
         not linear in their parameters, and a cause that is tried at few sizes loses to another that happens
         to be tried at a better one.
+    trimmed : bool
+        Whether rows with gross errors were set aside, chosen by the residuals.
     least_sd : float
         Least standard deviation of the noise: with less, the law fits to within rounding.
     """
@@ -97,6 +99,7 @@ class DiagnosisProblem:
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = MISFIRE
     n_refits: int = 0
+    trimmed: bool = False
     least_sd: float = MIN_SD
 
     def __len__(self) -> int:

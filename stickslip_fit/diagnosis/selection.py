@@ -42,8 +42,8 @@ PRIOR_NULL = 0.5
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
 # effects often are.
 OUTLIER_ALPHA_SHARE = 0.25
-# Noisy configurations are chosen by the same residuals; the misfit test then rejects about twice as often
-# (`benchmarks/README.md`).
+# Noisy configurations and gross errors are chosen by the same residuals; the misfit test then rejects about
+# twice as often (`benchmarks/README.md`).
 SELECTION_FACTOR = 2
 MAX_CAUSES = 4
 MAX_EXCEEDANCES = 50  # bootstrap samples above the statistic, after which a second cause is ruled out
@@ -260,7 +260,7 @@ def assess_residuals(
     if effects is None:
         causes = [cause for cause in problem.causes if cause.name not in without]
         effects = compute_finite_effects(linearized, causes)
-    factor = SELECTION_FACTOR if np.any(problem.noise_ratio != 1) else 1
+    factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
     hypotheses = [*build_candidates(linearized, effects), *problem.alternatives(linearized)]
     return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
 
