@@ -282,11 +282,6 @@ def format_direction(direction: str | None) -> str:
     return MINUS if direction == "-" else direction or ""
 
 
-def grow_or_shrink(value: float) -> str:
-    """Whether steps grow or shrink."""
-    return "grow" if value > 0 else "shrink"
-
-
 def pluralize(count: int, noun: str) -> str:
     """A number of things.
 

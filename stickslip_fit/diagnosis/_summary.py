@@ -76,7 +76,7 @@ def _cause(finding: Finding) -> Any:
 def write_headline(diagnosis: Diagnosis) -> list[str]:
     """Sentences: what is wrong, what to do about it, then what else is wrong."""
     if not diagnosis.findings:
-        return [_describe_no_misfit(diagnosis), _describe_untestable(diagnosis)]
+        return [_describe_no_misfit(diagnosis), describe_untestable(diagnosis)]
     first, *others = diagnosis.findings
     return [
         f"{_describe_finding(first, diagnosis)}.",
@@ -125,12 +125,13 @@ def _describe_no_misfit(diagnosis: Diagnosis) -> str:
     )
 
 
-def _describe_untestable(diagnosis: Diagnosis) -> str:
+def describe_untestable(diagnosis: Diagnosis) -> str:
+    """Which causes the data could not have shown, as a sentence."""
     if not np.isfinite(diagnosis.repeatability):
         return "Until then no cause is confirmed, and none ruled out."
     names = list(diagnosis.untestable)
     if not names:
-        return "It could have shown every cause that is known, at its largest plausible size."
+        return "It could have shown every cause that was searched, at its largest plausible size."
     if len(names) > MAX_UNTESTABLE_NAMED:
         first = names[: MAX_UNTESTABLE_NAMED - 1]
         names = [*first, f"{len(names) - len(first)} others"]
@@ -144,7 +145,7 @@ def _describe_finding(finding: Finding, diagnosis: Diagnosis) -> str:
     if not finding.equivalent:
         return effect
     either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
-    return f"This log cannot tell what is wrong: {either}. If it is the first: {_lower_first(effect)}"
+    return f"This log cannot tell what is wrong: {either}. If it is the first: {lower_first(effect)}"
 
 
 def _describe_shape(finding: Finding) -> str:
@@ -188,12 +189,13 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
 
 def _describe_side_effects(finding: Finding) -> str:
     if finding.cause == UNKNOWN:
-        return f"Besides that: {_lower_first(_describe_shape(finding))}."
+        return f"Besides that: {lower_first(_describe_shape(finding))}."
     rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
-    return f"Besides that: {_lower_first(describe_effect(finding))} ({finding.cause}{rivals})."
+    return f"Besides that: {lower_first(describe_effect(finding))} ({finding.cause}{rivals})."
 
 
-def _lower_first(text: str) -> str:
+def lower_first(text: str) -> str:
+    """The text with a small first letter, for the middle of a sentence."""
     return text[:1].lower() + text[1:]
 
 

@@ -25,7 +25,9 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.diagnosis._summary import (
+    describe_untestable,
     list_untestable,
+    lower_first,
     name_cause,
     ranking_tables,
     summarize_log_diagnosis,
@@ -35,7 +37,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.units import Interval
 
-MAX_UNTESTABLE_NAMED, MAX_PARAMETERS_NAMED = 4, 4
+MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 FEW_VALUES = 50  # independent ones
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
@@ -98,7 +100,7 @@ def format_size(value: float, table: TableInfo) -> str:
 def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     """Sentences: what is wrong, what to do about it, what else is wrong, and how much the table tells."""
     if not diagnosis.findings:
-        sentences = [_describe_no_misfit(diagnosis, table), _describe_untestable(diagnosis)]
+        sentences = [_describe_no_misfit(diagnosis, table), describe_untestable(diagnosis)]
     else:
         first, *others = diagnosis.findings
         sentences = [
@@ -146,18 +148,6 @@ def _describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
     )
 
 
-def _describe_untestable(diagnosis: Diagnosis) -> str:
-    if not np.isfinite(diagnosis.repeatability):
-        return "Until then no cause is confirmed, and none ruled out."
-    names = list(diagnosis.untestable)
-    if not names:
-        return "It could have shown every cause that was searched, at its largest plausible size."
-    if len(names) > MAX_UNTESTABLE_NAMED:
-        first = names[: MAX_UNTESTABLE_NAMED - 1]
-        names = [*first, f"{len(names) - len(first)} others"]
-    return f"It could not have shown {join_words(names)}; the reasons are below."
-
-
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:
     """What a named cause does, without a full stop."""
     if finding.traverses is not None:
@@ -200,7 +190,7 @@ def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) 
     if not finding.equivalent:
         return effect
     either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
-    return f"This table cannot tell what is wrong: {either}. If it is the first: {_lower_first(effect)}"
+    return f"This table cannot tell what is wrong: {either}. If it is the first: {lower_first(effect)}"
 
 
 def _describe_shape(finding: Finding, table: TableInfo) -> str:
@@ -261,13 +251,9 @@ def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
 
 def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
     if finding.cause == UNKNOWN:
-        return f"Besides that: {_lower_first(_describe_shape(finding, table))}."
+        return f"Besides that: {lower_first(_describe_shape(finding, table))}."
     rivals = f"; or it is {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
-    return f"Besides that: {_lower_first(describe_table_effect(finding, table))}{rivals}."
-
-
-def _lower_first(text: str) -> str:
-    return text[:1].lower() + text[1:]
+    return f"Besides that: {lower_first(describe_table_effect(finding, table))}{rivals}."
 
 
 def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:

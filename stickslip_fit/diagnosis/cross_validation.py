@@ -80,18 +80,39 @@ def make_folds(
     effects = np.zeros((n, 0)) if effects is None else effects
     n_blocks, width = int(block.max()) + 1, coordinates.shape[1]
     folds = [_FoldInformation.empty(n_blocks, width, effects) for _ in range(number)]
-    fold_of, sizes = np.full(n, -1), np.zeros(number, dtype=np.intp)
+
+    def try_add(fold: int, rows: IntArray) -> bool:
+        return folds[fold].try_add(block[rows], coordinates[rows], effects[rows])
+
+    return deal_kinds(kinds, number, try_add, rng)
+
+
+def deal_kinds(
+    kinds: IntArray, number: int, try_add: Callable[[int, IntArray], bool], rng: np.random.Generator
+) -> list[Split]:
+    """Deal the rows, all of one kind together, to folds in random order, each to the smallest that takes it.
+
+    Parameters
+    ----------
+    kinds : array of int, shape (n,)
+    number : int
+        Of folds; those in which nothing can be held out are left out.
+    try_add : callable
+        From a fold and rows to whether everything stays determined if these are held out in it, too.
+    rng : Generator
+    """
+    fold_of, sizes = np.full(len(kinds), -1), np.zeros(number, dtype=np.intp)
     members = split_positions(kinds)
     for kind in rng.permutation(len(members)):
         rows = members[kind]
-        for fold in np.argsort(sizes, kind="stable"):
-            if folds[fold].try_add(block[rows], coordinates[rows], effects[rows]):
+        for fold in np.argsort(sizes, kind="stable").tolist():
+            if try_add(fold, rows):
                 fold_of[rows], sizes[fold] = fold, sizes[fold] + len(rows)
                 break
     splits = []
-    for fold in np.flatnonzero(sizes):
-        train = np.flatnonzero(fold_of != fold)
-        splits.append(Split(train, train, np.flatnonzero(fold_of == fold)))
+    for used in np.flatnonzero(sizes):
+        train = np.flatnonzero(fold_of != used)
+        splits.append(Split(train, train, np.flatnonzero(fold_of == used)))
     return splits
 
 

@@ -127,7 +127,7 @@ def _fit_rival(selection: Selection, selected: SelectedCause, cause: str) -> Ext
     misfit = selected.misfit
     assert misfit is not None
     shape: Any = misfit.best_hypothesis(cause)
-    start = np.array(shape.version.null_values) if shape.values is None else shape.values
+    start = np.array(shape.version.start_values) if shape.values is None else shape.values
     rival = replace(selected, cause=cause, version=shape.version, start=start)
     chosen = selected if cause == selected.cause else rival
     causes = [chosen if one is selected else one for one in selection.law_causes]

@@ -25,13 +25,14 @@ from stickslip_fit.diagnosis.cross_validation import (
     N_FOLDS,
     Selector,
     Split,
+    deal_kinds,
     extend_by_steps,
     select_from_training,
 )
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
 from stickslip_fit.diagnosis.gain import N_REPLICATE_SPLITS, estimate_gain, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import compute_changes
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
 
@@ -143,26 +144,20 @@ def hold_out_kinds(
     `linearized` is the baseline. Parameters may belong to a session or to the whole table, so that the
     information in the rows of a fold is one matrix over all of them.
     """
-    n = len(linearized)
     basis, effects = linearized.basis.toarray(), _effects(selection, linearized)
     whole = np.sum(effects**2, axis=0)
     least = np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2)
-    members = split_positions(kinds)
-    number = min(N_FOLDS, len(members))
-    held: list[list[int]] = [[] for _ in range(number)]
-    fold_of, sizes = np.full(n, -1), np.zeros(number, dtype=np.intp)
-    for kind in rng.permutation(len(members)):
-        for fold in np.argsort(sizes, kind="stable"):
-            rows = np.concatenate([members[one] for one in (*held[fold], kind)])
-            if _is_determined(basis[rows], effects[rows], whole, least):
-                held[fold].append(kind)
-                fold_of[members[kind]], sizes[fold] = fold, len(rows)
-                break
-    splits = []
-    for fold in np.flatnonzero(sizes):
-        train = np.flatnonzero(fold_of != fold)
-        splits.append(Split(train, train, np.flatnonzero(fold_of == fold)))
-    return splits
+    number = min(N_FOLDS, int(kinds.max()) + 1)
+    held = [np.zeros(0, dtype=np.intp)] * number
+
+    def try_add(fold: int, rows: IntArray) -> bool:
+        together = np.concatenate([held[fold], rows])
+        if not _is_determined(basis[together], effects[together], whole, least):
+            return False
+        held[fold] = together
+        return True
+
+    return deal_kinds(kinds, number, try_add, rng)
 
 
 def _effects(selection: Selection, linearized: LinearizedFit) -> Array:

@@ -75,7 +75,7 @@ def test_free_fall_is_nothing_wrong_at_the_stated_rate():
 @pytest.mark.parametrize("name", SIZES)
 def test_drag_is_named_with_its_size(name):
     covered = 0
-    for seed in range(1, 5):
+    for seed in range(4):
         (finding,) = diagnose(filmed(ACCELERATIONS[name], seed)).findings
         assert (finding.cause, finding.equivalent) == (name, ())
         covered += finding.parameters[0].size.low < SIZES[name] < finding.parameters[0].size.high
