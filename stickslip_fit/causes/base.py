@@ -244,6 +244,10 @@ class FactorCause(Cause):
     def factor(self, state: State, values: list[Array]) -> Array:
         """The factor, shape (n, k) or (n, 1); each of `values` has shape (n, 1)."""
 
+    def factor_slopes(self, state: State, values: list[Array]) -> Array | None:
+        """Derivatives of the factor, shape (n, k, q) or (n, 1, q); None for central differences."""
+        return None
+
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
         before, row = extend_by(law, ()), self.row_values(law, rows)
@@ -343,9 +347,13 @@ class Composition(StepLaw):
             FactorCause: lambda shifted: before * self._factor(true, shifted),
         }
         for kind, function in gamma_by_kind.items():
-            for _, columns in self.by_stage[kind]:
-                for k in columns:
-                    slopes[k] = self.difference(function, values, k)
+            for cause, columns in self.by_stage[kind]:
+                own = self._factor_slopes(cause, true, values, columns) if kind is FactorCause else None
+                for place, k in enumerate(columns):
+                    if own is None:
+                        slopes[k] = self.difference(function, values, k)
+                    else:
+                        slopes[k] = before * own[..., place]
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
@@ -373,6 +381,17 @@ class Composition(StepLaw):
         for cause, columns in self.by_stage[FactorCause]:
             factor = factor * cause.factor(true, _split(values, columns))
         return factor
+
+    def _factor_slopes(self, cause: FactorCause, true: State, values: Array, columns: range) -> Array | None:
+        """Derivatives of all factors together by the parameters of one, None where it has none."""
+        slopes = cause.factor_slopes(true, _split(values, columns))
+        if slopes is None:
+            return None
+        others = np.ones((len(values), 1))
+        for other, its_columns in self.by_stage[FactorCause]:
+            if other is not cause:
+                others = others * other.factor(true, _split(values, its_columns))
+        return others[..., None] * slopes
 
     def _law_slopes(self, true: State, values: Array) -> Array:
         """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""

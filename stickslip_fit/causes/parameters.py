@@ -30,12 +30,16 @@ class CauseParameter(Parameter):
     direction, session : str or None
     sudden : bool
         The response jumps as it changes, so that it is chosen among trials, not by derivatives.
+    prior_sd : float
+        Standard deviation of its normal prior about zero, SI: of a coefficient of a smooth function, which is
+        fitted with a penalty. Infinite for any other.
     """
 
     joint: int | None = None
     direction: str | None = None
     session: str | None = None
     sudden: bool = False
+    prior_sd: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.problem import MISFIRE
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.diagnosis.selection import MISFIRE
 from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.units import PRISMATIC
 

@@ -16,10 +16,11 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import SelectedCause, Selection
+from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.machine import Machine

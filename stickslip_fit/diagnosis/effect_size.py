@@ -20,18 +20,13 @@ from scipy.special import betaincinv, chdtrc, gammaln
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, acts_on, compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import (
-    SelectedCause,
-    Selection,
-    allocate_alpha,
-    alternative_forms,
-    predict_departures,
-)
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Interval
@@ -60,7 +55,7 @@ class CauseEffect:
     error : float
         Standard deviation of its length.
     dimensions : int
-        Number of fitted parameters.
+        Number of fitted parameters; of those with a prior, how many the data determine.
     """
 
     rows: Array
@@ -146,7 +141,8 @@ def estimate_effect(
     slopes = (whitened[:, 1:] - form[:, None]) / steps
     along = slopes.T @ form / length
     error = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-    dimensions = max(int(np.sum(np.diag(covariance) > 0)), 1)
+    known = 1.0 - np.diag(covariance) / selection.fit.prior_sd[place] ** 2
+    dimensions = max(round(float(np.sum(known[np.diag(covariance) > 0]))), 1)
     beyond = _effect_beyond_fit(selection, selected)
     unweighted = linearize_fit(
         linearized.rows,

@@ -19,11 +19,12 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause, covariates, library
 from stickslip_fit.diagnosis.candidate_traverses import Forecast, forecast_candidates
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, NextTraverse
 from stickslip_fit.diagnosis.linearized import ExtendedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.diagnosis.selection import SelectedCause, Selection
+from stickslip_fit.diagnosis.selection import Selection
 
 Z_95_ONE_SIDED = 1.644854
 MAX_REPEATS = 50

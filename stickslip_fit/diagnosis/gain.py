@@ -16,6 +16,7 @@ import pandas as pd
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.alternatives import number_configurations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
@@ -23,6 +24,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     hold_out_sessions,
     make_folds,
 )
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
@@ -33,11 +35,11 @@ from stickslip_fit.diagnosis.gain_interval import (
     prepare_calibration,
     simulate_gain_interval,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, number_configurations
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import SelectedCause, Selection, allocate_alpha, select_causes
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, select_causes
 from stickslip_fit.machine import Machine
 
 N_REPLICATE_SPLITS = 4  # random splits into folds of a simulated replicate
@@ -259,6 +261,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         / np.sqrt(1.0 - np.minimum(selection.linearized.leverage, MAX_LEVERAGE)),
         linearized.whiten(np.concatenate(changes, axis=1)),
         tuple(slopes[:, place] for place in places),
+        tuple(1.0 / fit.prior_sd[place] for place in places),
         np.array(thresholds),
         tuple(_collect_competitors(one, linearized.df) for one in selected),
     )

@@ -69,6 +69,8 @@ class LinearizedCampaign:
     effects : array, shape (n, k)
     slopes : tuple of array, each shape (n, q)
         Derivatives with respect to each cause's parameters.
+    penalties : tuple of array, each shape (q,)
+        Inverse standard deviation of each parameter's prior about zero; 0 without one.
     thresholds : array, shape (k,)
         Length of an effect at which the selection detects it.
     competing_causes : tuple of CompetingCauses
@@ -82,6 +84,7 @@ class LinearizedCampaign:
     noise: Array
     effects: Array
     slopes: tuple[Array, ...]
+    penalties: tuple[Array, ...]
     thresholds: Array
     competing_causes: tuple[CompetingCauses, ...]
     recolour: Recolouring = keep_columns
@@ -286,8 +289,8 @@ def _simulate_replicates(
         for result in np.unique(results, axis=0):
             logs = np.flatnonzero(np.all(results == result, axis=1))
             for step in range(1, k + 1):
-                columns = _extension_columns(campaign, result[:step])
-                errors = plain[:, logs] - predict_extension(operators, columns, responses[:, logs])
+                columns, penalties = _extension_columns(campaign, result[:step])
+                errors = plain[:, logs] - predict_extension(operators, columns, penalties, responses[:, logs])
                 squares[logs, step] += np.sum((errors * scale) ** 2, axis=0)
         count += len(split.held_out)
     return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
@@ -322,15 +325,17 @@ def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
     return -0.5 * df * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
 
 
-def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> list[Array]:
-    """Directions of the law's extension by the results for the first causes."""
-    return [
-        campaign.slopes[cause]
-        if one == CAUSE_FOUND
-        else campaign.competing_causes[cause].shapes[:, one - 1 : one]
-        for cause, one in enumerate(result)
-        if one != NONE_FOUND
-    ]
+def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> tuple[list[Array], list[Array]]:
+    """Directions of the law's extension by the results for the first causes, and their penalties."""
+    columns, penalties = [], []
+    for cause, one in enumerate(result):
+        if one == CAUSE_FOUND:
+            columns.append(campaign.slopes[cause])
+            penalties.append(campaign.penalties[cause])
+        elif one != NONE_FOUND:
+            columns.append(campaign.competing_causes[cause].shapes[:, one - 1 : one])
+            penalties.append(np.zeros(1))
+    return columns, penalties
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,15 +354,19 @@ def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_c
     )
 
 
-def predict_extension(operators: SplitOperators, slopes: Sequence[Array], responses: Array) -> Array:
+def predict_extension(
+    operators: SplitOperators, slopes: Sequence[Array], penalties: Sequence[Array], responses: Array
+) -> Array:
     """What causes sized by the training rows add to the held-out rows' prediction, whitened.
 
-    `slopes`, each (n, q), are the directions of each cause; `responses` has shape (n, m); the result, shape
-    (number held out, m) or one that broadcasts to it, is subtracted from the errors without the causes.
+    `slopes`, each (n, q), are the directions of each cause, `penalties` as of `LinearizedCampaign`;
+    `responses` has shape (n, m); the result, shape (number held out, m) or one that broadcasts to it, is
+    subtracted from the errors without the causes.
     """
     if not slopes:
         return np.zeros((1, 1))
     columns, train = np.concatenate(slopes, axis=1), operators.training.predicted
+    penalised = np.concatenate([operators.training.subtract(columns), np.diag(np.concatenate(penalties))])
     estimator = np.zeros(columns.shape[::-1])
-    estimator[:, train] = np.linalg.pinv(operators.training.subtract(columns), rcond=1e-6)
+    estimator[:, train] = np.linalg.pinv(penalised, rcond=1e-6)[:, : len(train)]
     return operators.prediction.subtract(columns) @ (estimator @ responses)

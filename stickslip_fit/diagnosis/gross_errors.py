@@ -22,13 +22,8 @@ from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import (
-    MIN_DF,
-    Selection,
-    fits_exactly,
-    predict_departures,
-    select_outliers,
-)
+from stickslip_fit.diagnosis.selection import Selection, predict_departures, select_outliers
+from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale

@@ -160,6 +160,7 @@ def linearize_fit(
     shared: int = 0,
     absorbed: Array | None = None,
     noise_filter: csr_array | None = None,
+    prior_sd: Array | None = None,
 ) -> LinearizedFit:
     """Linearize laws about their fitted values.
 
@@ -178,6 +179,9 @@ def linearize_fit(
         Further effects, whitened, to project out.
     noise_filter : sparse array, shape (n, n), optional
         As of `LinearizedFit`; its sequences do not leave a block.
+    prior_sd : array, shape (q,), optional
+        Of the last q shared parameters, see `ExtendedFit`: directions about which the data say less than the
+        prior are not projected out.
     """
     n = len(rows)
     residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
@@ -192,12 +196,24 @@ def linearize_fit(
             for places in split_positions(part.block)
         ]
     basis = _stack_blocks(n, blocks)
+    if prior_sd is not None and np.isfinite(prior_sd).any():
+        common = _keep_determined(common, basis, prior_sd)
     common = common if absorbed is None else np.concatenate([common, absorbed], axis=1)
     if common.shape[1]:
         border = _orthonormalize(common - basis @ (basis.T @ common))
         basis = csr_array(hstack([basis, csr_array(border)]))
     linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks), noise_filter)
     return replace(linearized, residual=linearized.project(residual))
+
+
+def _keep_determined(common: Array, basis: csr_array, prior_sd: Array) -> Array:
+    """Whitened slopes (n, k), of penalised parameters only in directions that the data determine."""
+    penalised = np.flatnonzero(np.isfinite(prior_sd)) + common.shape[1] - len(prior_sd)
+    scaled = common[:, penalised] * prior_sd[np.isfinite(prior_sd)]
+    projected = scaled - basis @ (basis.T @ scaled)
+    information, right = np.linalg.eigh(projected.T @ projected)
+    free = np.delete(common, penalised, axis=1)
+    return np.concatenate([free, scaled @ right[:, information > 1.0]], axis=1)
 
 
 def split_positions(kinds: npt.NDArray[np.integer[Any]]) -> list[IntArray]:
@@ -237,6 +253,8 @@ class ExtendedFit:
     residual : array, shape (n,)
         Response less prediction.
     converged : bool
+    prior_sd : array, shape (q,)
+        Standard deviation of each parameter's normal prior about zero; infinite without one.
     """
 
     parts: tuple[LawBlock, ...]
@@ -244,6 +262,7 @@ class ExtendedFit:
     covariance: Array
     residual: Array
     converged: bool
+    prior_sd: Array
 
 
 def fit_extended(
@@ -257,7 +276,7 @@ def fit_extended(
     n_shared: int = 0,
     noise_filter: csr_array | None = None,
 ) -> ExtendedFit:
-    """Fit laws and causes together by least squares.
+    """Fit laws and causes together by least squares, with a penalty on parameters that have a prior.
 
     `parts` are the laws without the causes, at start values, of whose parameters all rows share the last
     `n_shared`; `causes` are bound to the rows, and `start`, shape (q,), are start values of their parameters.
@@ -266,19 +285,29 @@ def fit_extended(
     extended = [reduce(lambda law, cause: cause.extend(law), causes, part.law) for part in parts]
     widest, shared = max(part.values.shape[1] for part in parts) - n_shared, n_shared + len(start)
     columns_of = [np.r_[: part.values.shape[1] - n_shared, widest : widest + shared] for part in parts]
-    blocks = _group_blocks(rows, parts)
+    prior_sd = np.array([parameter.prior_sd for cause in causes for parameter in cause.parameters])
+    penalised = np.flatnonzero(np.isfinite(prior_sd))
+    blocks, n, n_all = _group_blocks(rows, parts), len(rows), len(rows) + len(penalised)
+    # A prior is one more row, of the first block for want of a better one.
+    blocks = replace(blocks, of_row=np.append(blocks.of_row, np.zeros(len(penalised), dtype=np.intp)))
     models = [law.model(rows.iloc[part.rows]) for law, part in zip(extended, parts, strict=True)]
 
     def model(values: Array) -> tuple[Array, Array]:
-        predicted, slopes = np.empty(len(rows)), np.zeros((len(rows), widest + shared))
+        predicted, slopes = np.empty(n_all), np.zeros((n_all, widest + shared))
+        at = widest + n_shared + penalised
+        predicted[n:] = values[n:, at].diagonal()
+        slopes[np.arange(n, n_all), at] = 1.0
         for part, part_model, columns in zip(parts, models, columns_of, strict=True):
             block = np.ix_(part.rows, columns)
             predicted[part.rows], slopes[block] = part_model(values[block])
         return predicted, slopes
 
+    def whitened(columns: Array) -> Array:
+        return np.concatenate([whiten(columns[:n], scale, noise_filter), columns[n:]])
+
     def whitened_model(values: Array) -> tuple[Array, Array]:
         predicted, slopes = model(values)
-        return whiten(predicted, scale, noise_filter), whiten(slopes, scale, noise_filter)
+        return whitened(predicted), whitened(slopes)
 
     first, scales = np.zeros((len(blocks), widest + shared)), np.ones((len(blocks), widest + shared))
     lower, upper = np.full(widest + shared, -np.inf), np.full(widest + shared, np.inf)
@@ -296,22 +325,23 @@ def fit_extended(
     upper[last] = [parameter.upper for cause in causes for parameter in cause.parameters]
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
     options: Any = {"lower": lower, "upper": upper, "offset_tol": OFFSET_TOL, "most": MAX_STEPS}
+    y, weight = np.append(responses, np.zeros(len(penalised))), 1.0 / prior_sd[penalised] ** 2
     data = (
-        (model, responses, 1.0 / scale**2)
+        (model, y, np.append(1.0 / scale**2, weight))
         if noise_filter is None
-        else (whitened_model, whiten(responses, scale, noise_filter), np.ones(len(rows)))
+        else (whitened_model, whitened(y), np.append(np.ones(n), weight))
     )
     minimum = solve_block_arrow(*data, blocks, sharing, first, scales, tolerance=0.0, **options)
     fitted = tuple(
         replace(part, law=law, values=minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
         for law, part, columns in zip(extended, parts, columns_of, strict=True)
     )
-    residual = minimum.residual
+    residual = minimum.residual[:n]
     if noise_filter is not None:
-        residual = responses - model(minimum.values[blocks.of_row])[0]
+        residual = responses - model(minimum.values[blocks.of_row])[0][:n]
     covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
     converged = bool(minimum.converged.all())
-    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged)
+    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged, prior_sd)
 
 
 def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:

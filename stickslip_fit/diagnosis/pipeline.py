@@ -4,11 +4,13 @@
    becomes one in `table`, whose autocorrelated noise `autocorrelation` estimates and removes.
 2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
-4. `hypotheses`: what could be wrong, each as a subspace of effects.
+4. `hypotheses`: what could be wrong, each as a subspace of effects; `alternatives` without a cause stand for
+   "unknown", and `testability` says what a log could show.
 5. `noise`: repeatability, noisy configurations, outlying counts.
 6. `misfit`: is anything wrong? Bayes factors and the p-value.
-7. `selection`: forward selection of causes, and the causes that the data cannot separate; `influence`:
-   none rests on one or two rows.
+7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
+   cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests
+   on one or two rows.
 8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
    `withdrawal`: a cause that does not predict better is not named.
@@ -28,6 +30,7 @@ import numpy as np
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
+from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.gross_errors import (
@@ -38,19 +41,11 @@ from stickslip_fit.diagnosis.gross_errors import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
+from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
-from stickslip_fit.diagnosis.selection import (
-    MISFIRE,
-    Selection,
-    cause_probabilities,
-    empty_selection,
-    explain_too_small,
-    find_untestable,
-    select_causes,
-    settle_noise,
-)
+from stickslip_fit.diagnosis.selection import Selection, empty_selection, select_causes, settle_noise
 from stickslip_fit.diagnosis.separability import find_aliased_causes
+from stickslip_fit.diagnosis.testability import explain_too_small, find_untestable
 from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log

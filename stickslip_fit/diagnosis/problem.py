@@ -16,13 +16,9 @@ from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, explain_missing, library
+from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives, number_configurations
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
-from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
-    Hypothesis,
-    build_unstructured_alternatives,
-    number_configurations,
-)
+from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -141,6 +137,7 @@ class DiagnosisProblem:
             shared=self.n_shared + len(fit.values),
             absorbed=absorbed,
             noise_filter=self.noise_filter,
+            prior_sd=fit.prior_sd,
         )
 
     def log_likelihood(self, fit: ExtendedFit) -> float:
@@ -157,7 +154,10 @@ class DiagnosisProblem:
         if self.autocorrelation is None or self.autocorrelation.candidate_effects is None:
             return self
         parts, q = (self.parts, 0) if fit is None else (fit.parts, len(fit.values))
-        independent = linearize_fit(self.rows, parts, self.responses, self.scale, shared=self.n_shared + q)
+        prior_sd = None if fit is None else fit.prior_sd
+        independent = linearize_fit(
+            self.rows, parts, self.responses, self.scale, shared=self.n_shared + q, prior_sd=prior_sd
+        )
         estimate = replace(self, autocorrelation=self.autocorrelation.estimate(independent))
         if not len(self.correlation) and not len(estimate.correlation):
             return self

@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.selection import SelectedCause, Selection
+from stickslip_fit.diagnosis.selection import Selection
 
 N_BOOTSTRAP = 200
 ENVELOPE_COVERAGE = 0.95

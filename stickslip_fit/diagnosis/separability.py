@@ -19,6 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
+from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -30,12 +31,8 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
-from stickslip_fit.diagnosis.selection import (
-    allocate_alpha,
-    assess_residuals,
-    explain_too_small,
-    find_untestable,
-)
+from stickslip_fit.diagnosis.selection import allocate_alpha
+from stickslip_fit.diagnosis.testability import explain_too_small, find_untestable
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.machine import Machine

@@ -18,16 +18,18 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
-from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
+from stickslip_fit.diagnosis.alternatives import (
     AR1_COEFFICIENTS,
     MAX_ELEMENTS,
     N_WAVES,
+    choose_periods,
+    smooth_in_time,
+)
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
     Hypothesis,
     build_per_session_hypotheses,
-    choose_periods,
     make_hypothesis,
-    smooth_in_time,
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit

@@ -18,9 +18,9 @@ from stickslip_fit._format import coordinate_unit, format_percent, joint_name, p
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
-from stickslip_fit.diagnosis.selection import SelectedCause
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.laws import expected_steps, traverse_length
 from stickslip_fit.logs import Log

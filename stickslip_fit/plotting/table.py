@@ -19,6 +19,7 @@ from stickslip_fit._format import format_significant, pluralize
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.residuals import (
     ResidualComparison,
@@ -28,7 +29,6 @@ from stickslip_fit.diagnosis.residuals import (
     compute_shape,
     find_carrier,
 )
-from stickslip_fit.diagnosis.selection import SelectedCause
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import TableFit
 from stickslip_fit.plotting._style import (

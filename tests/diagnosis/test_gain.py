@@ -13,6 +13,8 @@ from scipy.stats import norm
 
 from stickslip_fit.causes import Wear, library
 from stickslip_fit.diagnosis import gain
+from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
+from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.cross_validation import (
     Split,
     compute_held_out_errors,
@@ -20,6 +22,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     make_folds,
 )
 from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.extension import SelectedCause, assess_residuals, extend_problem
 from stickslip_fit.diagnosis.gain import (
     estimate_gain,
     hold_out_configurations,
@@ -36,17 +39,10 @@ from stickslip_fit.diagnosis.gain_interval import (
     prepare_split,
     simulate_selection,
 )
-from stickslip_fit.diagnosis.hypotheses import build_unstructured_alternatives, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.diagnosis.selection import (
-    SelectedCause,
-    Selection,
-    assess_residuals,
-    extend_problem,
-    form_cause_set,
-    select_causes,
-)
+from stickslip_fit.diagnosis.selection import Selection, select_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden.generate import hide
@@ -180,12 +176,21 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     basis = csr_array(np.linalg.qr(laws)[0] * (np.abs(np.linalg.qr(laws)[0]) > 1e-12))
     held = np.arange(0, 60, 7)
     rest = np.setdiff1d(np.arange(60), held)
-    for chosen, columns in (([], laws), ([slopes], np.c_[laws, slopes])):
-        fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
+    prior = np.array([0.0, 3.0])  # the second slope has a prior of standard deviation 1/3
+    cases = [([], [], laws), ([slopes], [np.zeros(2)], np.c_[laws, slopes]), ([slopes], [prior], None)]
+    for chosen, penalties, columns in cases:
+        if columns is None:
+            columns = np.c_[laws, slopes]
+            ridge = columns[rest].T @ columns[rest] + np.diag(np.r_[np.zeros(6), prior**2])
+            fitted = np.linalg.solve(ridge, columns[rest].T @ responses[rest])
+        else:
+            fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
         operators = prepare_split(basis, Split(rest, rest, held))
         squares = np.sum(operators.training.subtract(responses) ** 2, axis=0)
         np.testing.assert_allclose(operators.training.residual_squares(responses), squares)
-        found = operators.prediction.subtract(responses) - predict_extension(operators, chosen, responses)
+        found = operators.prediction.subtract(responses) - predict_extension(
+            operators, chosen, penalties, responses
+        )
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
 
@@ -365,7 +370,7 @@ def a_campaign(cosine, ahead=0.0, names=True, strength=8.0, threshold=0.0, n=40)
     rivals = CompetingCauses(other[:, None], np.array([ahead]), np.array([names]))
     basis = csr_array((n, 1))
     return LinearizedCampaign(
-        basis, ones, ones, own[:, None], (own[:, None],), np.array([threshold]), (rivals,)
+        basis, ones, ones, own[:, None], (own[:, None],), (np.zeros(1),), np.array([threshold]), (rivals,)
     )
 
 

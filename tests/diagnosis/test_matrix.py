@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import library
+from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import build_candidates, compute_finite_effects
 from stickslip_fit.diagnosis.misfit import compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.diagnosis.selection import assess_residuals
 from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log

@@ -15,8 +15,8 @@ from stickslip_fit import cli
 from stickslip_fit._format import NO_BREAK_SPACE
 from stickslip_fit.diagnosis import Diagnosis, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._summary import write_headline
+from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
-from stickslip_fit.diagnosis.selection import cause_probabilities
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.diagnosis import (

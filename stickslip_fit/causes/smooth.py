@@ -1,0 +1,80 @@
+"""Smooth functions without a formula: sums of cosines whose coefficients have a Gaussian-process prior.
+
+Over a range of length 1 the covariance exp(-(x - y)^2 / (2 length^2)) has the spectral density
+exp(-(pi k length)^2 / 2) at the k-th cosine (A. Solin and S. Sarkka, Hilbert space methods for reduced-rank
+Gaussian process regression, Stat. Comput. 30:419, 2020). The diagnosis compares lengths and amplitudes by
+their evidence; the fit is penalised by the prior.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import FactorCause
+from stickslip_fit.causes.parameters import Row
+from stickslip_fit.laws import State, StepLaw
+
+LENGTHS = (1.0, 0.4, 0.15, 0.06)  # correlation lengths that are tried, of the range
+MIN_PRIOR_SD = 0.03  # of a cosine's coefficient, relative to the largest one, below which it is left out
+
+
+def cosines(x: Array, low: float, high: float, number: int) -> Array:
+    """cos(k pi s) for k = 1 to `number`, s from 0 to 1 over the range and constant beyond it.
+
+    Shape (...) -> (..., number).
+
+    Examples
+    --------
+    >>> cosines(np.array([0.0, 1.0, 2.0]), 0.0, 2.0, 2).round(3)
+    array([[ 1.,  1.],
+           [ 0., -1.],
+           [-1.,  1.]])
+    """
+    share = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return np.cos(np.pi * share[..., None] * np.arange(1, number + 1))
+
+
+def prior_sds(length: float) -> Array:
+    """Prior standard deviations of the cosines' coefficients, for a function of rms 1; shape (number,).
+
+    `length` is the correlation length as a share of the range.
+
+    Examples
+    --------
+    >>> [len(prior_sds(length)) for length in LENGTHS]
+    [1, 3, 8, 19]
+    """
+    k = np.arange(1, int(np.ceil(2.0 / length)) + 4)
+    sd = np.exp(-((np.pi * k * length) ** 2) / 4.0)
+    sd = sd[sd >= MIN_PRIOR_SD * sd[0]]
+    return np.asarray(sd / np.sqrt(0.5 * np.sum(sd**2)))
+
+
+class LinearFactor(FactorCause):
+    """gamma times 1 + the sum of each parameter times a function; all parameters are 0 without effect."""
+
+    combine_trials = True
+
+    @abstractmethod
+    def functions(self, state: State) -> Array:
+        """The function of each parameter, shape (n, k, q) or (n, 1, q)."""
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return np.asarray(
+            1.0 + np.einsum("nkq,nq->nk", self.functions(state), np.concatenate(values, axis=1))
+        )
+
+    def factor_slopes(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor_slopes`."""
+        return self.functions(state)
+
+    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
+        """See `Cause.changes`: by the derivatives without effect, since trials are small and many."""
+        extended = self.extend(law)
+        first = np.concatenate([values, np.zeros((len(values), trials.shape[1]))], axis=1)
+        slopes = extended.jacobian(self.row_values(law, rows), first)[:, values.shape[1] :]
+        return np.asarray(slopes @ trials.T)

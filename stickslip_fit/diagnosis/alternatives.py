@@ -1,0 +1,125 @@
+"""Unstructured alternatives, which stand for "unknown": in time, by configuration, harmonics, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    Hypothesis,
+    build_per_session_hypotheses,
+    make_hypothesis,
+    split_sessions,
+)
+from stickslip_fit.diagnosis.linearized import (
+    LinearizedFit,
+)
+from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.schema import has_times, position_columns
+from stickslip_fit.units import PRISMATIC
+
+N_WAVES = 6
+MAX_PERIODS = 250
+
+
+MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
+MIN_TRAVERSES_PER_PERIOD = 2.5
+
+
+AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
+
+
+def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesis | AR1]:
+    """Every unstructured alternative for which the rows have the columns; none in time without times."""
+    sessions, rows = list(split_sessions(linearized).values()), linearized.rows
+    n, scale = len(rows), linearized.scale[:, None]
+    hypotheses: list[Hypothesis | AR1 | None] = [
+        make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
+        for name, columns in (*_configuration_indicators(rows), *_harmonics(rows))
+    ]
+    if not has_times(rows):
+        return [one for one in hypotheses if one is not None]
+    seconds = rows["session_seconds"].to_numpy(float)
+    session = pd.factorize(rows["session"].astype(object))[0]
+    waves = smooth_in_time(seconds, session) / scale
+    name = "unknown:time, the same in each session"
+    hypotheses.append(make_hypothesis(name, None, None, linearized.project(waves)))
+    hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
+    for joint in rows["joint"].unique():
+        own = waves * (rows["joint"] == joint).to_numpy()[:, None]
+        hypotheses += build_per_session_hypotheses(
+            [f"unknown:time, joint {joint}"], n, sessions, own[:, None]
+        )
+    # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
+    order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
+    for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
+        periods = choose_periods(clock, session)
+        angles = 2 * np.pi * clock[:, None] / periods
+        pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / scale[:, None]
+        names = [f"unknown:period of {period / unit:.1f} {label}" for period in periods]
+        hypotheses += build_per_session_hypotheses(names, n, sessions, pairs)
+    return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
+
+
+def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:
+    """Cosines over each session, from its beginning to its end, shape (n, waves)."""
+    last = pd.Series(seconds).groupby(session).transform("max").to_numpy()
+    phase = seconds / np.maximum(last, 1.0)
+    return np.stack([np.cos(np.pi * k * phase) / k for k in range(1, N_WAVES + 1)], axis=-1)
+
+
+def _configuration_indicators(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
+    """An indicator of each configuration, where these have enough replicates."""
+    kinds = number_configurations(rows)
+    if kinds.max() < len(rows) / 3 and 3 * kinds.max() * len(rows) < MAX_ELEMENTS:
+        backwards = (rows["direction"] == "-").to_numpy()
+        yield "configuration", np.eye(kinds.max() + 1)[kinds]
+        yield "configuration and direction", np.eye(2 * kinds.max() + 2)[2 * kinds + backwards]
+
+
+def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
+    """Harmonics of q2 that joint 3's law lacks, together and one by one."""
+    prismatic = (rows["joint"] == PRISMATIC).to_numpy() & rows["theta"].notna().to_numpy()
+    if not prismatic.any():
+        return
+    q2 = np.nan_to_num(rows["q2"].to_numpy(float))
+    columns = np.stack([f(k * q2) for k in (2, 3, 4) for f in (np.cos, np.sin)], axis=-1) * prismatic[:, None]
+    yield "harmonics of q2, joint 3", columns
+    for column, name in zip(columns.T, ("cos 2", "sin 2", "cos 3", "sin 3", "cos 4", "sin 4"), strict=True):
+        yield f"{name} q2, joint 3", column[:, None]
+
+
+def choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
+    """Periods between the length of a session and the spacing of its traverses, evenly in frequency."""
+    order = np.lexsort((clock, session))
+    spacing = np.diff(clock[order])[np.diff(session[order]) == 0]
+    if not (spacing > 0).any():
+        return np.zeros(0)
+    longest, step = float(clock.max()), float(np.median(spacing[spacing > 0]))
+    if longest < 4 * MIN_TRAVERSES_PER_PERIOD * step:
+        return np.zeros(0)
+    slowest, fastest = 2.0 / longest, 1.0 / (MIN_TRAVERSES_PER_PERIOD * step)
+    number = min(MAX_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
+    return np.asarray(1.0 / np.linspace(slowest, fastest, number))
+
+
+def _ar1_alternatives(rows: pd.DataFrame) -> Iterator[AR1]:
+    session = pd.factorize(rows["session"].astype(object))[0]
+    joint = rows["joint"].to_numpy()
+    for name, group in (("", session), (" of each joint", 10 * session + joint)):
+        before = previous_rows(group.astype(np.int64)).astype(np.intp)
+        for coefficient in AR1_COEFFICIENTS:
+            yield AR1(f"unknown:memory{name}", before, coefficient)
+
+
+def number_configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:
+    """A number for each configuration: joint, the other joints, base, and the range in either direction."""
+    ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1)
+    keys = rows[["joint", *position_columns(rows)]].astype(float).fillna(9.0)
+    keys = np.column_stack([keys.to_numpy(), ends]).round(6)
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()

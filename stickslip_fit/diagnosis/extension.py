@@ -1,0 +1,199 @@
+"""The laws extended by selected causes: their fit, the noise it leaves, and the test of its residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.hypotheses import (
+    EFFECT_TOL,
+    FiniteEffects,
+    Hypothesis,
+    build_candidates,
+    compute_changes,
+    compute_effects,
+    compute_finite_effects,
+)
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.misfit import Misfit, StructureRemoved, compute_misfit
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+
+# Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
+# effects often are.
+OUTLIER_ALPHA_SHARE = 0.25
+# Noisy configurations and gross errors are chosen by the same residuals; the misfit test then rejects about
+# twice as often (`benchmarks/README.md`).
+SELECTION_FACTOR = 2
+LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
+MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedCause:
+    """A selected cause, or unknown structure, and the test that selected it.
+
+    Attributes
+    ----------
+    cause : str
+    version : object or None
+        As it acts in this log; None for unknown structure and outlying counts.
+    start : array, shape (q,)
+        Start values of its parameters.
+    cause_set : CauseSet
+    misfit : Misfit or None
+        None for outlying counts, which have no shape.
+    p_value : float
+    """
+
+    cause: str
+    version: Any
+    start: Array
+    cause_set: CauseSet
+    misfit: Misfit | None
+    p_value: float
+
+
+def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
+    """Those that extend the laws."""
+    return [one for one in selected if one.version is not None]
+
+
+def assess_residuals(
+    linearized: LinearizedFit,
+    problem: DiagnosisProblem,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    without: Sequence[str] = (),
+    max_exceedances: int | None = None,
+    effects: Sequence[FiniteEffects] | None = None,
+) -> Misfit:
+    """The misfit test over every cause except some, and over the unstructured alternatives.
+
+    `effects` are those of the causes, if they are known already from another fit with the same laws and rows.
+    """
+    if effects is None:
+        causes = [cause for cause in problem.causes if cause.name not in without]
+        effects = compute_finite_effects(linearized, causes)
+    factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
+    hypotheses = [*build_candidates(linearized, effects), *problem.alternatives(linearized)]
+    return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
+
+
+def extend_problem(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause]
+) -> tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]:
+    """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
+    causes = law_causes(selected)
+    start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
+    versions = [one.version for one in causes]
+    fit = problem.fit_extended(versions, start)
+    correlated = problem.with_autocorrelation(fit)
+    if correlated is not problem:
+        problem, fit = correlated, correlated.fit_extended(versions, fit.values)
+
+    def linearize(problem: DiagnosisProblem) -> LinearizedFit:
+        plain = problem.linearize_extended(fit)
+        forms = [alternative_forms(plain, one) for one in causes]
+        return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
+
+    linearized = linearize(problem)
+    left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
+    problem = problem.with_noise(problem.estimate_noise(linearized, left))
+    if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
+        fit = problem.fit_extended(versions, fit.values)
+    return problem, fit, linearize(problem)
+
+
+def compute_evidence(
+    linearized: LinearizedFit,
+    problem: DiagnosisProblem,
+    without: Sequence[str] = (),
+    effects: Sequence[FiniteEffects] | None = None,
+) -> Misfit:
+    """As `assess_residuals`, without a p-value."""
+    return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
+
+
+def fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> ExtendedFit:
+    """The laws refitted with the selected causes in them."""
+    causes = law_causes(selected)
+    start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
+    return problem.fit_extended([one.version for one in causes], start)
+
+
+def make_selected(
+    misfit: Misfit, cause_set: CauseSet, starts: Mapping[str, Array] | None = None
+) -> SelectedCause:
+    """The cause that a test chose, with start values for its fit: `starts`, or of its estimated size."""
+    shape = misfit.best_hypothesis(cause_set.cause)
+    p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
+    start = np.zeros(0)
+    if isinstance(shape, Hypothesis) and shape.version is not None:
+        start = np.array(shape.version.start_values)
+        if shape.values is not None:
+            # Of the estimated size and sign: a fit rarely crosses zero, where it has a local minimum.
+            size = float(shape.coefficients(misfit.residual)[0]) / shape.length
+            first = start[0] + (shape.values[0] - start[0]) * size
+            start = np.concatenate([[first], shape.values[1:]])
+    version: Any = shape.version
+    if isinstance(shape, Hypothesis) and hasattr(version, "with_amplitude"):
+        version = version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
+    start = (starts or {}).get(cause_set.cause, start)
+    return SelectedCause(cause_set.cause, version, start, cause_set, misfit, p_value)
+
+
+def estimate_strength(shape: Hypothesis, residual: Array) -> float:
+    """The strength of an effect under which whitened residuals, shape (n,), are likeliest.
+
+    It is the tau of `misfit`, the noise being 1: between strong shrinkage and none.
+    """
+    squares, share = shape.coefficients(residual) ** 2, shape.prior_share
+
+    def deviance(log_tau: float) -> float:
+        signal = np.exp(2.0 * log_tau) * share
+        return float(np.sum(np.log1p(signal)) - np.sum(squares * signal / (1.0 + signal)))
+
+    return float(np.exp(minimize_scalar(deviance, bounds=LOG_STRENGTHS, method="bounded").x))
+
+
+def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
+    """Effects of a selected cause in other forms than the one fitted, whitened, shape (n, m).
+
+    These are its other shapes, and the square and the cube of its own effect, for a nonlinear dependence.
+    """
+    misfit = selected.misfit
+    assert misfit is not None
+    effect = compute_changes(linearized, selected.version, selected.start[None])
+    powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
+    length = np.linalg.norm(powers, axis=0)
+    shapes = _other_shapes(linearized, selected, misfit)
+    columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def _other_shapes(linearized: LinearizedFit, selected: SelectedCause, misfit: Misfit) -> list[Array]:
+    """Directions of all shapes of a selected cause's version; each shape (n, m)."""
+    if linearized.noise_filter is None:
+        return [
+            one.directions
+            for one in misfit.hypotheses
+            if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
+        ]
+    # The directions of the test are whitened by the filter that the noise had then.
+    effects = [
+        compute_effects(linearized, version, trials)
+        for version, trials in selected.version.trials(linearized.rows)
+        if version == selected.version
+    ]
+    lengths = [np.linalg.norm(columns, axis=0) for columns in effects]
+    return [
+        columns[:, length > EFFECT_TOL] / length[length > EFFECT_TOL]
+        for columns, length in zip(effects, lengths, strict=True)
+    ]

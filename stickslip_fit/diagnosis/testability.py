@@ -1,0 +1,92 @@
+"""Testability: which causes a log could show at all, and whether it has enough rows for a test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit.diagnosis.hypotheses import (
+    EFFECT_TOL,
+    SessionFit,
+    compute_effects,
+    compute_session_effects,
+    split_sessions,
+)
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
+
+MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
+MIN_DF = 10
+
+
+EXACT_TOL = 1e-3  # standard deviations
+
+
+def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:
+    """Causes that would not be detectable even at their largest plausible size, with the reason."""
+    untestable, sessions = {}, split_sessions(linearized)
+    data = "log" if is_log(linearized) else "table"
+    for cause in problem.causes:
+        strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
+        if strength < EFFECT_TOL:
+            untestable[cause.name] = (
+                "this log's traverses show nothing of it, once each session is recalibrated"
+                if is_log(linearized)
+                else "this table shows nothing of it, once the law is recalibrated to each session"
+            )
+        elif strength < MIN_TESTABLE_STRENGTH:
+            shown = min(strength, MIN_TESTABLE_STRENGTH - 0.1)
+            untestable[cause.name] = (
+                f"even at its largest plausible size its strength in this {data} would be {shown:.1f}, "
+                f"less than {MIN_TESTABLE_STRENGTH:.0f}"
+            )
+    return untestable
+
+
+def largest_strength(
+    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str = MISFIRE
+) -> float:
+    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
+    if cause.name == outlier_cause:
+        return np.inf
+    largest = cause.largest_plausible()
+    strengths = [0.0]
+    for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
+        sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
+        if version.session:
+            effects = compute_session_effects(sessions[version.session], version, sizes)
+        else:
+            effects = compute_effects(linearized, version, sizes)
+        strengths.append(float(np.linalg.norm(effects, axis=0).max()))
+    return max(strengths)
+
+
+def explain_too_small(linearized: LinearizedFit) -> str | None:
+    """Why a log is too small for a test, and what would suffice; None where it is not."""
+    if linearized.df >= MIN_DF:
+        if fits_exactly(linearized):
+            return "the law fits every row to within rounding: there is no scatter to compare anything with"
+        return None
+    rows, parameters = len(linearized), linearized.basis.shape[1]
+    if not is_log(linearized):
+        return (
+            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than "
+            f"those are needed; add {MIN_DF - linearized.df} in the same sessions"
+        )
+    return (
+        f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "
+        f"than those are needed; add {MIN_DF - linearized.df} in the same sessions and directions, "
+        "replicates or new configurations"
+    )
+
+
+def fits_exactly(linearized: LinearizedFit) -> bool:
+    """Whether a law leaves next to nothing of its noise."""
+    return len(linearized) > 0 and float(np.abs(linearized.residual).max()) < EXACT_TOL
+
+
+def is_log(linearized: LinearizedFit) -> bool:
+    """Whether the laws are of joints, and the rows traverses."""
+    return any(hasattr(part.law, "joint") for part in linearized.parts)

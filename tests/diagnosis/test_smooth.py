@@ -1,0 +1,104 @@
+"""Smooth functions in the law: their fit is that of a Gaussian process, and so is their evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from stickslip_fit.causes import CauseParameter
+from stickslip_fit.causes.smooth import LinearFactor, cosines, prior_sds
+from stickslip_fit.diagnosis.linearized import linearize_fit
+from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.logs import read_log
+from tests.hidden.generate import hide
+
+SD = prior_sds(0.15)
+
+
+@dataclass(frozen=True)
+class WithTheHour(LinearFactor):
+    """Steps follow the time in the session smoothly."""
+
+    hours: float = 1.0
+    amplitude: float = np.inf
+    parameters: tuple[CauseParameter, ...] = field(init=False)
+
+    name = "with-the-hour"
+    phrase = "steps follow the hour"
+    physics = "Of a test."
+    shows_best = "any traverse"
+    null_values, scale = (0.0,) * len(SD), (0.01,) * len(SD)
+    columns = ("session_seconds",)
+
+    def __post_init__(self):
+        parameters = tuple(
+            CauseParameter(f"f{k}", "%", "coefficient", prior_sd=self.amplitude * sd)
+            for k, sd in enumerate(SD, start=1)
+        )
+        object.__setattr__(self, "parameters", parameters)
+
+    def functions(self, state):
+        return cosines(state.column("session_seconds") / 3600, 0.0, self.hours, len(SD))
+
+
+@pytest.fixture(scope="module")
+def log_problem(tmp_path_factory):
+    path = tmp_path_factory.mktemp("smooth") / "log.csv"
+    hide("thesis", seed=4).write(path)
+    return problem_from_log(read_log(path))[0]
+
+
+def test_a_penalised_fit_is_the_ridge_solution_and_without_a_prior_least_squares(log_problem):
+    hours = float(log_problem.rows["session_seconds"].max() / 3600)
+    for amplitude in (1e-3, 1e-2, np.inf):
+        cause = WithTheHour(hours, amplitude)
+        fit = log_problem.fit_extended([cause], np.zeros(len(SD)))
+        assert fit.converged
+        # Gauss-Newton from the solution does not move: its gradient, penalty included, is zero.
+        plain = linearize_fit(log_problem.rows, log_problem.parts, log_problem.responses, log_problem.scale)
+        slopes = np.zeros((len(log_problem), len(SD)))
+        for part in fit.parts:
+            jacobian = part.law.jacobian(log_problem.rows.iloc[part.rows], part.values)
+            slopes[part.rows] = jacobian[:, -len(SD) :]
+        whitened = plain.whiten(slopes)
+        gradient = whitened.T @ (fit.residual / log_problem.scale) - fit.values / fit.prior_sd**2
+        curvature = np.linalg.inv(fit.covariance)
+        step = np.linalg.solve(curvature, gradient)
+        np.testing.assert_allclose(step / np.sqrt(np.diag(fit.covariance)), 0.0, atol=0.01)
+        projected = plain.project(whitened)
+        expected = projected.T @ projected + np.diag(1.0 / fit.prior_sd**2)
+        np.testing.assert_allclose(curvature, expected, rtol=0.05, atol=0.02 * np.abs(expected).max())
+
+
+def test_a_tight_prior_leaves_nothing_to_project_out(log_problem):
+    hours = float(log_problem.rows["session_seconds"].max() / 3600)
+    width = {}
+    for amplitude in (1e-7, 1e-3, 1.0):
+        fit = log_problem.fit_extended([WithTheHour(hours, amplitude)], np.zeros(len(SD)))
+        width[amplitude] = log_problem.linearize_extended(fit).basis.shape[1]
+    plain = log_problem.linearize().basis.shape[1]
+    assert plain == width[1e-7] <= width[1e-3] <= width[1.0] == plain + len(SD)
+
+
+def test_slopes_in_closed_form_are_those_of_differences(log_problem):
+    cause, rng = WithTheHour(5.0, 0.01), np.random.default_rng(2)
+    (part, *_) = log_problem.parts
+    rows, law = log_problem.rows.iloc[part.rows], cause.extend(part.law)
+    values = np.concatenate([part.values, np.full((len(rows), len(SD)), 0.01)], axis=1)
+    slopes = law.jacobian(rows, values)
+    for k in rng.choice(len(SD), 3, replace=False):
+        step = 1e-5 * np.eye(values.shape[1])[part.values.shape[1] + k]
+        rise = law.predict(rows, values + step) - law.predict(rows, values - step)
+        np.testing.assert_allclose(slopes[:, part.values.shape[1] + k], rise / 2e-5, rtol=1e-6, atol=1e-9)
+    changes = cause.changes(
+        part.law, {name: rows[name].to_numpy() for name in rows}, part.values, np.eye(len(SD))
+    )
+    small = np.concatenate([part.values, np.full((len(rows), len(SD)), 1e-6)], axis=1)
+    np.testing.assert_allclose(
+        changes.sum(axis=1),
+        (law.predict(rows, small) - part.law.predict(rows, part.values)) / 1e-6,
+        rtol=1e-3,
+        atol=1e-5,
+    )
