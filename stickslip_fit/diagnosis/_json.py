@@ -49,7 +49,11 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "joints": joints,
         },
         **(_table_to_json(table) if table is not None else {}),
-        "noise": {"repeatability_pct": percent.of(diagnosis.repeatability), "source": "residuals"},
+        "noise": {
+            "repeatability_pct": percent.of(diagnosis.repeatability),
+            "source": "residuals",
+            "properties": list(diagnosis.noise_properties),
+        },
         "misfit": {"p_value": diagnosis.p_value, "rms_pct": percent.of(diagnosis.misfit)},
         "verdict": diagnosis.verdict,
         "findings": [_finding_to_json(finding, percent, joints) for finding in diagnosis.findings],
@@ -120,6 +124,12 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
     }
     if finding.note:
         content["note"] = finding.note
+    if finding.together_with:
+        content["together_with"] = list(finding.together_with)
+    if finding.term:
+        content["term"] = finding.term
+    if finding.explains:
+        content["explains"] = dict(finding.explains)
     if finding.closest:
         content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
     return content

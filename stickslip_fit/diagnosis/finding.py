@@ -82,6 +82,12 @@ class Finding:
         For outlying counts: those rows, with `departure` (relative) from the law.
     note : str
         For ``unknown``: the causes that are not named, and why.
+    together_with : tuple of str
+        Other causes without which this one would not have been found.
+    term : str
+        For ``unknown``: the formula of the term that is proposed for it; empty without one.
+    explains : mapping of str to float
+        For ``unknown``: the share of the structure's square that each known cause explains.
     """
 
     cause: str
@@ -97,6 +103,9 @@ class Finding:
     carrier: str = ""
     traverses: pd.DataFrame | None = None
     note: str = ""
+    together_with: tuple[str, ...] = ()
+    term: str = ""
+    explains: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cause_set(self) -> tuple[str, ...]:

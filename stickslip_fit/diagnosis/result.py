@@ -68,6 +68,8 @@ class Diagnosis(Summarized):
         None where the data were no log.
     table : TableInfo or None
         The table, where the data were one; sizes are then in the unit of its response.
+    noise_properties : tuple of str
+        In which the noise is not as assumed: memory, skewed, rounded, gross errors, uneven.
     """
 
     verdict: Verdict
@@ -87,6 +89,7 @@ class Diagnosis(Summarized):
     next_experiment: tuple[NextTraverse, ...] = ()
     log: Log | None = None
     table: TableInfo | None = None
+    noise_properties: tuple[str, ...] = ()
 
     @property
     def log_file(self) -> str:
