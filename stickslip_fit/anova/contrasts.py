@@ -309,7 +309,7 @@ NODES = 96  # of each Gauss-Legendre quadrature of the studentized range; good t
 def _studentized_range_quantile(levels: int, df: float) -> float:
     """Quantile of the studentized range for a difference in units of its standard error.
 
-    Of k normal values the range is below w with probability k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz, which
+    Of k normal values the range is below w with probability k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz, that
     is averaged over the error's standard deviation. scipy.stats has it too, a hundred times slower.
     """
     from scipy.optimize import brentq
