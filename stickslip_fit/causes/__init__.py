@@ -62,6 +62,7 @@ from stickslip_fit.causes.geometry import *  # noqa: F403
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
+from stickslip_fit.causes.profile import *  # noqa: F403
 from stickslip_fit.causes.registry import FAMILIES, covariates, describe, library, restore
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause

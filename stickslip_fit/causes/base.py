@@ -124,8 +124,8 @@ class Cause(ABC):
         """Where a fit starts that follows trials in combination: without effect, unless it is level there."""
         return self.null_values
 
-    def panel(self, values: Array) -> float:
-        """`max_panel` for given values, shape (n, q)."""
+    def panel(self, values: Array, joint: int) -> float:
+        """`max_panel` for given values, shape (n, q), on the traverses of a joint."""
         return self.max_panel
 
     def largest_plausible(self) -> tuple[Array, ...]:
@@ -464,7 +464,8 @@ class ExtendedLaw(Composition):
     def panel(self, values: Array) -> float:
         """`max_panel` for given values, shape (n, p)."""
         panels = (
-            cause.panel(values[:, columns.start : columns.stop]) for cause, columns in self.active_causes
+            cause.panel(values[:, columns.start : columns.stop], self.joint)
+            for cause, columns in self.active_causes
         )
         return min([self.law.max_panel, *panels])
 

@@ -156,7 +156,7 @@ class WornSpot(GuideProfileCause):
         ]
         return [(self, np.array(spots))]
 
-    def panel(self, values: Array) -> float:
+    def panel(self, values: Array, joint: int) -> float:
         """See `Cause.panel`."""
         return WIDTHS_IN_PANEL * max(float(values[:, 2].min()), NARROWEST_SPOT)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from stickslip_fit.causes import environment, geometry, load, position, temporal
+from stickslip_fit.causes import environment, geometry, load, position, profile, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
@@ -22,7 +22,7 @@ from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, res
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
-FAMILIES = (temporal, environment, geometry, load, position)
+FAMILIES = (temporal, environment, geometry, load, position, profile)
 ENTRY_POINT = "stickslip_fit.causes"
 
 

@@ -99,9 +99,28 @@ def _size_cause(
         for rival in selected.cause_set.rivals
         if not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength.estimate)
     )
+    return Finding(
+        selected.cause,
+        selected.version,
+        rivals,
+        selected.p_value,
+        _joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
+        strength.times(effect.rms / max(effect.length, MIN_LENGTH)),
+        _size_parameters(selected.version, selected.cause, values, covariance),
+    )
+
+
+def _size_parameters(
+    version: Any, cause: str, values: Array, covariance: Array
+) -> tuple[SizedParameter, ...]:
+    """A cause's parameters with intervals; of a smooth function what it says of itself, not its coefficients."""
+    if hasattr(version, "summarize"):
+        return tuple(version.summarize(values, covariance))
+    if cause.startswith(COVARIATE_PREFIX):
+        return ()
     error = np.sqrt(np.diag(covariance))
     error = np.where(error > 0, error, np.nan)  # the moment of a sudden change has none
-    parameters = tuple(
+    return tuple(
         SizedParameter(
             parameter.name,
             parameter.unit,
@@ -110,17 +129,8 @@ def _size_cause(
             parameter.direction,
             parameter.session,
         )
-        for parameter, value, sd in zip(selected.version.parameters, values, error, strict=True)
+        for parameter, value, sd in zip(version.parameters, values, error, strict=True)
         if np.isfinite(sd) or getattr(parameter, "sudden", False)
-    )
-    return Finding(
-        selected.cause,
-        selected.version,
-        rivals,
-        selected.p_value,
-        _joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
-        strength.times(effect.rms / max(effect.length, MIN_LENGTH)),
-        () if selected.cause.startswith(COVARIATE_PREFIX) else parameters,
     )
 
 

@@ -1,6 +1,7 @@
 """The least-squares problem of a log: groups, responses, bounds, shared parameters, reweighting.
 
 A JointProblem is one joint's. Where causes act on several joints their problems are combined into one.
+Coefficients of smooth functions have normal priors, each one more row of the sum of squares.
 The weights depend on the repeatability, and under heavy tails on the residuals, and are iterated to
 convergence.
 """
@@ -8,7 +9,7 @@ convergence.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from stickslip_fit.estimation._block_arrow import (
     ParameterSharing,
     share_by_direction,
     share_with_all,
+    shared_covariance,
     shared_curvature,
     solve_block_arrow,
 )
@@ -119,18 +121,63 @@ class Problem:
     upper: Array
     subset: RowSubsetModel | None = field(default=None, kw_only=True)
     """Positions of some rows to their model."""
+    prior_sd: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
+    """Standard deviation of the normal prior about 0 of each of the last parameters; infinite without one."""
+
+    @property
+    def penalised(self) -> IntArray:
+        """Columns of the parameters with a prior."""
+        return np.flatnonzero(np.isfinite(self.prior_sd)) + self.start.shape[1] - len(self.prior_sd)
+
+    @property
+    def prior_weight(self) -> Array:
+        """Inverse variance of the prior of each of the `penalised` parameters."""
+        return 1.0 / self.prior_sd[np.isfinite(self.prior_sd)] ** 2
+
+    @property
+    def first_weight(self) -> Array:
+        """Weights to begin with, shape (n,): 1; beside a prior, which is in SI, by the scatter at the start."""
+        if not len(self.penalised):
+            return np.ones(len(self.y))
+        scatter = self.y - self.model(self.start[self.groups.of_row])[0]
+        return np.full(len(self.y), 1.0 / np.mean(scatter**2))
 
     def minimize(self, weight: Array, start: Array, most: int = MAX_ITERATIONS) -> Minimum:
-        """The minimum of the sum of weight (y - model)^2, in `most` iterations at most."""
+        """The minimum of the sum of weight (y - model)^2 and of the priors, in `most` iterations at most."""
+        if len(self.penalised):
+            return self._minimize_penalised(weight, start, most)
         if self.sharing.parameters.any():
             arguments = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
             return solve_block_arrow(*arguments, lower=self.lower, upper=self.upper, most=most)
         data = (self.model, self.y, weight, self.groups, start, self.scales)
         return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most)
 
+    def _minimize_penalised(self, weight: Array, start: Array, most: int) -> Minimum:
+        """With a row for each prior, of the first group for want of a better one."""
+        n, at = len(self.y), self.penalised
+        rows = np.zeros((len(at), start.shape[1]))
+        rows[np.arange(len(at)), at] = 1.0
+        groups = replace(self.groups, of_row=np.append(self.groups.of_row, np.zeros(len(at), dtype=np.intp)))
+
+        def model(values: Array) -> tuple[Array, Array]:
+            predicted, slopes = self.model(values[:n])
+            return np.append(predicted, values[n:, at].diagonal()), np.concatenate([slopes, rows])
+
+        data = model, np.append(self.y, np.zeros(len(at))), np.append(weight, self.prior_weight)
+        minimum = solve_block_arrow(
+            *data, groups, self.sharing, start, self.scales, lower=self.lower, upper=self.upper, most=most
+        )
+        # A parameter that the prior determines takes no degree of freedom of the data.
+        variance = np.diag(shared_covariance(minimum, self.sharing, self.scales))
+        by_prior = float(variance[np.isfinite(self.prior_sd)] @ self.prior_weight)
+        spread = np.diff(np.round(by_prior * np.cumsum(groups.sizes) / groups.sizes.sum()), prepend=0.0)
+        return replace(minimum, residual=minimum.residual[:n], rank=minimum.rank - spread.astype(np.intp))
+
     def curvature(self, slopes: Array, information: Array) -> Array:
-        """J' W J of every group's parameters by all rows, each with its `information`; (g, p, p)."""
-        return shared_curvature(slopes, information, self.groups, self.sharing, self.scales)
+        """Half the second derivative by every group's parameters, all rows and priors together; (g, p, p)."""
+        curvature = shared_curvature(slopes, information, self.groups, self.sharing, self.scales)
+        curvature[:, self.penalised, self.penalised] += self.prior_weight
+        return curvature
 
     def gradient(self, slopes: Array, weighted_residual: Array) -> Array:
         """By how much half the sum of squares falls with each parameter, shape (g, p)."""
@@ -175,10 +222,10 @@ def single_problem(law: StepLaw, rows: pd.DataFrame, options: FitOptions) -> Joi
     )
 
 
-def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
+def combined_problem(joints: Sequence[JointProblem], shared: int, prior_sd: Array) -> Problem:
     """One problem of joints whose last `shared` parameters are the same for all, and no others are shared.
 
-    It has the rows and groups of one joint after the other's, and columns as of `columns_of`.
+    `prior_sd`, shape (shared,), is as of a `Problem`. It has the rows and groups of one joint after the other's, and columns as of `columns_of`.
     """
     width = max(joint.start.shape[1] for joint in joints)
     columns = [np.r_[: joint.start.shape[1] - shared, width - shared : width] for joint in joints]
@@ -211,6 +258,7 @@ def combined_problem(joints: Sequence[JointProblem], shared: int) -> Problem:
         scales=table("scales", 1.0),
         lower=table("lower", -np.inf),
         upper=table("upper", np.inf),
+        prior_sd=prior_sd,
     )
 
 

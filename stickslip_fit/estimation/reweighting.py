@@ -97,10 +97,10 @@ def iterate_weights(
     """Minimize `whole`, weigh the rows by their residuals, and repeat until the weights converge.
 
     `whole` is `combined_problem` of the joints or the only joint itself; `weight`, shape (n,), is the first
-    one, by default 1. Each pass makes `most` iterations at most.
+    one, by default `first_weight`. Each pass makes `most` iterations at most.
     """
     likelihood, start = options.likelihood, whole.start
-    weight = np.ones(len(whole.y)) if weight is None else weight
+    weight = whole.first_weight if weight is None else weight
     for _ in range(MAX_PASSES):
         minimum = whole.minimize(weight, start, most)
         repeatability = tuple(

@@ -33,6 +33,9 @@ from stickslip_fit.laws.base import Counter
 from stickslip_fit.machine import Machine
 
 MAX_TRIAL_FACTOR = 20.0  # of a start value, in sizes of its trial
+LOG_RATIOS = (-2.0, 10.0)  # logarithm of a smooth effect's largest signal over the noise
+MIN_LEFT = 1e-12  # share of the squared residuals
+SINGULAR_TOL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,12 @@ class ResidualProblem:
     values: tuple[Array, ...]
     slopes: tuple[Array, ...]
     residual: Array
+
+    @property
+    def df(self) -> int:
+        """Rows less the laws' own parameters, at least 1."""
+        own = sum(problem.start.size for problem in self.problems)
+        return max(len(self.residual) - own, 1)
 
     def project_out_laws(self, columns: Array) -> Array:
         """Residuals of columns, shape (n, m), regressed on the laws' slopes, group by group."""
@@ -115,7 +124,7 @@ def initial_guess(remainder: ResidualProblem, causes: Sequence[Cause]) -> tuple[
                 f"{cause.name} changes no expected count of this log, so that there is nothing to fit; "
                 "misfires are met by a fit with heavy tails"
             )
-        version, values, explained = max(candidates, key=lambda candidate: float(candidate[2] @ remaining))
+        version, values, explained, _ = max(candidates, key=lambda candidate: candidate[3])
         laws = [version.extend(law) for law in laws]
         chosen.append(version)
         start, remaining = np.append(start, values), remaining - explained
@@ -124,20 +133,57 @@ def initial_guess(remainder: ResidualProblem, causes: Sequence[Cause]) -> tuple[
 
 def _candidate_starts(
     remainder: ResidualProblem, laws: Sequence[StepLaw], start: Array, cause: Cause, remaining: Array
-) -> Iterator[tuple[Cause, Array, Array]]:
-    """Each version of a cause, its values, and the part of the residuals that these explain, shape (n,)."""
+) -> Iterator[tuple[Cause, Array, Array, float]]:
+    """Each version of a cause, its values, the part of the residuals that these explain, (n,), and a score.
+
+    The score is what is explained; of smooth functions, which would explain ever more, the log evidence.
+    """
     for version, trials in cause.trials(remainder.rows):
         effects = remainder.effects(laws, start, version, trials)
+        if hasattr(version, "with_amplitude"):
+            if not effects.any():
+                continue
+            share, strength, evidence = _shrink(effects, remaining, remainder.df)
+            if version.parameters[0].prior_sd == np.inf:
+                version = version.with_amplitude(strength)
+            yield version, share @ trials, effects @ share, evidence
+            continue
         if version.combine_trials:
             share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
-            yield version, share @ trials, effects @ share
+            yield version, share @ trials, effects @ share, float((effects @ share) @ remaining)
             continue
         absent = version.null_values[0]
         for trial, effect in zip(trials, effects.T, strict=True):
             if effect @ effect > 0:
                 share = np.clip(effect @ remaining / (effect @ effect), -MAX_TRIAL_FACTOR, MAX_TRIAL_FACTOR)
                 values = np.append(absent + share * (trial[0] - absent), trial[1:])
-                yield version, values, share * effect
+                yield version, values, share * effect, float(share * effect @ remaining)
+
+
+def _shrink(effects: Array, remaining: Array, df: int) -> tuple[Array, float, float]:
+    """Shares of effects, (n, m) -> (m,), with independent normal priors, their likeliest sd, and its evidence.
+
+    The evidence is the log likelihood over that of noise alone, the noise of unknown size.
+    """
+    from scipy.optimize import minimize_scalar
+
+    left, singular, right = np.linalg.svd(effects, full_matrices=False)
+    along = left.T @ remaining
+    total = max(float(remaining @ remaining), np.finfo(float).tiny)
+    relative = singular / singular[0]
+
+    def deviance(log_ratio: float) -> float:
+        signal = (np.exp(log_ratio) * relative) ** 2
+        explained = float(np.sum(along**2 * signal / (1.0 + signal))) / total
+        return float(np.sum(np.log1p(signal))) + df * float(np.log(max(1.0 - explained, MIN_LEFT)))
+
+    best = minimize_scalar(deviance, bounds=LOG_RATIOS, method="bounded")
+    signal = (np.exp(best.x) * relative) ** 2
+    kept = signal / (1.0 + signal)
+    noise = np.sqrt(max(total - float(np.sum(along**2 * kept)), MIN_LEFT * total) / df)
+    known = singular > SINGULAR_TOL * singular[0]
+    share = right[known].T @ (kept * along / np.where(known, singular, 1.0))[known]
+    return share, float(noise * np.exp(best.x) / singular[0]), -0.5 * float(best.fun)
 
 
 def problems_with_causes(
@@ -169,7 +215,8 @@ def problems_with_causes(
         of_group = values[np.unique(problem.groups.of_row, return_index=True)[1]]
         first = np.column_stack([of_group, np.tile(start, (len(of_group), 1))])
         problems.append(replace(extended, start=np.clip(first, extended.lower, extended.upper)))
-    return problems, combined_problem(problems, len(start))
+    prior_sd = np.array([parameter.prior_sd for cause in chosen for parameter in cause.parameters])
+    return problems, combined_problem(problems, len(start), prior_sd)
 
 
 def published_problem(problem: JointProblem) -> JointProblem:

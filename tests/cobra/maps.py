@@ -42,8 +42,8 @@ def read_maps(positioner: str) -> dict[tuple[str, str, str], list[tuple[float, f
     return dict(maps)
 
 
-def write_cut(positioner: str, cut: int, path: Path, *, seed: int = 0) -> int:
-    """Write one cut of a positioner's maps as a log without times; the number of its rows."""
+def write_cut(positioner: str, cut: int, path: Path, *, only: str = "", seed: int = 0) -> int:
+    """Write one cut of a positioner's maps, of one joint or of both, as a log without times; number of rows."""
     rng, rows = np.random.default_rng([seed, int(positioner)]), []
     for (session, joint, direction), stretches in read_maps(positioner).items():
         edges = np.array([stretches[0][0], *(stretch[1] for stretch in stretches)])
@@ -54,6 +54,8 @@ def write_cut(positioner: str, cut: int, path: Path, *, seed: int = 0) -> int:
             length = rng.uniform(*LENGTHS, len(low))
             low = rng.uniform(edges[0], edges[-1] - length)
             high = low + length
+        if only not in ("", joint):
+            continue
         steps = np.interp(high, edges, counts) - np.interp(low, edges, counts)
         for a, b, count in zip(low, high, steps.round().astype(int), strict=True):
             ends = (a, b) if direction == "fwd" else (b, a)

@@ -1,0 +1,238 @@
+"""along-travel: the step size follows a joint's own position, by a smooth function learned from the log.
+
+The function is a sum of cosines over the travel that the log covers, whose coefficients have a
+Gaussian-process prior (`smooth`). It is campaign-wide, so that overlapping partial traverses teach it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import pandas as pd
+from scipy.special import gammaincinv
+
+from stickslip_fit._format import format_direction, join_words
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, FactorCause, extend_by
+from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter
+from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds
+from stickslip_fit.laws import State, StepLaw, state_at
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import Interval
+
+__all__ = ["AlongTravel"]
+
+NOMINAL_TRAVEL = ((1, -2.0943951, 2.0943951), (2, -3.6651914, 0.5235988), (3, 0.0, 12e-3))  # published arm
+TRIAL_SIZE = 0.01  # rms
+LARGEST_SIZE = 0.2  # of a single cosine
+N_PIECES = 8  # of a traverse along which the law itself varies, each with one step size, in trials
+RMS = "rms"
+
+
+@dataclass(frozen=True)
+class AlongTravel(LinearFactor):
+    """gamma times 1 + f(q), f a sum of cosines over the travel of each joint, constant beyond.
+
+    Attributes
+    ----------
+    travel : tuple of (int, float, float)
+        Joints that it acts on, with the lowest and the highest position of their traverses.
+    by_direction : bool
+        Whether each direction has a function of its own.
+    shape : tuple of float
+        Prior standard deviations of the cosines' coefficients for a function of rms 1.
+    amplitude : float or None
+        Rms of the function under the prior with which it is fitted, in units of `TRIAL_SIZE`; None for no
+        prior.
+    """
+
+    travel: tuple[tuple[int, float, float], ...] = NOMINAL_TRAVEL
+    by_direction: bool = False
+    shape: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
+    amplitude: float | None = None
+
+    name = "along-travel"
+    phrase = "steps differ from place to place along a joint's own travel"
+    physics = (
+        "Friction, preload and wear of a guide or a bearing are not the same everywhere, so that one pulse "
+        "moves the joint farther in some places than in others. The profile belongs to the motor: it is the "
+        "same in every session, and may differ between the two directions."
+    )
+    shows_best = "a joint over short stretches, one after the other or overlapping, along its travel"
+    remedy = "calibrating over the stretch that is used"
+    varies_along_traverse = True
+
+    @cached_property
+    def groups(self) -> tuple[tuple[int, str | None], ...]:
+        """Joint and direction of each function; None for both directions."""
+        directions = ("+", "-") if self.by_direction else (None,)
+        return tuple((joint, direction) for joint, _, _ in self.travel for direction in directions)
+
+    @cached_property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        amplitude = np.inf if self.amplitude is None else TRIAL_SIZE * self.amplitude
+        return tuple(
+            CauseParameter(
+                f"f{k}",
+                "%",
+                f"coefficient of cosine {k} over the travel",
+                joint=joint,
+                direction=direction,
+                prior_sd=amplitude * sd,
+            )
+            for joint, direction in self.groups
+            for k, sd in enumerate(self.shape, start=1)
+        )
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(TRIAL_SIZE * sd for _ in self.groups for sd in self.shape)
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """The same with the prior under which each coefficient is as large as its trial times `amplitude`."""
+        return replace(self, amplitude=float(amplitude))
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return any(joint == law.joint for joint, _, _ in self.travel)
+
+    def panel(self, values: Array, joint: int) -> float:
+        """See `Cause.panel`: two periods of the narrowest cosine."""
+        longest = max(high - low for own, low, high in self.travel if own == joint)
+        return 4.0 * longest / len(self.shape)
+
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bind`: the travel of each joint whose traverses have different ends."""
+        return self if self.amplitude is not None else replace(self, travel=_find_travel(rows))
+
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.missing`."""
+        return None if _find_travel(rows) else "every traverse of a joint runs the same range"
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: each length, joint by joint and all together, by direction or not."""
+        versions = [self]
+        if self.amplitude is None:
+            joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
+            directions = (False, True) if rows["direction"].nunique() > 1 else (False,)
+            versions = [
+                replace(self, travel=travel, by_direction=each, shape=tuple(prior_sds(length).tolist()))
+                for length in LENGTHS
+                for travel in joints
+                for each in directions
+            ]
+        return [(version, np.diag(version.scale)) for version in versions]
+
+    def largest_plausible(self) -> tuple[Array, ...]:
+        """See `Cause.largest_plausible`: each cosine alone."""
+        return tuple(LARGEST_SIZE * np.eye(len(self.parameters)))
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        low, high = next((low, high) for joint, low, high in self.travel if joint == state.joint)
+        own = cosines(state.position, low, high, len(self.shape))
+        return self._place(own, state.joint, state.direction_sign[:, :, None])
+
+    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
+        """See `Cause.changes`: of small single cosines by the derivative without effect."""
+        single = np.count_nonzero(trials, axis=1).max(initial=0) <= 1
+        if single and np.all(np.abs(trials) <= self.scale):
+            return np.asarray(self._mean_functions(law, rows, values) @ trials.T)
+        return FactorCause.changes(self, law, rows, values, trials)
+
+    def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
+        """Rms of each function over its travel, by its coefficients (q,) and their covariance (q, q)."""
+        number = len(self.shape)
+        return tuple(
+            SizedParameter(RMS, "%", _rms_interval(values[own], covariance[own, own]), joint, direction)
+            for place, (joint, direction) in enumerate(self.groups)
+            for own in [slice(place * number, (place + 1) * number)]
+        )
+
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """See `Cause.describe`: by the rms of each function, or by their coefficients."""
+        sizes = {(one.joint, one.direction): f"{one}" for one in parameters if one.name == RMS}
+        if not sizes:
+            return super().describe(())
+        joints = list(dict.fromkeys(joint for joint, _ in sizes))
+        parts = [_describe_joint(joint, sizes) for joint in joints]
+        if len(parts) == 1:
+            return f"The steps of joint {joints[0]} vary by {parts[0]} rms along its travel" + self._ending
+        each = join_words([f"{part} for joint {joint}" for joint, part in zip(joints, parts, strict=True)])
+        return f"Steps vary along the joints' travel, by {each} (rms)" + self._ending
+
+    @property
+    def _ending(self) -> str:
+        return ", differently in the two directions" if self.by_direction else ""
+
+    def _place(self, functions: Array, joint: int, sign: Array) -> Array:
+        """Functions of a joint, shape (n, ..., K), at the places of all parameters, shape (n, ..., q)."""
+        signs: dict[str | None, float] = {"+": 1.0, "-": -1.0}
+        parts = [
+            functions * (1.0 if direction is None else sign == signs[direction])
+            if own == joint
+            else np.zeros_like(functions)
+            for own, direction in self.groups
+        ]
+        return np.concatenate(parts, axis=-1)
+
+    def _mean_functions(self, law: StepLaw, rows: Row, values: Array) -> Array:
+        """Derivative of each response by each parameter, all 0: a mean along the traverse, less; (n, q)."""
+        row, before = self.row_values(law, rows), extend_by(law, ())
+        start, stop = row["start"][:, None], row["stop"][:, None]
+        edges = start + (stop - start) * np.linspace(0.0, 1.0, N_PIECES + 1)
+        middles = state_at(law.joint, row, (edges[:, 1:] + edges[:, :-1]) / 2.0)
+        gamma = before.gamma(middles, values)
+        if gamma.shape[1] == 1:
+            edges = edges[:, [0, -1]]
+        low, high = next((low, high) for joint, low, high in self.travel if joint == law.joint)
+        integrals = _cosine_integrals((edges - low) / (high - low), len(self.shape))
+        duration = np.diff(edges, axis=1) / gamma
+        means = np.diff(integrals, axis=1) * ((high - low) / gamma)[:, :, None]
+        mean = means.sum(axis=1) / duration.sum(axis=1, keepdims=True)
+        return -self._place(mean, law.joint, np.sign(stop - start))
+
+
+def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
+    """Joint, lowest and highest position, of the joints whose traverses have different ends."""
+    travel = []
+    for joint, ends in rows[["start", "stop"]].groupby(rows["joint"].to_numpy(int)):
+        stretches = np.sort(ends.to_numpy(float), axis=1)
+        if len(np.unique(stretches.round(7), axis=0)) > 1:
+            travel.append((int(str(joint)), float(stretches.min()), float(stretches.max())))
+    return tuple(travel)
+
+
+def _cosine_integrals(share: Array, number: int) -> Array:
+    """Integrals of `cosines` from 0 to each share of the travel, (n, m) -> (n, m, number)."""
+    inside = np.clip(share, 0.0, 1.0)
+    turns = np.pi * np.arange(1, number + 1)
+    phases = inside[:, :, None] * turns
+    return np.asarray(np.sin(phases) / turns + np.cos(phases) * (share - inside)[:, :, None])
+
+
+def _rms_interval(values: Array, covariance: Array) -> Interval:
+    """Rms of a sum of cosines: half the sum of the coefficients' squares, as a gamma distribution."""
+    spread = np.nan_to_num(covariance)
+    mean = float(values @ values + np.trace(spread)) / 2.0
+    variance = float(np.trace(spread @ spread) / 2.0 + values @ spread @ values)
+    if not variance > 0.0:
+        return Interval(float(np.sqrt(mean)), np.nan, np.nan)
+    low, high = gammaincinv(mean**2 / variance, (0.025, 0.975)) * variance / mean
+    return Interval(float(np.sqrt(mean)), float(np.sqrt(low)), float(np.sqrt(high)))
+
+
+def _describe_joint(joint: int | None, sizes: dict[tuple[int | None, str | None], str]) -> str:
+    own = [(direction, size) for (of, direction), size in sizes.items() if of == joint]
+    return join_words([f"{size} ({format_direction(one)})" if one else size for one, size in own])
