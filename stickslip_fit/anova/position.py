@@ -218,22 +218,20 @@ def _select_comparable(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[rows.groupby("setting")[POSITION].transform("nunique") > 1]
 
 
-def _take_out_slopes(rows: pd.DataFrame) -> tuple[pd.DataFrame, int]:
-    """Responses less the slope of each class by direction, and how many slopes there are.
+def _slope_columns(rows: pd.DataFrame) -> Array:
+    """The slope of each class by direction, shape (n, q); none where too few traverses share a cell."""
+    aside = rows["middle"] - rows.groupby(POSITION)["middle"].transform("mean")
+    columns = _indicators(rows, (POSITION, DIRECTION)) * aside.to_numpy()[:, None]
+    within = _within_cells(rows, columns)
+    columns = columns[:, np.sum(within**2, axis=0) > NO_SCATTER * np.sum(aside**2)]
+    df = len(rows) - rows.groupby([*FACTORS]).ngroups - columns.shape[1]
+    return columns if df >= MIN_REPLICATE_DF else np.zeros((len(rows), 0))
 
-    Slopes are estimated within cells; none where too few traverses share one.
-    """
-    cells = rows.groupby([*FACTORS])
-    aside = (rows["middle"] - rows.groupby(POSITION)["middle"].transform("mean")).to_numpy()[:, None]
-    columns = _indicators(rows, (POSITION, DIRECTION)) * aside
-    if len(rows) - cells.ngroups - columns.shape[1] < MIN_REPLICATE_DF:
-        return rows, 0
-    code = cells.ngroup().to_numpy()
-    home = indicator_columns(code) / np.bincount(code)
-    within = columns - home @ (indicator_columns(code).T @ columns)
-    y = rows["y"].to_numpy()
-    slopes, _, rank, _ = np.linalg.lstsq(within, y, rcond=1e-9)
-    return rows.assign(y=y - columns @ slopes), int(rank)
+
+def _within_cells(rows: pd.DataFrame, columns: Array) -> Array:
+    """Columns, shape (n, q), less their mean in each combination of all factors."""
+    cells = _indicators(rows, FACTORS)
+    return np.asarray(columns - cells @ ((cells.T @ columns) / cells.sum(axis=0)[:, None]))
 
 
 def _indicators(table: pd.DataFrame, term: Term) -> Array:
@@ -282,7 +280,8 @@ class PositionModel:
         rows = pd.DataFrame({**codes, "middle": rows["middle"].to_numpy(), "y": (y - y.median()).to_numpy()})
         self.classed = classed
         self.factors = [name for name in FACTORS if len(self.levels[name]) > 1]
-        self.rows, self.n_slopes = _take_out_slopes(rows) if classed else (rows, 0)
+        self.rows = rows
+        self.slopes = _slope_columns(rows) if classed else np.zeros((len(rows), 0))
 
     @cached_property
     def terms(self) -> list[Term]:
@@ -293,8 +292,10 @@ class PositionModel:
 
     @cached_property
     def cells(self) -> pd.DataFrame:
-        """Mean of each combination of all factors."""
-        return self.rows.groupby([*FACTORS], sort=False, as_index=False)[["y", "middle"]].mean()
+        """Mean of each combination of all factors, slopes taken out as they are within them."""
+        slopes = np.linalg.lstsq(_within_cells(self.rows, self.slopes), self.rows["y"], rcond=1e-9)[0]
+        level = self.rows.assign(y=self.rows["y"] - self.slopes @ slopes)
+        return level.groupby([*FACTORS], sort=False, as_index=False)[["y", "middle"]].mean()
 
     @property
     def n_columns(self) -> int:
@@ -302,13 +303,15 @@ class PositionModel:
         return sum(self.rows.groupby(list(term)).ngroups for term in self.terms)
 
     @property
-    def has_replicates(self) -> bool:
-        """Whether there are enough replicates to be an error term."""
-        return len(self.rows) - len(self.cells) - self.n_slopes >= MIN_REPLICATE_DF
+    def replicate_df(self) -> int:
+        """Of the scatter within cells."""
+        return len(self.rows) - len(self.cells) - self.slopes.shape[1]
 
     def _span(self, table: pd.DataFrame, terms: Sequence[Term]) -> Array:
-        """Orthonormal basis of the general mean and some terms, shape (n, q)."""
+        """Orthonormal basis of the general mean, the slopes and some terms, shape (n, q)."""
         columns = [np.ones((len(table), 1)), *(_indicators(table, term) for term in terms)]
+        if table is self.rows:
+            columns.append(self.slopes)
         return orthonormal_basis(np.hstack(columns), np.zeros((len(table), 0)))
 
     def _bases(self, table: pd.DataFrame, term: Term) -> tuple[Array, Array]:
@@ -319,10 +322,11 @@ class PositionModel:
     def _residual(self) -> ErrorTerm:
         """What replicates scatter, or the highest interaction."""
         y = self.rows["y"].to_numpy()
-        if self.has_replicates:
-            values = y - self.rows.groupby([*FACTORS])["y"].transform("mean").to_numpy()
+        if self.replicate_df >= MIN_REPLICATE_DF:
+            columns = _within_cells(self.rows, np.column_stack([y, self.slopes]))
+            slopes = np.linalg.lstsq(columns[:, 1:], columns[:, 0], rcond=1e-9)[0]
             name = NEIGHBOURS if self.classed else REPLICATES
-            return ErrorTerm(values, len(y) - len(self.cells) - self.n_slopes, name)
+            return ErrorTerm(columns[:, 0] - columns[:, 1:] @ slopes, self.replicate_df, name)
         model = self._span(self.rows, [term for term in self.terms if not self._is_highest(term)])
         return ErrorTerm(y - model @ (model.T @ y), len(y) - model.shape[1], HIGHEST)
 
