@@ -26,46 +26,47 @@ CHANGES = {BY_DAY: "from session to session", BY_DIRECTION: "between the directi
 def conclude_positions(analysis: PositionAnalysis) -> list[str]:
     """Sentences on one joint's profile, and on day and direction over all its stretches."""
     tests = {test.term: test for test in analysis.tests}
-    sentences = [_conclude_profile(tests[POSITION], tests, analysis)] if POSITION in tests else []
-    changing = {term: tests[term] for term in CHANGES if term in tests}
-    shown = {term: test for term, test in changing.items() if is_significant(test)}
-    hidden = {term: test for term, test in changing.items() if term not in shown}
-    sentences += [
-        f"The profile along the travel differs {CHANGES[term]}, by {_rms(test)} ({_adjusted(test)})."
-        for term, test in shown.items()
-    ]
-    if hidden:
-        sizes = join_words([f"{format_percent(test.detectable)} rms" for test in hidden.values()])
-        sentences.append(
-            f"No difference of the profile {join_words([CHANGES[term] for term in hidden], 'or')} shows; "
-            f"{sizes} would most likely have shown."
-        )
+    where = f"over {len(analysis.stretches)} stretches"
+    sentences = _conclude_profile(tests, where) if POSITION in tests else []
     levels = [_conclude_levels(tests[term]) for term in (DAY, DIRECTION) if term in tests]
     return [*sentences, f"Over all stretches together {'; '.join(levels)}."] if levels else sentences
+
+
+def _conclude_profile(tests: dict[str, PositionTest], where: str) -> list[str]:
+    common, changing = tests[POSITION], {term: tests[term] for term in CHANGES if term in tests}
+    changes = [
+        f"{CHANGES[term]} (by {_rms(test)}, {_adjusted(test)})"
+        for term, test in changing.items()
+        if is_significant(test)
+    ]
+    if not is_significant(common):
+        would = f"{format_percent(common.detectable)} rms would most likely have shown"
+        if changes:
+            return [
+                f"The step size differs along the travel, and differently {join_words(changes)}, {where}; "
+                f"what all have in common does not show ({_adjusted(common)}); {would}."
+            ]
+        return [f"No difference along the travel shows {where} ({_adjusted(common)}); {would}."]
+    largest, smallest = common.extreme_levels
+    sentences = [
+        f"The step size differs along the travel, by {_rms(common)} {where}: it is {_difference(common)} "
+        f"larger at {largest} than at {smallest} ({_adjusted(common)})."
+    ]
+    if changes:
+        sentences.append(f"The profile differs {join_words(changes)}.")
+    hidden = [term for term, test in changing.items() if not is_significant(test)]
+    if hidden:
+        sizes = join_words([format_percent(tests[term].detectable) for term in hidden])
+        sentences.append(
+            f"No difference of the profile {join_words([CHANGES[term] for term in hidden], 'or')} shows; "
+            f"{sizes} rms would most likely have shown."
+        )
+    return sentences
 
 
 def is_significant(test: PositionTest) -> bool:
     """Whether the term shows at 5 %, adjusted over all tests."""
     return test.p_holm < SIGNIFICANCE_LEVEL
-
-
-def _conclude_profile(test: PositionTest, tests: dict[str, PositionTest], analysis: PositionAnalysis) -> str:
-    where = f"{len(analysis.stretches)} stretches"
-    if is_significant(test):
-        largest, smallest = test.extreme_levels
-        return (
-            f"The step size differs along the travel, by {_rms(test)} over {where}: it is "
-            f"{_difference(test)} larger at {largest} than at {smallest} ({_adjusted(test)})."
-        )
-    alike = (
-        " that sessions or directions share"
-        if any(term in tests and is_significant(tests[term]) for term in CHANGES)
-        else ""
-    )
-    return (
-        f"No difference along the travel{alike} shows over {where} ({_adjusted(test)}); one of "
-        f"{format_percent(test.detectable)} rms would most likely have shown."
-    )
 
 
 def _conclude_levels(test: PositionTest) -> str:
@@ -105,9 +106,9 @@ def positions_table(analysis: PositionAnalysis) -> Table:
         *words("question", "largest against smallest"),
         Column("difference (95 %)", "%"),
         Column("rms", "%"),
-        *numbers("omega²", "F (degrees)"),
+        Column("F (degrees)"),
         *numbers("F test", "adjusted", group="p"),
-        Column("would show, rms", "%"),
+        Column("would show", "%"),
         Column("compared with", text=True),
     )
     ends = "the same ends" if analysis.repeated else "middles in the same class"
@@ -141,7 +142,6 @@ def _row(test: PositionTest) -> tuple[str, ...]:
         typeset_text(_less(test)) if effect is not None else "",
         difference,
         f"{100 * test.size:.2g}",
-        f"{test.omega_squared:.2f}",
         f"{statistic} ({', '.join(f'{df:.3g}' for df in test.df)})",
         format_p_value(test.p_value),
         format_p_value(test.p_holm),

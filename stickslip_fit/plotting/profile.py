@@ -12,7 +12,6 @@ from stickslip_fit._format import (
     coordinate_unit,
     format_direction,
     format_percent,
-    format_position,
     join_words,
     joint_name,
 )
@@ -27,6 +26,7 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
+    set_angle_ticks,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
 from stickslip_fit.units import from_si
@@ -72,9 +72,10 @@ def _describe_profile(profile: Profile, joint: int, machine: Machine, *, fitted:
     """Rms over the travel and where the extremes are."""
     values, places = (profile.fitted, profile.position) if fitted else (profile.mean, profile.middle)
     rms = format_percent(float(np.sqrt(np.mean((values - values.mean()) ** 2))))
-    extremes = []
+    unit, extremes = coordinate_unit(f"q{joint}", machine), []
+    decimals, beside = (0, "°") if unit == "deg" else (1, f" {unit}")
     for k in (int(np.argmax(values)), int(np.argmin(values))):
-        where = format_position(float(places[k]), joint, machine)
+        where = f"{from_si(float(places[k]), unit):.{decimals}f}{beside}"
         extremes.append(f"{format_percent(float(values[k]), signed=True)} at {where}")
     return f"{rms} rms in direction {format_direction(profile.direction)} ({', '.join(extremes)})"
 
@@ -96,6 +97,11 @@ def draw_profiles(profiles: Sequence[Profile], joint: int, machine: Machine, *, 
             axis.errorbar(x, y, yerr=bars, ls="", marker=marker, color=colour, elinewidth=0.8)
             if fitted:
                 axis.plot(from_si(profile.position, unit), 100 * profile.fitted, color=colour)
-        axis.set_xlabel(f"q{joint} ({unit})")
+        low, high = (
+            from_si(end(each.position[k] for each in profiles), unit) for end, k in ((min, 0), (max, -1))
+        )
+        if unit == "deg":
+            set_angle_ticks(axis, low, high, 10)
+        axis.set_xlabel(f"q{joint} ({'°' if unit == 'deg' else unit})")
         axis.set_ylabel("step size, relative (%)")
     return figure
