@@ -26,6 +26,7 @@ from stickslip_fit.causes.parameters import (
     Sizes,
     collect_row_values,
     plain_description,
+    sizes_by_name,
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
@@ -124,6 +125,10 @@ class Cause(ABC):
         """Where a fit starts that follows trials in combination: without effect, unless it is level there."""
         return self.null_values
 
+    def combine(self, shares: Array, trials: Array) -> Array:
+        """Values under which trials act in combination, each times its share; (m,) and (m, q) -> (q,)."""
+        return shares @ trials
+
     def panel(self, values: Array, joint: int) -> float:
         """`max_panel` for given values, shape (n, q), on the traverses of a joint."""
         return self.max_panel
@@ -135,7 +140,7 @@ class Cause(ABC):
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
         """Its effect in a log: `sentence`, or the phrase and sizes where it needs more than is known."""
         try:
-            quantities = self.quantities({parameter.name: parameter for parameter in parameters})
+            quantities = self.quantities(sizes_by_name(parameters))
             return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)

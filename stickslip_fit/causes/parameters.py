@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import capitalize_first, format_estimate, format_measured, format_number
+from stickslip_fit._format import (
+    capitalize_first,
+    format_direction,
+    format_estimate,
+    format_measured,
+    format_number,
+    join_words,
+)
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import Parameter, Rows, State, float_column
@@ -73,8 +80,39 @@ class SizedParameter:
         return format_estimate(self.size, self.unit, signed=form == "+")
 
 
-Sizes = Mapping[str, SizedParameter]
+@dataclass(frozen=True)
+class SizesByDirection:
+    """A parameter that each direction has for itself; it is formatted like one, direction by direction."""
+
+    sizes: tuple[SizedParameter, ...]
+
+    @property
+    def size(self) -> Interval:
+        """Of the first direction."""
+        return self.sizes[0].size
+
+    def times(self, factor: float, unit: str = "") -> SizesByDirection:
+        """See `SizedParameter.times`."""
+        return SizesByDirection(tuple(one.times(factor, unit) for one in self.sizes))
+
+    def __format__(self, form: str) -> str:
+        texts = [f"{one:{form}}" for one in self.sizes]
+        if "|" in form and len(set(texts)) == 1:
+            return texts[0]
+        each = zip(texts, self.sizes, strict=True)
+        return join_words([f"{text} ({format_direction(one.direction)})" for text, one in each])
+
+
+Sizes = Mapping[str, SizedParameter | SizesByDirection]
 """Parameters of a cause by name."""
+
+
+def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesByDirection]:
+    """Parameters by name, those of the two directions together."""
+    groups: dict[str, list[SizedParameter]] = {}
+    for parameter in parameters:
+        groups.setdefault(parameter.name, []).append(parameter)
+    return {name: own[0] if len(own) == 1 else SizesByDirection(tuple(own)) for name, own in groups.items()}
 
 
 def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:

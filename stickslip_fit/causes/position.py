@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +29,64 @@ __all__ = [  # noqa: RUF022
 
 
 @dataclass(frozen=True)
-class BearingRunout(FactorCause):
+class DirectionalCause(FactorCause):
+    """A factor whose parameters are the same in both directions or, if the data ask for it, of each its own.
+
+    Attributes
+    ----------
+    by_direction : bool
+    own_parameters : tuple of CauseParameter
+        Those of one direction.
+    own_scale : tuple of float
+        See `Cause.scale`.
+    """
+
+    by_direction: bool = False
+
+    own_parameters: ClassVar[tuple[CauseParameter, ...]]
+    own_scale: ClassVar[tuple[float, ...]]
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        if not self.by_direction:
+            return self.own_parameters
+        return tuple(replace(one, direction=each) for each in "+-" for one in self.own_parameters)
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return self.own_scale * (1 + self.by_direction)
+
+    @abstractmethod
+    def own_trials(self, rows: pd.DataFrame) -> Array:
+        """See `Cause.trials`: of one direction, shape (m, q)."""
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: the same in both directions, and in each its own."""
+        own = self.own_trials(rows)
+        versions: list[tuple[Cause, Array]] = [(replace(self, by_direction=False), own)]
+        if rows["direction"].nunique() > 1:
+            versions.append((replace(self, by_direction=True), np.kron(np.eye(2), own)))
+        return versions
+
+    def by_row(self, state: State, values: list[Array]) -> list[Array]:
+        """The parameters in the direction of each row, each shape (n, 1)."""
+        if not self.by_direction:
+            return values
+        number, forwards = len(self.own_parameters), state.direction_sign > 0
+        return [
+            np.where(forwards, up, down) for up, down in zip(values[:number], values[number:], strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class BearingRunout(DirectionalCause):
     """Rotary: gamma times 1 + A cos(q - phi), also without gravity."""
 
     name = "bearing-runout"
@@ -43,36 +101,43 @@ class BearingRunout(FactorCause):
     remedy = "calibrating over the stretch that is used"
     joints = (1, 2)
     kind = "rotary"
-    parameters = (
+    own_parameters = (
         CauseParameter("A", "%", "amplitude of the step size over a turn"),
         CauseParameter("phi", "deg", "where the step size is greatest"),
     )
-    null_values = (0.0, 0.0)
-    scale = (0.01, 0.5)
-    trial_values = np.column_stack([np.full(4, 0.01), np.radians([0.0, 45.0, 90.0, 135.0])])
+    own_scale = (0.01, 0.5)
     largest_sizes = ((0.1, 0.0), (0.1, np.pi / 2))
     varies_along_traverse = True
+    combine_trials = True
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """See `Cause.start_values`: without an amplitude no phase would matter."""
+        return self.scale
+
+    def own_trials(self, rows: pd.DataFrame) -> Array:
+        """See `DirectionalCause.own_trials`: a cosine and a sine."""
+        return np.array([[0.01, 0.0], [0.01, np.pi / 2]])
+
+    def combine(self, shares: Array, trials: Array) -> Array:
+        """See `Cause.combine`: the amplitude and the phase of each direction's cosine and sine."""
+        cosine, sine = shares[::2], shares[1::2]
+        amplitude = trials[0, 0] * np.hypot(cosine, sine)
+        return np.column_stack([amplitude, np.arctan2(sine, cosine)]).ravel()
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return 1.0 + values[0] * np.cos(state.position - values[1])
+        size, phase = self.by_row(state, values)
+        return 1.0 + size * np.cos(state.position - phase)
 
 
 class GuideProfileCause(FactorCause):
-    """gamma times a factor that depends on the position along the guide alone."""
+    """gamma times a factor that depends on the position along the guide, and on the direction, alone."""
 
     joints = (PRISMATIC,)
     kind = "prismatic"
     needs_geometry = True  # middle and ends of its guide
     varies_along_traverse = True
-
-    @abstractmethod
-    def profile(self, position: Array, values: list[Array]) -> Array:
-        """The factor at positions along the guide, m, shape (n, k)."""
-
-    def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
-        return self.profile(state.position, values)
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
         """See `Cause.missing`."""
@@ -97,7 +162,7 @@ GUIDE_MIDDLE = 0.006  # m
 
 
 @dataclass(frozen=True)
-class GuideGradient(GuideProfileCause):
+class GuideGradient(GuideProfileCause, DirectionalCause):
     """Prismatic: gamma times 1 + k (q3 - 6 mm)."""
 
     name = "guide-gradient"
@@ -109,24 +174,41 @@ class GuideGradient(GuideProfileCause):
     shows_best = "joint 3 over the first and over the last third of its range"
     sentence = "Joint 3's steps {k:grow|shrink} by {k} along the guide"
     remedy = "calibrating over the stretch that is used"
-    parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
-    null_values = (0.0,)
-    scale = (2.0,)
+    own_parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
+    own_scale = (2.0,)
     largest_sizes = ((20.0,),)
+    combine_trials = True
 
-    def profile(self, position: Array, values: list[Array]) -> Array:
-        """See `GuideProfileCause.profile`."""
-        return 1.0 + values[0] * (position - GUIDE_MIDDLE)
+    def own_trials(self, rows: pd.DataFrame) -> Array:
+        """See `DirectionalCause.own_trials`."""
+        return np.array([self.own_scale])
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return 1.0 + self.by_row(state, values)[0] * (state.position - GUIDE_MIDDLE)
 
 
 SPOT_WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
 NARROWEST_SPOT = 0.1e-3
 WIDTHS_IN_PANEL = 4
+SPOT_SIZE = CauseParameter("A", "%", "change of the step size at its middle", lower=-0.95)
+SPOT_PLACE = (
+    CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
+    CauseParameter("w", "mm", "its width", lower=NARROWEST_SPOT, upper=6e-3),
+)
 
 
 @dataclass(frozen=True)
 class WornSpot(GuideProfileCause):
-    """Prismatic: gamma times 1 + A exp(-((q3 - x0) / w)^2 / 2)."""
+    """Prismatic: gamma times 1 + A exp(-((q3 - x0) / w)^2 / 2).
+
+    Attributes
+    ----------
+    place : tuple of float
+        Where a fit with an amplitude for each direction starts: middle and width, m. Empty for one amplitude.
+    """
+
+    place: tuple[float, ...] = ()
 
     name = "worn-spot"
     phrase = "the guide has a worn spot"
@@ -137,33 +219,63 @@ class WornSpot(GuideProfileCause):
     shows_best = "joint 3 over short stretches, one after the other, along the guide"
     sentence = "Joint 3's steps {A:grow|shrink} by {A} around q3 = {x0} ({w} wide): the guide has a worn spot"
     remedy = "staying off that stretch"
-    parameters = (
-        CauseParameter("A", "%", "change of the step size at its middle", lower=-0.95),
-        CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
-        CauseParameter("w", "mm", "its width", lower=NARROWEST_SPOT, upper=6e-3),
-    )
-    null_values = (0.0, 6e-3, 1e-3)
-    scale = (0.05, 1e-3, 1e-3)
     largest_sizes = tuple((0.5, x0, 1e-3) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
     max_panel = WIDTHS_IN_PANEL * NARROWEST_SPOT
 
+    @property
+    def combine_trials(self) -> bool:  # type: ignore[override]
+        """See `Cause`: the amplitudes of the two directions are independent."""
+        return bool(self.place)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        each = tuple(replace(SPOT_SIZE, direction=one) for one in "+-") if self.place else (SPOT_SIZE,)
+        return (*each, *SPOT_PLACE)
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0, 0.0, *self.place) if self.place else (0.0, 6e-3, 1e-3)
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """See `Cause.start_values`: without an amplitude no place would matter."""
+        return (*self.scale[:-2], *self.null_values[-2:])
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (*(0.05,) * (len(self.parameters) - 2), 1e-3, 1e-3)
+
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: spots of three widths, side by side along the guide."""
+        """See `Cause.trials`: spots of three widths, side by side along the guide, each also by direction."""
         ends = rows.loc[rows["joint"] == PRISMATIC, ["start", "stop"]].to_numpy(float)
         middles = [np.arange(ends.min() + width / 2, ends.max(), width) for width in SPOT_WIDTHS]
-        spots = [
-            (0.05, x0, width) for width, places in zip(SPOT_WIDTHS, middles, strict=True) for x0 in places
+        spots = [(x0, width) for width, places in zip(SPOT_WIDTHS, middles, strict=True) for x0 in places]
+        versions: list[tuple[Cause, Array]] = [
+            (replace(self, place=()), np.array([(0.05, *spot) for spot in spots]))
         ]
-        return [(self, np.array(spots))]
+        if rows.loc[rows["joint"] == PRISMATIC, "direction"].nunique() > 1:
+            versions += [
+                (replace(self, place=spot), np.array([(0.05, 0.0, *spot), (0.0, 0.05, *spot)]))
+                for spot in spots
+            ]
+        return versions
+
+    def combine(self, shares: Array, trials: Array) -> Array:
+        """See `Cause.combine`."""
+        return np.append(shares @ trials[:, :2], trials[0, 2:])
 
     def panel(self, values: Array, joint: int) -> float:
         """See `Cause.panel`."""
-        return WIDTHS_IN_PANEL * max(float(values[:, 2].min()), NARROWEST_SPOT)
+        return WIDTHS_IN_PANEL * max(float(values[:, -1].min()), NARROWEST_SPOT)
 
-    def profile(self, position: Array, values: list[Array]) -> Array:
-        """See `GuideProfileCause.profile`."""
-        size, middle, width = values
-        return 1.0 + size * np.exp(-0.5 * ((position - middle) / width) ** 2)
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        *sizes, middle, width = values
+        size = np.where(state.direction_sign > 0, sizes[0], sizes[-1])
+        return 1.0 + size * np.exp(-0.5 * ((state.position - middle) / width) ** 2)
 
 
 @dataclass(frozen=True)

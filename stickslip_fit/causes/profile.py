@@ -28,7 +28,7 @@ __all__ = ["AlongTravel"]
 
 NOMINAL_TRAVEL = ((1, -2.0943951, 2.0943951), (2, -3.6651914, 0.5235988), (3, 0.0, 12e-3))  # published arm
 TRIAL_SIZE = 0.01  # rms
-LARGEST_SIZE = 0.2  # of a single cosine
+LARGEST_SIZE = 0.5  # of a single cosine: 35 % rms
 N_PIECES = 8  # of a traverse along which the law itself varies, each with one step size, in trials
 RMS = "rms"
 
@@ -146,6 +146,8 @@ class AlongTravel(LinearFactor):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: of small single cosines by the derivative without effect."""
+        if not self.acts_on(law):
+            return np.zeros((len(values), len(trials)))
         single = np.count_nonzero(trials, axis=1).max(initial=0) <= 1
         if single and np.all(np.abs(trials) <= self.scale):
             return np.asarray(self._mean_functions(law, rows, values) @ trials.T)

@@ -235,8 +235,9 @@ def _assess_cause(
     per_size, versions = [], cause.trials(linearized.rows)
     for version, trials in versions:
         lengths = np.linalg.norm(compute_effects(linearized, version, trials), axis=0)
+        same_unit = [one.unit == version.parameters[0].unit for one in version.parameters]
         sizes = (
-            np.abs(trials).max(axis=1)
+            np.abs(trials[:, same_unit]).max(axis=1)
             if version.combine_trials
             else np.abs(trials[:, 0] - version.null_values[0])
         )

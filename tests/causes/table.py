@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit.causes import (
+    AlongTravel,
     BearingRunout,
     CableTorque,
     Cause,
@@ -77,6 +78,20 @@ def polynomial(s, f1, f2, f3):  # type: ignore[no-untyped-def]
         return f1 * x + f2 * (2 * x**2 - 1) + f3 * (4 * x**3 - 3 * x)
 
     return 1 + f(min(max(getattr(s, "covariate:pressure"), 990), 1030)) - f(1000)
+
+
+TRAVEL = ((1, -1.0, 1.5), (2, -210 * DEG, 30 * DEG), (3, 0.0, 10 * MM))
+
+
+def by_way(s, up, down):  # type: ignore[no-untyped-def]
+    return up if s.way > 0 else down
+
+
+def profile(s, sizes):  # type: ignore[no-untyped-def]
+    """Cosines over the joint's travel, level beyond its ends."""
+    (low, high), *_ = ((low, high) for joint, low, high in TRAVEL if joint == s.joint)
+    share = min(max((s.q - low) / (high - low), 0.0), 1.0)
+    return sum(size * cos(k * pi * share) for k, size in enumerate(sizes, start=1))
 
 
 BENT = ((0.02, -0.03, 0.05, 0.04, -0.06, 0.03), (-0.05, 0.02, 0.0, -0.08, 0.1, -0.1))
@@ -189,6 +204,40 @@ CASES = (
         WornSpot(),
         Effect(factor=lambda s, A, x0, w: 1 + A * exp(-(((s.q - x0) / w) ** 2) / 2) if s.joint == 3 else 1),
         ((0.3, 5 * MM, 0.1 * MM), (-0.5, 6.13 * MM, 1 * MM)),
+    ),
+    Case(
+        BearingRunout(by_direction=True),
+        Effect(factor=lambda s, A, f, B, g: 1 + by_way(s, A, B) * cos(s.q - by_way(s, f, g)) * (s.joint < 3)),
+        ((0.02, 0.7, -0.03, 0.1), (0.05, -2.0, 0.0, 1.0)),
+        form="by direction",
+    ),
+    Case(
+        GuideGradient(by_direction=True),
+        Effect(factor=lambda s, k, m: 1 + by_way(s, k, m) * (s.q - 6 * MM) * (s.joint == 3)),
+        ((5.0, -3.0), (-10.0, 0.0)),
+        form="by direction",
+    ),
+    Case(
+        WornSpot(place=(4 * MM, 1 * MM)),
+        Effect(
+            factor=lambda s, A, B, x0, w: (
+                1 + by_way(s, A, B) * exp(-(((s.q - x0) / w) ** 2) / 2) * (s.joint == 3)
+            )
+        ),
+        ((0.3, -0.1, 5 * MM, 0.1 * MM), (-0.5, 0.2, 6.13 * MM, 1 * MM)),
+        form="by direction",
+    ),
+    Case(
+        AlongTravel(travel=TRAVEL, shape=(1.0, 0.5)),
+        Effect(factor=lambda s, *c: 1 + profile(s, c[2 * s.joint - 2 : 2 * s.joint])),
+        ((0.02, -0.01, 0.03, 0.01, -0.02, 0.04), (0.1, 0.1, 0.0, -0.2, 0.15, 0.0)),
+    ),
+    Case(
+        AlongTravel(travel=TRAVEL[1:], by_direction=True, shape=(1.0,), amplitude=3.0),
+        Effect(factor=lambda s, a, b, c, d: 1 + profile(s, [by_way(s, a, b), by_way(s, c, d)][s.joint - 2 :][:1])
+               if s.joint > 1 else 1),
+        ((0.02, -0.01, 0.03, 0.05), (0.1, 0.1, -0.2, 0.0)),
+        form="by direction",
     ),
     Case(EndStopLatency(), Effect(count=lambda s, L: L), ((40.0,), (-100.0,))),
     Case(
