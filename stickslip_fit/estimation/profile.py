@@ -8,7 +8,7 @@ drove; sessions over other stretches are compared with the profile in the law.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -20,6 +20,7 @@ from stickslip_fit.causes.base import ExtendedLaw, FactorCause
 from stickslip_fit.causes.profile import AlongTravel
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.least_squares import fit_least_squares
+from stickslip_fit.estimation.noise import Flag
 from stickslip_fit.estimation.result import JointFit, Result
 from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import state_at
@@ -30,6 +31,11 @@ N_INSIDE = 32  # places along a traverse
 MAX_UNLIKE = 0.1  # of the travelled length that a session drove elsewhere than all others together
 MAX_SHARE_OF_TRAVEL = 0.5  # a longer traverse shows no place
 ROWS_PER_BIN, MAX_BINS = 4, 24
+OTHER_STRETCHES = "other_stretches"
+OTHER_STRETCHES_TEXT = (
+    "sessions drove different stretches of its travel, so that their parameters differ where the step size "
+    "follows position; the cause along-travel in the fit compares them without that"
+)
 
 
 def follows_position(cause: Cause) -> bool:
@@ -149,6 +155,16 @@ def _most_unlike(rows: pd.DataFrame) -> float:
 
 def _shares(lengths: Array) -> Array:
     return lengths / lengths.sum(axis=1, keepdims=True)
+
+
+def flag_unlike_stretches(log: Log, fit: Result) -> Result:
+    """The result with a flag on each joint whose sessions drove different stretches, unless it has a profile."""
+    flags = [
+        Flag(OTHER_STRETCHES, joint, "", "", (), f"joint {joint}: {OTHER_STRETCHES_TEXT}")
+        for joint in find_unlike_stretches(log)
+        if not has_profile(fit.joints[joint])
+    ]
+    return replace(fit, flags=(*fit.flags, *flags))
 
 
 @dataclass(frozen=True, eq=False)
