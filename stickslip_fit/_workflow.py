@@ -8,6 +8,7 @@ from stickslip_fit.bayes import Posterior, fit_bayes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result, fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
+from stickslip_fit.estimation.profile import flag_unlike_stretches
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
@@ -92,9 +93,10 @@ def fit(
     stickslip_fit.errors.InputError: no method 'least squares'; choose one of least-squares, student-t, ...
     """
     if method == "least-squares":
-        return fit_least_squares(log, laws=laws, **options)
+        return flag_unlike_stretches(log, fit_least_squares(log, laws=laws, **options))
     if method == "student-t":
-        return fit_least_squares(log, laws=laws, likelihood=StudentT(), **options)
+        heavy_tailed = fit_least_squares(log, laws=laws, likelihood=StudentT(), **options)
+        return flag_unlike_stretches(log, heavy_tailed)
     if method == "closed-form":
         return fit_closed_form(log, laws=laws, **options)
     if method == "bayes":

@@ -24,14 +24,15 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.anova._position_summary import conclude_positions, positions_table
 from stickslip_fit.anova.analysis import Anova
+from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.designs import MAX_SESSIONS, FactorTestDesign, NotTestable
 from stickslip_fit.anova.factor_test import FactorTest
 from stickslip_fit.anova.formula import FormulaTable
 from stickslip_fit.anova.variance_components import VarianceComponent, VarianceComponents
 from stickslip_fit.units import from_si
 
-SIGNIFICANCE_LEVEL = 0.05
 ALL_SESSIONS = "over all sessions"
 COST_LIMIT = 3.0  # times the repeatability: a cost that a lab would want to avoid
 MAX_LISTED_SESSIONS = 3  # sessions that a list names
@@ -264,12 +265,15 @@ def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
     sentences = {joint: conclude(joint, anova.factor_tests) for joint in joints}
     for each in anova.components:
         sentences.setdefault(each.joint, []).extend(recommend(each, anova.factor_tests))
-    return sentences
+    for analysis in anova.positions:
+        sentences.setdefault(analysis.joint, []).extend(conclude_positions(analysis))
+    return dict(sorted(sentences.items()))
 
 
 def _tables(joint: int, anova: Anova) -> list[Table]:
     tests = [test for test in anova.factor_tests if test.design.joint == joint]
     tables = [_tests_table(joint, tests), _squares_table(joint, tests)] if tests else []
+    tables += [positions_table(each) for each in anova.positions if each.joint == joint]
     return [*tables, *(_components_table(each) for each in anova.components if each.joint == joint)]
 
 

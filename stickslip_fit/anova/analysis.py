@@ -1,6 +1,7 @@
-"""analyze_variance: F tests of day, direction and normal force in a log (thesis Ch. 4 and 5).
+"""analyze_variance: F tests of day, direction, normal force (thesis Ch. 4 and 5) and position in a log.
 
-Start reading here. Order of reading: `designs`, `factor_test`, `contrasts`, `variance_components`.
+Start reading here. Order of reading: `designs`, `factor_test`, `contrasts`, `position`,
+`variance_components`.
 P-values are adjusted over all tests by Holm's method. Each test, or the reason why it cannot be made,
 is one flat record.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import expm1
 from pathlib import Path
 
 import pandas as pd
@@ -29,6 +31,7 @@ from stickslip_fit.anova.designs import (
     step_size_observations,
 )
 from stickslip_fit.anova.factor_test import FactorTest, run_factor_test
+from stickslip_fit.anova.position import PositionAnalysis, PositionTest, analyze_positions
 from stickslip_fit.anova.variance_components import VarianceComponents, estimate_components
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs import Log
@@ -79,9 +82,22 @@ def to_record(item: FactorTest | NotTestable) -> dict[str, object]:
     }
 
 
+def position_record(test: PositionTest, joint: int) -> dict[str, object]:
+    """As `to_record`, of a term of the analysis of position; difference, low and high in per cent."""
+    record: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
+    record |= {"analysis": test.term, "joint": joint, "F": test.statistic, "df": list(test.df)}
+    record |= {"error_term": test.error_term, "p_value": test.p_value, "p_holm": test.p_holm}
+    record |= {"omega_squared": test.omega_squared, "unit": "%"}
+    if test.effect is not None:
+        sizes = {name: getattr(test.effect, name) for name in ("difference", "low", "high")}
+        record |= {name: 100.0 * expm1(value) for name, value in sizes.items()}
+        record["levels"] = list(test.extreme_levels)
+    return record
+
+
 @dataclass(frozen=True, repr=False)
 class Anova(Summarized):
-    """F tests of day, direction and normal force, and variance components.
+    """F tests of day, direction, normal force and position, and variance components.
 
     Attributes
     ----------
@@ -90,12 +106,15 @@ class Anova(Summarized):
         Tests that the log does not allow, with the reason.
     components : tuple of VarianceComponents
         Of each joint that has them.
+    positions : tuple of PositionAnalysis
+        Of each joint that was driven over several stretches.
     machine : Machine
     """
 
     factor_tests: tuple[FactorTest, ...]
     not_testable: tuple[NotTestable, ...]
     components: tuple[VarianceComponents, ...] = ()
+    positions: tuple[PositionAnalysis, ...] = ()
     machine: Machine = field(default_factory=load_machine)
 
     def plot_factor(self, joint: int, factor: str) -> AxesArray:
@@ -118,7 +137,10 @@ class Anova(Summarized):
 
     def to_json(self) -> list[dict[str, object]]:
         """One object for each test, null where a field does not apply."""
-        return [*map(to_record, self.factor_tests), *map(to_record, self.not_testable)]
+        positions = [
+            position_record(test, analysis.joint) for analysis in self.positions for test in analysis.tests
+        ]
+        return [*map(to_record, self.factor_tests), *positions, *map(to_record, self.not_testable)]
 
 
 def analyze_variance(
@@ -128,7 +150,10 @@ def analyze_variance(
     session: str | None = None,
     choose: ConfigurationChooser = choose_most_informative,
 ) -> Anova:
-    """Test day, direction and normal force for each joint, as in the thesis's Sections 4.2, 4.4 and 5.2.
+    """Test day, direction, normal force and position for each joint.
+
+    The first three at one configuration, as in the thesis's Sections 4.2, 4.4 and 5.2; position over all
+    stretches of the joint's travel.
 
     Parameters
     ----------
@@ -155,17 +180,27 @@ def analyze_variance(
     ]
     components = [estimate_components(subset, log.machine) for _, subset in by_joint]
     estimated = tuple(one for one in components if isinstance(one, VarianceComponents))
-    return replace(run_factor_tests(designs), components=estimated, machine=log.machine)
+    along = [analyze_positions(subset, log.machine) for _, subset in by_joint]
+    positions = [analysis for analysis, _ in along if analysis is not None]
+    anova = run_factor_tests([*designs, *(reason for _, refused in along for reason in refused)], positions)
+    return replace(anova, components=estimated, machine=log.machine)
 
 
-def run_factor_tests(designs: Sequence[FactorTestDesign | NotTestable]) -> Anova:
-    """Make the tests, with p-values adjusted over all of them."""
+def run_factor_tests(
+    designs: Sequence[FactorTestDesign | NotTestable], positions: Sequence[PositionAnalysis] = ()
+) -> Anova:
+    """Make the tests, with p-values adjusted over all of them and those of `positions`."""
     results = [
         run_factor_test(design) if isinstance(design, FactorTestDesign) else design for design in designs
     ]
     factor_tests = [result for result in results if isinstance(result, FactorTest)]
-    adjusted = adjust_holm([test.p_value for test in factor_tests])
+    along = [test for analysis in positions for test in analysis.tests]
+    adjusted = iter(adjust_holm([test.p_value for test in (*factor_tests, *along)]))
     return Anova(
-        tuple(replace(test, p_holm=float(p)) for test, p in zip(factor_tests, adjusted, strict=True)),
+        tuple(replace(test, p_holm=float(next(adjusted))) for test in factor_tests),
         tuple(result for result in results if isinstance(result, NotTestable)),
+        positions=tuple(
+            replace(each, tests=tuple(replace(test, p_holm=float(next(adjusted))) for test in each.tests))
+            for each in positions
+        ),
     )

@@ -209,14 +209,19 @@ def level_means(values: npt.ArrayLike, comparison: BlockedComparison) -> tuple[A
     factor : array, shape (k, k)
         Times the error's variance: covariance of the means, up to a constant common to all.
     """
+    return adjusted_means(values, comparison.level, comparison.nuisance)
+
+
+def adjusted_means(values: npt.ArrayLike, level: IntArray, nuisance: Array) -> tuple[Array, Array]:
+    """As `level_means`, adjusted for any other terms of which `nuisance` is an orthonormal basis."""
     values = np.asarray(values, float)
     shifted = subtract_median(values)
     origin = (values - shifted)[..., :1]
-    within = indicator_columns(comparison.level)
-    within = within - comparison.nuisance @ (comparison.nuisance.T @ within)
+    within = indicator_columns(level)
+    within = within - nuisance @ (nuisance.T @ within)
     factor = np.linalg.pinv(within.T @ within, rcond=1e-10, hermitian=True)
     adjusted = (shifted @ within) @ factor
-    share = np.bincount(comparison.level) / len(comparison.level)
+    share = np.bincount(level) / len(level)
     middle = shifted.mean(axis=-1, keepdims=True) - (adjusted @ share)[..., None]
     return origin + middle + adjusted, factor
 
@@ -266,17 +271,26 @@ def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDif
     >>> round(result.difference, 3), round(result.low, 3), round(result.high, 3)
     (3.0, 0.733, 5.267)
     """
-    from scipy.stats import t
-
-    means, factor = level_means(values, comparison)
-    df = comparison.df[1]
     spread = float(np.sqrt(sums_of_squares(values, comparison).variance))
+    return compare_means(values, comparison.level, comparison.nuisance, spread, comparison.df[1])
+
+
+def compare_means(
+    values: Array, level: IntArray, nuisance: Array, spread: float, df: float
+) -> LevelDifference:
+    """As `largest_difference`, with an error of standard deviation `spread` known to `df`.
+
+    `nuisance`, shape (n, b), is an orthonormal basis of all other terms, the general mean among them.
+    """
+    from scipy.special import stdtrit
+
+    means, factor = adjusted_means(values, level, nuisance)
     largest, smallest = int(np.argmax(means)), int(np.argmin(means))
     difference = float(means[largest] - means[smallest])
     error = spread * np.sqrt(difference_factor(factor)[largest, smallest])
-    reach = _studentized_range_quantile(comparison.levels, df) * error
-    count = np.bincount(comparison.level)
-    half_width = float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df)) * spread / np.sqrt(count)
+    reach = _studentized_range_quantile(len(means), df) * error
+    count = np.bincount(level)
+    half_width = float(stdtrit(df, (1 + CONFIDENCE_LEVEL) / 2)) * spread / np.sqrt(count)
     return LevelDifference(
         means, half_width, largest, smallest, difference, float(difference - reach), float(difference + reach)
     )
@@ -288,20 +302,44 @@ def difference_factor(factor: Array) -> Array:
     return diagonal[:, None] + diagonal[None, :] - 2 * factor
 
 
+NODES = 96  # of each Gauss-Legendre quadrature of the studentized range; good to 1e-8
+
+
 @cache
-def _studentized_range_quantile(levels: int, df: int) -> float:
-    """Quantile of the studentized range for a difference in units of its standard error."""
-    from scipy.stats import studentized_range, t
+def _studentized_range_quantile(levels: int, df: float) -> float:
+    """Quantile of the studentized range for a difference in units of its standard error.
+
+    Of k normal values the range is below w with probability k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz, that
+    is averaged over the error's standard deviation. scipy.stats has it too, a hundred times slower.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import chdtri, gammaln, ndtr, stdtrit
 
     if levels == 2:
-        return float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df))
-    return float(studentized_range.ppf(CONFIDENCE_LEVEL, levels, df) / np.sqrt(2.0))
+        return float(stdtrit(df, (1 + CONFIDENCE_LEVEL) / 2))
+    node, weight = np.polynomial.legendre.leggauss(NODES)
+    low, high = np.sqrt(chdtri(df, [1 - 1e-12, 1e-12]) / df)  # of the ratio of the error's estimate to itself
+    s = (low + high) / 2 + (high - low) / 2 * node
+    density = np.exp(
+        (df - 1) * np.log(s) - df * s**2 / 2 + df / 2 * np.log(df / 2) - gammaln(df / 2) + np.log(2)
+    )
+    share = density * weight * (high - low) / 2
+    z = 9.0 * node
+    normal = 9.0 * weight * np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+
+    def excess(q: float) -> float:
+        ranges = ndtr(z) - ndtr(z - q * s[:, None])
+        return (
+            float(share @ (levels * ranges ** (levels - 1) @ normal)) / float(share.sum()) - CONFIDENCE_LEVEL
+        )
+
+    return float(brentq(excess, 1e-3, 1e4, xtol=1e-10)) / np.sqrt(2.0)
 
 
 SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
 
 
-def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNIFICANCE_LEVEL) -> float:
+def f_test_power(noncentrality: float, df: tuple[float, float], level: float = SIGNIFICANCE_LEVEL) -> float:
     """Probability that the F test rejects at `level`.
 
     The noncentrality is the sum of squares of the true level means within blocks over the error's variance.
@@ -311,9 +349,9 @@ def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNI
     >>> round(f_test_power(0.0, (1, 4)), 6)
     0.05
     """
-    from statsmodels.stats.power import ftest_power_f2
+    from scipy.special import fdtri, ncfdtr
 
-    return float(ftest_power_f2(noncentrality / sum(df), *df, level, ncc=0))
+    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - level)))
 
 
 def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:
@@ -333,13 +371,16 @@ def detectable_difference(spread: float, comparison: BlockedComparison) -> float
     >>> round(detectable_difference(1.0, two_days_of_three), 3)
     3.071
     """
+    noncentrality = noncentrality_at_power(comparison.df)
+    return spread * float(np.sqrt(noncentrality / smallest_noncentrality(1.0, 1.0, comparison)))
+
+
+def noncentrality_at_power(df: tuple[float, float]) -> float:
+    """The noncentrality at which the F test at 5 % has a power of 80 %."""
     from scipy.optimize import brentq
 
     # FTestPower.solve_power stops within 1e-5 of the root, and FTestPowerF2's stays at its start for few df.
     upper = 10.0
-    while f_test_power(upper, comparison.df) < TARGET_POWER:
+    while f_test_power(upper, df) < TARGET_POWER:
         upper *= 4.0
-    noncentrality = float(
-        brentq(lambda size: f_test_power(size, comparison.df) - TARGET_POWER, 1e-6, upper, rtol=1e-10)
-    )
-    return spread * float(np.sqrt(noncentrality / smallest_noncentrality(1.0, 1.0, comparison)))
+    return float(brentq(lambda size: f_test_power(size, df) - TARGET_POWER, 1e-6, upper, rtol=1e-10))

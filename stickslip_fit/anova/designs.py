@@ -263,7 +263,7 @@ def describe_design_point(row: pd.Series, machine: Machine, names: list[str]) ->
     parts = [format_position(name, row[name], machine) for name in shown]
     if not np.isclose(row["high"] - row["low"], machine.span(int(row["joint"])), rtol=1e-6):
         unit = coordinate_unit(f"q{row['joint']}", machine)
-        parts.append(f"{_format_plain(row['low'], unit)} to {_format_plain(row['high'], unit)} {unit}")
+        parts.append(f"{format_plain(row['low'], unit)} to {format_plain(row['high'], unit)} {unit}")
     return ", ".join(parts)
 
 
@@ -277,11 +277,12 @@ def format_position(name: str, value: float, machine: Machine) -> str:
     ('q3 12 mm', 'psi -90 deg')
     """
     unit = coordinate_unit(name, machine)
-    return f"{name} {_format_plain(value, unit)} {unit}"
+    return f"{name} {format_plain(value, unit)} {unit}"
 
 
-def _format_plain(value: float, unit: str) -> str:
-    return f"{round(from_si(float(value), unit), 4) + 0.0:g}"
+def format_plain(value: float, unit: str, decimals: int = 4) -> str:
+    """A coordinate without its unit, trailing zeros left out."""
+    return f"{round(from_si(float(value), unit), decimals) + 0.0:g}"
 
 
 def _observation_loads(rows: pd.DataFrame, joint: int, share: float) -> np.ndarray:

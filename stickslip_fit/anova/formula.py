@@ -23,6 +23,7 @@ from stickslip_fit.anova.analysis import RECORD_COLUMNS
 from stickslip_fit.anova.contrasts import adjust_holm, indicator_columns, orthonormal_basis, subtract_median
 from stickslip_fit.anova.designs import select_observations, step_size_observations
 from stickslip_fit.anova.grammar import Factor, Term, parse_formula
+from stickslip_fit.anova.position import POSITION, name_stretches
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -112,7 +113,9 @@ def analyze_formula(
     """Analyse any columns of a log, each joint by itself.
 
     Factors are columns of `step_size_observations`, which has the log's own (``covariate:pressure`` may be
-    called ``pressure``) and step_size, configuration and orientation. Text is a factor, and ``C(name)`` makes
+    called ``pressure``) and step_size, configuration and orientation; and ``position``, the stretch of the
+    travel, and ``setting``, a label of all other positions, as `name_stretches` has them. A model with
+    ``position`` is of the traverses that have one. Text is a factor, and ``C(name)`` makes
     one of numbers; ``log(name)`` is the logarithm, and ``Q("name")`` a name with spaces or signs. ``a / b``
     nests b in a, whether or not b's labels start anew in each a: degrees of freedom are ranks.
 
@@ -137,8 +140,29 @@ def analyze_formula(
     """
     rows = add_plain_names(select_observations(step_size_observations(log), joint, session))
     return tuple(
-        _analyze_joint(subset, int(one), log.machine, text, kind) for one, subset in rows.groupby("joint")
+        _analyze_joint(add_stretches(subset, text, log.machine), int(one), log.machine, text, kind)
+        for one, subset in rows.groupby("joint")
     )
+
+
+def add_stretches(rows: pd.DataFrame, text: str, machine: Machine) -> pd.DataFrame:
+    """One joint's rows with position and setting, unless the lab has columns of these names.
+
+    Where the formula has the position, rows without one are left out.
+    """
+    named = name_stretches(rows, machine)
+    new = [name for name in (POSITION, "setting") if name not in rows.columns]
+    rows = rows.assign(**{name: named[name] for name in new})
+    formula = parse_formula(text, rows.columns)
+    if POSITION not in new or not any(factor.column == POSITION for term in formula.terms for factor in term):
+        return rows
+    rows = rows[rows[POSITION].notna()]
+    if rows.empty:
+        raise InputError(
+            "no stretch of the travel was driven often enough to be a position: leave position out of the "
+            "formula, or drive stretches"
+        )
+    return rows
 
 
 def add_plain_names(rows: pd.DataFrame) -> pd.DataFrame:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from stickslip_fit.bayes import Posterior
     from stickslip_fit.causes import Cause
     from stickslip_fit.estimation import Result
+    from stickslip_fit.estimation.profile import ComparableFit
     from stickslip_fit.logs import Log
 
 
@@ -112,11 +113,12 @@ def result_path(tree: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A result, its printed text, and by Bayes the posterior."""
+    """A result, its printed text, by Bayes the posterior, and the fit whose sessions are compared."""
 
     result: Result
     text: str
     posterior: Posterior | None = None
+    comparable: ComparableFit | None = None
 
 
 def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
@@ -149,6 +151,8 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
+    from stickslip_fit.estimation.prediction import format_latest_control, has_order, latest_control
+    from stickslip_fit.estimation.profile import make_comparable
     from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
@@ -171,14 +175,19 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
             repeatability=parse_repeatabilities(options.repeatability, "--repeatability", log.machine.joints),
             command=command_line(),
         )
-    summary = result.summary()
+    summary, comparable = result.summary(), None
+    if options.method is Method.least_squares and has_order(result):
+        comparable = make_comparable(log, result)
+        if comparable.note:
+            control = format_latest_control(latest_control(comparable.fit))
+            summary = replace(summary, headline=(f"{control}\n{comparable.note}",))
     if options.profile:
         from stickslip_fit.estimation._summary import profile_section
         from stickslip_fit.estimation.least_squares import profile_intervals
 
         profile = profile_section(profile_intervals(log, result))
         summary = replace(summary, sections=(*summary.sections, profile))
-    return Estimate(result, str(summary))
+    return Estimate(result, str(summary), comparable=comparable)
 
 
 def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = ()) -> tuple[Cause, ...]:
@@ -221,7 +230,9 @@ def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
         from stickslip_fit.plotting._style import write_figure
         from stickslip_fit.plotting.parameters import plot_control
 
-        write_figure(plot_control(estimate.result), outputs.chart, "control")
+        comparable = estimate.comparable
+        charted = comparable.fit if comparable else estimate.result
+        write_figure(plot_control(charted), outputs.chart, "control")
         lines.append(f"control chart written to {outputs.chart}")
     return lines
 

@@ -157,6 +157,9 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         text = finding.version.describe(finding.parameters)
         return text if finding.parameters else f"{text}, by {format_size(finding.effect.estimate, table)} rms"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
+    source = getattr(finding.version, "source", None)
+    if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
+        phrase = f"{capitalize_first(finding.cause)}: {lower_first(phrase)}"
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"

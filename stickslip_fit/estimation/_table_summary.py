@@ -42,12 +42,16 @@ def summarize_table_fit(fit: TableFit) -> Summary:
     )
 
 
+ALMOST_ALL = 0.999  # from here on, the share that is left says more than the one that is explained
+
+
 def describe_fit(fit: TableFit) -> str:
     """What a law leaves of its response, and of how many values, as a sentence."""
     unit, law = fit.law.response_unit, fit.law
     measured = fit.residuals["measured"].to_numpy(float)
     share = 1.0 - fit.rms**2 / float(np.var(measured)) if np.var(measured) > 0 else np.nan
-    explained = f", {100 * share:.1f} % of its variance explained" if np.isfinite(share) else ""
+    percent = f"{100 * share:.1f} %" if share < ALMOST_ALL else f"more than {100 * ALMOST_ALL:.1f} %"
+    explained = f", {percent} of its variance explained" if np.isfinite(share) else ""
     left = f"{format_significant(fit.rms)} {unit}".rstrip()
     rows = fit.source.rows
     counted = ""

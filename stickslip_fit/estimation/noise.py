@@ -28,7 +28,7 @@ class Flag:
     ----------
     flag : str
         ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted``,
-        ``outlier`` or ``no_times``.
+        ``outlier``, ``no_times`` or ``other_stretches``.
     joint : int
     direction, session : str
         An empty session stands for all of them.

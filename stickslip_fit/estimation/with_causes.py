@@ -150,7 +150,12 @@ def _candidate_starts(
             continue
         if version.combine_trials:
             share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
-            yield version, version.combine(share, trials), effects @ share, float((effects @ share) @ remaining)
+            yield (
+                version,
+                version.combine(share, trials),
+                effects @ share,
+                float((effects @ share) @ remaining),
+            )
             continue
         absent = version.null_values[0]
         for trial, effect in zip(trials, effects.T, strict=True):

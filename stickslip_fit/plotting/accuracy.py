@@ -167,7 +167,7 @@ def draw_configurations(summary: pd.DataFrame, labels: list[str]) -> Figure:
         axis.scatter(constant, y, facecolors="white", edgecolors=colours, s=18, linewidths=0.9, zorder=2)
         axis.set_yticks(y, labels)
         axis.set_ylim(-0.6, len(summary) - 0.4)
-        set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
+        set_log_axis(axis.xaxis, subs=(1.0, 2.0, 5.0))
         axis.set_xlabel("rms error of the mean step size (%)")
         axis.spines["left"].set_visible(False)
         axis.tick_params(axis="y", length=0)

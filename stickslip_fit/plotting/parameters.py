@@ -51,8 +51,8 @@ LIMITS_COLOUR, LATEST_LIMITS_COLOUR = "#e4e4e0", "#c4c4be"
 OUTSIDE_LABEL = "outside"
 
 
-def control_picture(joint: int, fit: Result) -> Picture:
-    """The control chart of one joint's parameters, session by session."""
+def control_picture(joint: int, fit: Result, note: str = "") -> Picture:
+    """The control chart of one joint's parameters, session by session; `note` ends its caption."""
     key, title = f"parameters-{joint}", f"Parameters of {joint_name(joint, fit.machine)} by session"
     chart = control_chart(fit)
     chart = chart[chart["joint"] == joint]
@@ -61,7 +61,8 @@ def control_picture(joint: int, fit: Result) -> Picture:
         return make_missing_picture(key, title, "It would need a second session.")
     if chart.empty:
         return make_missing_picture(key, title, "It would need a session in which a parameter can be known.")
-    return make_picture(key, title, _write_caption(chart, sessions, has_order(fit)), draw_control(fit, chart))
+    caption = f"{_write_caption(chart, sessions, has_order(fit))} {note}".rstrip()
+    return make_picture(key, title, caption, draw_control(fit, chart))
 
 
 def plot_control(result: Result) -> Figure:

@@ -22,6 +22,7 @@ from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
 from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.estimation.profile import follows_position
 from stickslip_fit.laws import expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
@@ -360,6 +361,8 @@ def _find_carrier_values(
     if isinstance(best, AR1):
         return BEFORE_LABEL, np.where(best.before >= 0, 100 * comparison.after[best.before], np.nan)
     rows = comparison.rows
+    if selected.version is not None and follows_position(selected.version):
+        return _own_position(rows, subset, machine)
     columns = _select_covariates(rows, subset, machine)
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
     columns = {label: columns[label] for label in own if label in columns} | columns
@@ -368,6 +371,18 @@ def _find_carrier_values(
         shape[subset], {name: values[subset] for name, values in columns.items()}, groups[subset]
     )
     return label, columns[label]
+
+
+def _own_position(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> tuple[str, Array]:
+    """The middle of each traverse along its own joint's travel, in that joint's unit."""
+    joint = rows["joint"].to_numpy()
+    middle, values = ((rows["start"] + rows["stop"]) / 2).to_numpy(float), np.empty(len(rows))
+    names = {int(one): f"q{one}" for one in np.unique(joint[subset])}
+    for one in np.unique(joint):
+        values[joint == one] = from_si(middle[joint == one], coordinate_unit(f"q{one}", machine))
+    units = dict.fromkeys(coordinate_unit(name, machine).replace("deg", "°") for name in names.values())
+    name = next(iter(names.values())) if len(names) == 1 else "own position"
+    return f"{name} ({' or '.join(units)})", values
 
 
 def residuals_overview_picture(joint: int, comparison: ResidualComparison, machine: Machine) -> Picture:

@@ -45,6 +45,7 @@ from stickslip_fit.estimation import (
 from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
 from stickslip_fit.estimation.prediction import collect_traverses
+from stickslip_fit.estimation.profile import make_comparable
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import Elbow, Laws, is_published
@@ -57,6 +58,7 @@ from stickslip_fit.plotting.accuracy import configurations_picture, errors_pictu
 from stickslip_fit.plotting.anova import factor_pictures
 from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, ranking_picture
 from stickslip_fit.plotting.parameters import control_picture
+from stickslip_fit.plotting.profile import profile_pictures
 from stickslip_fit.plotting.residuals import (
     FIT_MAX_POINTS,
     SESSION_HOURS,
@@ -258,7 +260,7 @@ def _render(
         parameters=[*parameter_tables(both, fit), *departures_tables(fit)],
         repeatability=repeatability_table(calibration, fit),
         d_table=load_coefficient_table(coefficients) if len(coefficients) else None,
-        figures=_figure_groups(log, calibration, fit, errors, coefficients, published),
+        figures=_figure_groups(log, calibration, fit, diagnosis, errors, coefficients, published),
         accuracy_explained=explain_tables(errors),
         accuracy=_accuracy_sections(errors, log),
         claims=claims_table(claimed, log.machine) if len(claimed) else None,
@@ -313,6 +315,7 @@ def _figure_groups(
     log: Log,
     calibration: Result,
     fit: Result,
+    diagnosis: Diagnosis | InputError | None,
     errors: pd.DataFrame,
     coefficients: pd.DataFrame,
     published: Collection[int],
@@ -323,13 +326,18 @@ def _figure_groups(
         summary = summarize_configurations(errors, joint)
         accuracy.append(configurations_picture(summary, log.machine))
     groups = [("Accuracy", accuracy)]
+    findings = diagnosis.findings if isinstance(diagnosis, Diagnosis) else ()
+    versions = [finding.version for finding in findings if finding.version is not None]
+    comparable = make_comparable(log, fit, versions)
     for joint in fit.joints:
         rows = collect_traverses(joint, log, calibration, fit)
         sweeps, d = [], []
         if log.machine.has_published_geometry:
             sweeps = prismatic_pictures(rows, fit) if joint == 3 else rotary_pictures(rows, fit)
             d = [load_coefficient_picture(coefficients, fit)] if joint == 2 and joint in published else []
-        pictures = [fit_residuals_picture(rows, fit.machine), *sweeps, *d, control_picture(joint, fit)]
+        along = profile_pictures(collect_traverses(joint, log, calibration, comparable.fit), comparable.fit)
+        control = control_picture(joint, comparable.fit, comparable.note)
+        pictures = [fit_residuals_picture(rows, fit.machine), *sweeps, *d, *along, control]
         groups.append((capitalize_first(joint_name(joint, log.machine)), pictures))
     return groups
 

@@ -77,6 +77,7 @@ def test_what_was_put_in_comes_out_and_nothing_else(told):
     assert records["direction", None, None]["levels"] == ["-", "+"]
     assert records["direction", None, None]["low"] < 30.0 < records["direction", None, None]["high"]
     assert records["direction", None, None]["difference"] == pytest.approx(30.0, abs=2.0)
+    assert records.pop(("position", None, None))["F"] is None  # every traverse runs the whole travel
     for (analysis, _, _), record in records.items():
         assert (record["p_holm"] < 0.05) == (analysis != "normal-force"), record
 
@@ -141,7 +142,7 @@ def test_one_joint_and_one_session_can_be_asked_alone(told, log_of_readings, rea
     log = log_of_readings(readings_of(DESIGN))
     found = analyze_variance(log, joint=3, session="Tue")
     assert {each.design.session for each in found.factor_tests} == {"Tue"}
-    assert {each.analysis for each in found.not_testable} == {"day"}
+    assert {each.analysis for each in found.not_testable} == {"day", "position"}
     for wrong in ({"joint": 1}, {"session": "Sunday"}):
         with pytest.raises(InputError, match="no usable traverse of"):
             analyze_variance(log, **wrong)

@@ -37,7 +37,7 @@ def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):
     assert "Keep separate parameters for each direction" in " ".join(out.split())
     records = json.loads((tmp_path / "anova.json").read_text("utf-8"))
     assert all(tuple(record) == RECORD_COLUMNS for record in records)
-    assert {record["analysis"] for record in records} == {"day", "direction", "normal-force"}
+    assert {record["analysis"] for record in records} == {"day", "direction", "normal-force", "position"}
 
 
 def test_a_formula_prints_and_saves_its_table(run, tmp_path):

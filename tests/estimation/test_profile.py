@@ -1,85 +1,99 @@
+"""Sessions over different stretches of a travel: the profile is taken out before they are compared."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize
-from scipy.stats import t as student_t
 
-from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import fit_closed_form, fit_least_squares
-from stickslip_fit.estimation.least_squares import profile_intervals
-from stickslip_fit.logs import read_log
-
-FEW = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -75.0},
-    {"joint": 3, "q2_deg": -30.0, "theta_deg": -20.0},
-    {"joint": 3, "q2_deg": -150.0, "psi_deg": -60.0},
+from stickslip_fit.causes.profile import AlongTravel
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.estimation.prediction import collect_traverses, control_chart
+from stickslip_fit.estimation.profile import (
+    compute_profiles,
+    find_unlike_stretches,
+    make_comparable,
+    profile_factor,
 )
+from stickslip_fit.logs import read_log
+from stickslip_fit.machine import load_machine
+from stickslip_fit.plotting.profile import profile_pictures
+
+MACHINE = '[[joint]]\nkind = "rotary"\nrange_deg = [0, 360]\n'
+DAYS = 9
 
 
-@pytest.fixture(scope="module")
-def log(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("profile") / "log.csv"
-    campaign(settings=FEW, repeatability=0.15, seed=11).to_csv(path, index=False)
-    return read_log(path)
+def true_factor(degrees):
+    return 1.0 + 0.15 * np.sin(np.radians(degrees))
 
 
-def test_ends_are_where_the_best_of_the_others_costs_t_squared(log):
-    """One group's profile by scipy's general minimiser."""
-    result = fit_least_squares(log)
-    table = profile_intervals(log, result)
-    subset = log.usable[(log.usable["session"] == "2012-03-05") & (log.usable["direction"] == "+")]
-    found = result.joints[3].repeatability["+"]
-    counts = subset["steps"].to_numpy() - 2.5
-    sigma = np.hypot(found.value, 5 / np.sqrt(12) / counts)
-    recoil, load = (
-        np.abs(np.cos(subset["q2"])),
-        np.cos(subset["psi"] - subset["q2"]) * np.cos(subset["theta"]),
-    )
+def write_campaign(folder, *, last=(180, 360), shift=1.0, profile=true_factor):
+    """Nine days, the last over a stretch of its own and with steps `shift` times as large."""
+    (folder / "machine.toml").write_text('name = "turntable"\n' + MACHINE, "utf-8")
+    rng = np.random.default_rng(5)
+    lines = ["session,time,joint,direction,steps,check_every,q1_deg,from_deg,to_deg"]
+    for day in range(DAYS):
+        level = 0.06 * np.exp(0.01 * rng.standard_normal()) * (shift if day == DAYS - 1 else 1.0)
+        low, high = last if day == DAYS - 1 else (0, 360)
+        for k in range(24):
+            start = low + (high - 30 - low) * (k // 2 + 0.5) / 12
+            places = start + 30 * (np.arange(200) + 0.5) / 200
+            count = np.mean(1 / profile(places)) * 30 / level * np.exp(0.003 * rng.standard_normal())
+            ends = (start, start + 30) if k % 2 else (start + 30, start)
+            when = f"2012-03-{day + 1:02d}T10:{k:02d}:00Z"
+            way = "+" if k % 2 else "-"
+            lines.append(f"{when[:10]},{when},1,{way},{count:.0f},1,,{ends[0]:.4f},{ends[1]:.4f}")
+    (folder / "log.csv").write_text("\n".join(lines), "utf-8")
+    return read_log(folder / "log.csv", machine=load_machine(folder / "machine.toml"))
 
-    def cost(a, b, c):
-        gamma = ((1 - b * recoil) * (a - c * load) * 1e-6).to_numpy()
-        if np.min(gamma) <= 0:
-            return np.inf
-        return np.sum(((np.log(counts) - np.log(0.012 / gamma)) / sigma) ** 2)
 
-    whole = table[(table["session"] == "2012-03-05") & (table["direction"] == "+")].set_index("name")
-    a, b, c = whole["estimate"] * [1e6, 1.0, 1e6]
-    reach = student_t.ppf(0.975, found.df)
+def alarms(fit):
+    chart = control_chart(fit)
+    return set(chart.loc[chart["surprising"].astype(bool), "session"])
 
-    def excess(value):
-        best = minimize(
-            lambda p: cost(p[0], value, p[1]),
-            [a, c],
-            method="Nelder-Mead",
-            options={"xatol": 1e-9, "fatol": 1e-9},
+
+def test_another_stretch_is_no_alarm_but_a_change_still_is(tmp_path):
+    log = write_campaign(tmp_path)
+    plain = fit_least_squares(log)
+    assert "2012-03-09" in alarms(plain)
+    assert find_unlike_stretches(log) == (1,)
+    comparable = make_comparable(log, plain)
+    assert "2012-03-09" not in alarms(comparable.fit)
+    assert "different stretches of joint 1" in comparable.note
+    changed = write_campaign(tmp_path, shift=0.9)
+    assert "2012-03-09" in alarms(make_comparable(changed, fit_least_squares(changed)).fit)
+
+
+def test_what_a_diagnosis_named_is_taken_out_and_else_nothing_is(tmp_path):
+    log = write_campaign(tmp_path, last=(0, 360))
+    plain = fit_least_squares(log)
+    assert find_unlike_stretches(log) == ()
+    assert make_comparable(log, plain).fit is plain
+    named = make_comparable(log, plain, [AlongTravel()])
+    assert "along-travel, as the diagnosis has it" in named.note
+    assert make_comparable(log, named.fit).fit is named.fit
+
+
+def test_the_profile_is_the_one_that_was_put_in(tmp_path):
+    log = write_campaign(tmp_path, last=(0, 360))
+    fit = fit_least_squares(log, causes=[AlongTravel()])
+    degrees = np.linspace(30, 330, 40)  # the ends of the travel are in one stretch only
+    fitted = profile_factor(fit.joints[1], "+", np.radians(degrees))
+    truth = true_factor(degrees)
+    assert fitted / fitted.mean() == pytest.approx(truth / truth.mean(), abs=0.01)
+    rows = collect_traverses(1, log, fit, fit)
+    for one in compute_profiles(rows, fit):
+        of_truth = true_factor(np.degrees(one.middle))
+        assert one.mean == pytest.approx(
+            of_truth / true_factor(np.degrees(one.position)).mean() - 1, abs=0.02
         )
-        return best.fun - cost(a, b, c) - reach**2
-
-    width = whole.loc["b", "high"] - b
-    assert whole.loc["b", "profile_high"] == pytest.approx(brentq(excess, b, b + 2 * width), rel=1e-3)
-    assert whole.loc["b", "profile_low"] == pytest.approx(brentq(excess, b - 2 * width, b), rel=1e-3)
+    (picture,) = profile_pictures(rows, fit)
+    assert "10.6 % rms" in picture.caption or "10.7 % rms" in picture.caption
 
 
-def test_large_noise_bends_the_intervals_and_small_noise_does_not(campaign, log, tmp_path):
-    assert profile_intervals(log, fit_least_squares(log))["differs"].any()
-    campaign(settings=FEW, seed=11).to_csv(tmp_path / "log.csv", index=False)
-    quiet = read_log(tmp_path / "log.csv")
-    table = profile_intervals(quiet, fit_least_squares(quiet))
-    assert not table["differs"].any()
-    assert table["profile_low"].to_numpy() == pytest.approx(table["low"].to_numpy(), rel=0.01)
-
-
-def test_what_is_not_known_has_no_profile(campaign, tmp_path):
-    campaign(settings=FEW[:1], seed=11).to_csv(tmp_path / "log.csv", index=False)
-    poor = read_log(tmp_path / "log.csv")
-    table = profile_intervals(poor, fit_least_squares(poor)).set_index("name")
-    assert table.loc["a", "profile_low"].notna().all()
-    assert table.loc[["b", "c"], "profile_low"].isna().all()
-    assert not table["differs"].any()
-
-
-def test_only_the_fit_of_this_log_will_do(log):
-    with pytest.raises(InputError, match="least-squares fit of this very log"):
-        profile_intervals(log, fit_closed_form(log))
+def test_without_a_cause_in_position_the_means_alone_are_shown(tmp_path):
+    log = write_campaign(tmp_path, last=(0, 360))
+    fit = fit_least_squares(log)
+    (picture,) = profile_pictures(collect_traverses(1, log, fit, fit), fit)
+    assert "has no cause in position" in picture.caption
+    whole = log.select(np.arange(len(log.rows)) == 0)
+    assert profile_pictures(collect_traverses(1, whole, fit, fit), fit) == []

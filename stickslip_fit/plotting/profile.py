@@ -1,0 +1,107 @@
+"""The figure of the step size along a joint's travel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from stickslip_fit._format import (
+    coordinate_unit,
+    format_direction,
+    format_percent,
+    join_words,
+    joint_name,
+)
+from stickslip_fit.estimation import Result
+from stickslip_fit.estimation.profile import Profile, compute_profiles, has_profile
+from stickslip_fit.machine import Machine
+from stickslip_fit.plotting._style import (
+    DIRECTION_COLOURS,
+    INK,
+    MARKERS,
+    direction_entries,
+    make_figure,
+    make_legend_entry,
+    report_style,
+    set_angle_ticks,
+)
+from stickslip_fit.plotting._svg import Picture, make_picture
+from stickslip_fit.units import from_si
+
+
+def profile_pictures(rows: pd.DataFrame, fit: Result) -> list[Picture]:
+    """The profile of one joint; nothing where it was not driven over several stretches.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        See `collect_traverses`, by `fit`.
+    fit : Result
+    """
+    profiles = compute_profiles(rows, fit)
+    if not profiles:
+        return []
+    joint = int(rows["joint"].iloc[0])
+    fitted = has_profile(fit.joints[joint])
+    title = f"Step size along the travel, {joint_name(joint, fit.machine)}"
+    caption = _write_caption(profiles, joint, fit.machine, fitted=fitted)
+    figure = draw_profiles(profiles, joint, fit.machine, fitted=fitted)
+    return [make_picture(f"profile-{joint}", title, caption, figure)]
+
+
+def _write_caption(profiles: Sequence[Profile], joint: int, machine: Machine, *, fitted: bool) -> str:
+    directions = join_words(
+        [_describe_profile(each, joint, machine, fitted=fitted) for each in profiles], "and"
+    )
+    points = "Points: traverses binned by their middle, relative to the law without causes in position"
+    if fitted:
+        return (
+            f"Along the travel the law's step size varies by {directions}. {points}; bars: one standard "
+            "error. Lines: the profile in the extended law; a traverse averages over its own stretch."
+        )
+    return (
+        f"The law has no cause in position; along the travel bins differ by {directions}, noise included. "
+        f"{points}; bars: one standard error. Long traverses are left out."
+    )
+
+
+def _describe_profile(profile: Profile, joint: int, machine: Machine, *, fitted: bool) -> str:
+    """Rms over the travel and where the extremes are."""
+    values, places = (profile.fitted, profile.position) if fitted else (profile.mean, profile.middle)
+    rms = format_percent(float(np.sqrt(np.mean((values - values.mean()) ** 2))))
+    unit, extremes = coordinate_unit(f"q{joint}", machine), []
+    decimals, beside = (0, "°") if unit == "deg" else (1, f" {unit}")
+    for k in (int(np.argmax(values)), int(np.argmin(values))):
+        where = f"{from_si(float(places[k]), unit):.{decimals}f}{beside}"
+        extremes.append(f"{format_percent(float(values[k]), signed=True)} at {where}")
+    return f"{rms} rms in direction {format_direction(profile.direction)} ({', '.join(extremes)})"
+
+
+def draw_profiles(profiles: Sequence[Profile], joint: int, machine: Machine, *, fitted: bool) -> Figure:
+    """Both directions in one panel."""
+    unit = coordinate_unit(f"q{joint}", machine)
+    with report_style():
+        signs = [profile.direction for profile in profiles]
+        legend = direction_entries(marker="o", label="traverses, direction {}", signs=signs)
+        if fitted:
+            legend.append(make_legend_entry("profile in the extended law", INK, line="-"))
+        figure, axes = make_figure([2.1], 1, legend, top=0.12, bottom=0.45)
+        axis = axes[0, 0]
+        axis.axhline(0.0, color=INK, lw=0.6)
+        for marker, profile in zip(MARKERS, profiles, strict=False):
+            colour = DIRECTION_COLOURS[profile.direction]
+            x, y, bars = from_si(profile.middle, unit), 100 * profile.mean, 100 * profile.error
+            axis.errorbar(x, y, yerr=bars, ls="", marker=marker, color=colour, elinewidth=0.8)
+            if fitted:
+                axis.plot(from_si(profile.position, unit), 100 * profile.fitted, color=colour)
+        low, high = (
+            from_si(end(each.position[k] for each in profiles), unit) for end, k in ((min, 0), (max, -1))
+        )
+        if unit == "deg":
+            set_angle_ticks(axis, low, high, 10)
+        axis.set_xlabel(f"q{joint} ({'°' if unit == 'deg' else unit})")
+        axis.set_ylabel("step size, relative (%)")
+    return figure
