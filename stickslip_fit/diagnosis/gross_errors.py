@@ -21,6 +21,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.diagnosis.noise_shape import estimate_unevenness, fit_skewness, group_rows
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
@@ -41,19 +42,27 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     None where so many rows depart that it is an effect, or where there are too few rows to tell.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
-    own = [part.values.shape[1] - problem.n_shared for part in problem.parts]
+    widths = [part.values.shape[1] - problem.n_shared for part in problem.parts]
     blocks = [len(np.unique(part.block)) for part in problem.parts]
-    if len(problem) - problem.n_shared - int(np.dot(own, blocks)) < MIN_DF:
+    if len(problem) - problem.n_shared - int(np.dot(widths, blocks)) < MIN_DF:
         return nothing
     if fits_exactly(problem.linearize()):
         return nothing
     z, _ = fit_robustly(problem)
-    p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))
+    own = _standardize(z, problem)
+    p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own)))
     rows = np.flatnonzero(p_values < level)
     rows = rows[~_have_company(z, rows, problem)]
     if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), 1.0):
         return nothing
     return Outliers(rows, float(p_values[rows].min()))
+
+
+def _standardize(z: Array, problem: DiagnosisProblem) -> Array:
+    """Residuals in units of the noise of their session or configuration, the long tail of skewed noise drawn in."""
+    own = z / estimate_unevenness(z, group_rows(problem.rows, problem.configuration)).ratio
+    skewness = fit_skewness(own)
+    return own if skewness is None else skewness.symmetrize(own)
 
 
 def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:

@@ -39,6 +39,8 @@ N_STRETCHES = 6  # of each joint's travel
 MIN_SKEW_LOG_RATIO = 8.0  # nats over symmetric noise
 MAX_SKEW = 1.5  # of g; 1 is the log-normal distribution of a standard normal exponent
 MIN_ROWS = 40
+MIN_MEAN_SHIFT = 1.5  # of the mean from the median, times sqrt(n), below which skewness is not looked for
+CLIP = 3.0  # of deviations in that mean
 # Rounded
 MIN_DISTINCT = 10  # counts
 MULTIPLES_SHARE = 0.98  # of the counts, with gross errors among them
@@ -186,6 +188,8 @@ def fit_skewness(deviation: Array) -> Skewness | None:
     if len(deviation) < MIN_ROWS or not unit > 0:
         return None
     z = (deviation - middle) / unit
+    if abs(float(np.clip(z, -CLIP, CLIP).mean())) * np.sqrt(len(z)) < MIN_MEAN_SHIFT:
+        return None
 
     def negative_log(values: Array, df: float, g: float | None = None) -> float:
         location, log_scale = values[:2]
@@ -222,6 +226,34 @@ def _log_skewed(z: Array, location: float, scale: float, g: float, df: float) ->
     # Short tails end; a unit of the noise of the calibration beyond the end is possible all the same.
     log = np.where(inside > 0, _log_student_t(x, df) - g * x - np.log(scale), -np.inf)
     return _contaminate(log, z)
+
+
+@dataclass(frozen=True, eq=False)
+class Quantization:
+    """Responses that are rounded to a spacing; n rows.
+
+    Attributes
+    ----------
+    phase : array, shape (n,)
+        Expected responses in units of the spacing, counted from a value that occurs.
+    spacing : array, shape (n,)
+        In units of each response's standard deviation, rounding included; 0 where there is no rounding.
+    """
+
+    phase: Array
+    spacing: Array
+
+    def round(self, noise: Array) -> Array:
+        """Noise of variance 1, shape (n, k), as responses rounded to the spacing depart with it.
+
+        Replicates of short traverses are all rounded the same way: their errors are far from independent.
+        """
+        coarse = self.spacing > 0
+        spacing, phase = self.spacing[coarse, None], self.phase[coarse, None]
+        own = noise[coarse] * np.sqrt(np.maximum(1.0 - spacing**2 / 12.0, 0.0))
+        rounded = noise.copy()
+        rounded[coarse] = spacing * (np.round(phase + own / spacing) - phase)
+        return rounded
 
 
 def find_count_spacing(

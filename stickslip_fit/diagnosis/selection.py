@@ -121,7 +121,7 @@ def select_causes(
             following = first_of_pair(problem, selected, last) or following
         support = assess_support(linearized, last, following.cause)
         if support.too_narrow:
-            influential = support.outlying
+            influential = support.outlying if problem.skewness is None else influential
             following = make_selected(last, form_cause_set(last, UNKNOWN))
         selected.append(following)
         if following.cause == UNKNOWN:
@@ -182,8 +182,11 @@ def _reestimate_noise(
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     noise = problem.estimate_noise(linearized, left)
     problem = problem.with_noise(noise)
-    max_ratio = noise.heteroscedasticity.max_ratio / problem.noise_ratio
-    return problem, problem.linearize(), left.residual * linearized.scale / problem.scale / max_ratio
+    max_ratio = noise.heteroscedasticity.max_ratio / noise.heteroscedasticity.ratio
+    residual = left.residual * linearized.scale / problem.scale / max_ratio
+    if problem.skewness is not None:
+        residual = problem.skewness.symmetrize(residual)
+    return problem, problem.linearize(), residual
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
