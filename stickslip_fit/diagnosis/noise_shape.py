@@ -162,14 +162,12 @@ class Skewness:
     scale: float
 
     def symmetrize(self, deviation: Array) -> Array:
-        """The symmetric x of each deviation, but for its location; beyond the short tail's end linear."""
+        """Deviations from the location, those in the long tail as long as symmetric noise would have them.
+
+        The short tail stays as it is: the uncertainty of a fit blurs where it ends.
+        """
         u = (deviation - self.location) / self.scale
-        inside = np.maximum(1.0 + self.g * u, SHORT_TAIL)
-        x = np.log(inside) / self.g + (u - (inside - 1.0) / self.g) / SHORT_TAIL
-        return np.asarray(x * self.scale)
-
-
-SHORT_TAIL = 0.05  # of 1 + g u, below which the transformation goes on as a straight line
+        return np.asarray(np.where(self.g * u > 0, np.log1p(np.maximum(self.g * u, 0.0)) / self.g, u))
 
 
 def fit_skewness(deviation: Array) -> Skewness | None:
