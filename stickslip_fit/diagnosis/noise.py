@@ -177,7 +177,7 @@ def estimate_noise(
 def _estimate_unevenness(deviation: Array, cell: IntArray, groupings: Mapping[str, IntArray]) -> Unevenness:
     """From deviations from the means of replicates, which weigh rows as noisy as they are."""
     first = estimate_unevenness(_subtract_cell_means(deviation, cell), groupings)
-    if not first.carriers:
+    if np.all(first.ratio == 1.0):
         return first
     within = first.ratio * _subtract_cell_means(deviation / first.ratio, cell, first.ratio)
     return estimate_unevenness(within, groupings)

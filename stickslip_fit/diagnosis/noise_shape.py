@@ -6,7 +6,8 @@ noise as assumed has any.
 
 - Uneven: standard deviations by session, configuration or stretch of the travel that differ by more than a
   factor of two. Their distribution over the groups is estimated nonparametrically (J. Kiefer and
-  J. Wolfowitz, Ann. Math. Stat. 27:887, 1956), once without limits and once within a factor of two.
+  J. Wolfowitz, Ann. Math. Stat. 27:887, 1956), once without limits and once as assumed: within a factor of
+  two between configurations, the same in all sessions.
 - Skewed: a transformation x = log(1 + g u) / g of the standardised residuals u to symmetry (D. C. Hoaglin in
   Exploring Data Tables, Trends and Shapes, 1985, ch. 11) that is likelier than none.
 - Rounded: almost all counts are multiples of more steps than there are between two checks of the end stop.
@@ -30,7 +31,11 @@ CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likeli
 TAIL_DF = (5.0, 200.0)  # of Student t noise
 # Uneven
 RELATIVE_SDS = 2.0 ** np.arange(-3.0, 4.01, 0.25)
-STEPS_AS_ASSUMED = 5  # of this grid: a factor of 2.4, of which a factor of two falls short wherever it lies
+# Steps of this grid within which noise may differ and be as assumed. Between configurations that is a factor of
+# 2.4, of which a factor of two falls short wherever it lies; between sessions none.
+STEPS_AS_ASSUMED = {"session": 0}
+MANY_STEPS_AS_ASSUMED = 5
+MIN_RATIO = 2.0  # of the largest to the smallest standard deviation, for noise to be called uneven
 MIN_UNEVEN_LOG_RATIO = 8.0  # nats over standard deviations within that factor
 MAX_ROUNDS, EM_STEPS = 3, 40
 MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
@@ -51,14 +56,14 @@ MAX_SPACING_SHARE = 0.25  # of the median count
 
 @dataclass(frozen=True, eq=False)
 class Unevenness:
-    """Standard deviations that differ by more than a factor of two; n rows.
+    """Standard deviations that differ more than assumed; n rows.
 
     Attributes
     ----------
     ratio : array, shape (n,)
         Of each row's standard deviation to that of all rows; 1 where the noise is as assumed.
     carriers : tuple of str
-        What the rows with larger noise have in common, by the name of the grouping.
+        What rows with more than twice the noise of others have in common, by the name of the grouping.
     """
 
     ratio: Array
@@ -82,7 +87,7 @@ def group_rows(rows: pd.DataFrame, configuration: IntArray) -> dict[str, IntArra
 
 
 def estimate_unevenness(deviation: Array, groupings: Mapping[str, IntArray]) -> Unevenness:
-    """Estimate by how much noise differs between groups, where that is clearly more than a factor of two.
+    """Estimate by how much noise differs between groups, where that is clearly more than assumed.
 
     `deviation`, shape (n,), are residuals in units of the noise of all rows.
 
@@ -94,18 +99,23 @@ def estimate_unevenness(deviation: Array, groupings: Mapping[str, IntArray]) -> 
     >>> found.carriers, float(round(found.ratio[-1] / found.ratio[0]))
     (('session',), 6.0)
     """
-    ratio, carriers = np.ones(len(deviation)), []
+    ratio, carriers, remaining = np.ones(len(deviation)), [], dict(groupings)
     for _ in range(MAX_ROUNDS):
         middle = np.median(np.abs(deviation / ratio)) / 0.6745
         if not middle > 0:
             break
         density = np.stack([_log_density(deviation / ratio / middle, sd) for sd in RELATIVE_SDS], axis=1)
-        fits = {name: _fit_sds(density, labels) for name, labels in groupings.items() if name not in carriers}
+        fits = {
+            name: _fit_sds(density, labels, STEPS_AS_ASSUMED.get(name, MANY_STEPS_AS_ASSUMED))
+            for name, labels in remaining.items()
+        }
         best = max(fits, key=lambda name: fits[name][0], default=None)
         if best is None or fits[best][0] < MIN_UNEVEN_LOG_RATIO:
             break
-        carriers.append(best)
-        ratio = ratio * fits[best][1][groupings[best]]
+        sds = fits[best][1]
+        ratio = ratio * sds[remaining.pop(best)]
+        if sds.max() > MIN_RATIO * sds.min():
+            carriers.append(best)
     return Unevenness(ratio / np.exp(np.mean(np.log(ratio))), tuple(carriers))
 
 
@@ -124,13 +134,13 @@ def _log_student_t(x: Array, df: float) -> Array:
     return constant - (df + 1.0) / 2.0 * np.log1p(x**2 / df)
 
 
-def _fit_sds(log_density: Array, labels: IntArray) -> tuple[float, Array]:
-    """Log likelihood ratio of free standard deviations to ones within a factor, and each group's own."""
+def _fit_sds(log_density: Array, labels: IntArray, steps: int) -> tuple[float, Array]:
+    """Log likelihood ratio of free standard deviations to ones within some steps, and each group's own."""
     number = int(labels.max()) + 1
     log = np.stack([np.bincount(labels, column, number) for column in log_density.T], axis=1)
     likelihood = np.exp(log - log.max(axis=1, keepdims=True))
     free, weight = _mixture(likelihood)
-    width = STEPS_AS_ASSUMED + 1
+    width = steps + 1
     windows = [likelihood[:, first : first + width] for first in range(log.shape[1] - width + 1)]
     posterior = likelihood * weight
     precision = posterior @ RELATIVE_SDS**-2.0 / posterior.sum(axis=1)

@@ -177,11 +177,15 @@ def _reestimate_noise(
     The residuals are in units of the largest noise that their configuration may have. `effects` are as of
     `assess_residuals`.
     """
-    linearized = problem.linearize()
-    misfit = compute_evidence(linearized, problem, effects=effects)
-    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
-    noise = problem.estimate_noise(linearized, left)
-    problem = problem.with_noise(noise)
+    for _ in range(2):
+        linearized = problem.linearize()
+        misfit = compute_evidence(linearized, problem, effects=effects)
+        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+        noise = problem.estimate_noise(linearized, left)
+        problem = problem.with_noise(noise)
+        if np.all(noise.unevenness.ratio == 1.0):
+            break
+        # What looked like structure may be where the noise is large.
     max_ratio = noise.heteroscedasticity.max_ratio / noise.heteroscedasticity.ratio
     residual = left.residual * linearized.scale / problem.scale / max_ratio
     if problem.skewness is not None:
