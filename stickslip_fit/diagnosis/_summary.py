@@ -32,6 +32,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
 from stickslip_fit.causes import EndStopMisfire, SizedParameter
 from stickslip_fit.causes.parameters import plain_description
+from stickslip_fit.diagnosis._noise_summary import describe_noise
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -76,12 +77,14 @@ def _cause(finding: Finding) -> Any:
 def write_headline(diagnosis: Diagnosis) -> list[str]:
     """Sentences: what is wrong, what to do about it, then what else is wrong."""
     if not diagnosis.findings:
-        return [_describe_no_misfit(diagnosis), describe_untestable(diagnosis)]
+        noise = describe_noise(diagnosis)
+        return [_describe_no_misfit(diagnosis), *noise, describe_untestable(diagnosis)]
     first, *others = diagnosis.findings
     return [
         f"{_describe_finding(first, diagnosis)}.",
         _describe_gain(first, diagnosis),
         *(_describe_side_effects(finding) for finding in others),
+        *describe_noise(diagnosis),
     ]
 
 

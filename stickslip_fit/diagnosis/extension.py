@@ -82,7 +82,16 @@ def assess_residuals(
         effects = compute_finite_effects(linearized, causes)
     factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
     hypotheses = [*build_candidates(linearized, effects), *problem.alternatives(linearized)]
-    return compute_misfit(linearized, hypotheses, factor * n_bootstrap, rng, max_exceedances, factor)
+    return compute_misfit(
+        linearized,
+        hypotheses,
+        factor * n_bootstrap,
+        rng,
+        max_exceedances,
+        factor,
+        skewed=problem.skewness is not None,
+        quantization=problem.quantization(linearized),
+    )
 
 
 def extend_problem(

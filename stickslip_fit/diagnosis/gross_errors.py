@@ -21,6 +21,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.diagnosis.noise_shape import estimate_unevenness, fit_skewness, group_rows
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
@@ -29,6 +30,8 @@ TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale
 MAX_PASSES, WEIGHT_TOL = 25, 0.05
 SUSPECT_Z, NO_WEIGHT = 10.0, 1e-6  # in the fit of the whole campaign; weight in that of each session
+RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
+PRIOR_DF = 4.0  # of the usual noise, for that of one block
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE = 0.05  # of the rows; more are an effect
 NEIGHBOURS = 2  # traverses before and after in time
@@ -41,19 +44,67 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     None where so many rows depart that it is an effect, or where there are too few rows to tell.
     """
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
-    own = [part.values.shape[1] - problem.n_shared for part in problem.parts]
+    widths = [part.values.shape[1] - problem.n_shared for part in problem.parts]
     blocks = [len(np.unique(part.block)) for part in problem.parts]
-    if len(problem) - problem.n_shared - int(np.dot(own, blocks)) < MIN_DF:
+    if len(problem) - problem.n_shared - int(np.dot(widths, blocks)) < MIN_DF:
         return nothing
     if fits_exactly(problem.linearize()):
         return nothing
-    z, _ = fit_robustly(problem)
-    p_values = np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(z)))
-    rows = np.flatnonzero(p_values < level)
+    z, parts = fit_robustly(problem)
+    uneven = estimate_unevenness(z, group_rows(problem.rows, problem.configuration))
+    ratio = np.maximum(uneven.ratio, 1.0)
+    skewness = fit_skewness(z / ratio)
+
+    def compute_p_values(deviation: Array) -> Array:
+        own = deviation if skewness is None else skewness.symmetrize(deviation)
+        return np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own)))
+
+    rows = np.flatnonzero(compute_p_values(z / ratio) < level)
     rows = rows[~_have_company(z, rows, problem)]
+    # A robust fit with few rows for each parameter runs through most of them, and far from the others.
+    p_values = np.ones(len(problem))
+    p_values[rows] = compute_p_values(_deviation_from_others(problem, parts, ratio, rows))
+    rows = rows[p_values[rows] < level]
     if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), 1.0):
         return nothing
     return Outliers(rows, float(p_values[rows].min()))
+
+
+def _deviation_from_others(
+    problem: DiagnosisProblem, parts: Sequence[LawBlock], ratio: Array, rows: IntArray
+) -> Array:
+    """How far rows are from what the other rows of their block predict by least squares.
+
+    In units of the standard deviation of that difference, with the uncertainty of the prediction, and the noise
+    that the others have by their residuals, shrunk towards the usual. That is `ratio` times as large in each
+    row, shape (n,). Where the others do not determine the prediction, it is that of `parts`.
+    """
+    z, slopes = np.empty(len(problem)), {}
+    for part in parts:
+        predicted, own = part.law.model(problem.rows.iloc[part.rows])(part.values)
+        z[part.rows] = problem.responses[part.rows] - predicted
+        slopes |= dict(zip(part.rows.tolist(), own[:, : own.shape[1] - problem.n_shared], strict=True))
+    scale = _robust_scale(z, problem.noise_group) * ratio
+    z /= scale
+    deviation = z[rows].copy()
+    for part in parts:
+        for block in np.unique(part.block[np.isin(part.rows, rows)]):
+            every = part.rows[part.block == block]
+            others = np.setdiff1d(every, rows)
+            jacobian = np.stack([slopes[row] / scale[row] for row in every])
+            jacobian /= np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
+            known = ~np.isin(every, rows)
+            if np.linalg.matrix_rank(jacobian[known], RANK_TOL) < np.linalg.matrix_rank(jacobian, RANK_TOL):
+                continue
+            inverse = np.linalg.pinv(jacobian[known], RANK_TOL)
+            weights = jacobian[~known] @ inverse
+            difference = z[every[~known]] - weights @ z[others]
+            left = z[others] - jacobian[known] @ (inverse @ z[others])
+            df = len(others) - np.linalg.matrix_rank(jacobian[known], RANK_TOL)
+            variance = max((PRIOR_DF + float(left @ left)) / (PRIOR_DF + df), 1.0)
+            sizes = difference / np.sqrt(variance * (1.0 + np.sum(weights**2, axis=1)))
+            deviation[np.searchsorted(rows, every[~known])] = sizes
+    return deviation
 
 
 def fit_robustly(problem: DiagnosisProblem) -> tuple[Array, tuple[LawBlock, ...]]:

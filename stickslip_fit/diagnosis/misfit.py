@@ -11,7 +11,8 @@ would inflate it, so the best hypothesis is subtracted first; residuals are divi
 as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985). A wild bootstrap keeps
 the largest residuals where they are; in small logs with heavy tails their places look like structure about
 twice as often as the p-value says. So where it comes out small, Student t noise with tails as heavy as the
-residuals' is simulated, too, and the larger p-value counts.
+residuals' is simulated, too, and the larger p-value counts. Where the noise is clearly skewed, residuals drawn
+with replacement take its place; where counts are coarsely rounded, the simulated ones are rounded likewise.
 
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
@@ -43,6 +44,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     sum_lags,
 )
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
@@ -55,6 +57,7 @@ TAIL_DF = (MIN_TAIL_DF, 8.0, 15.0, 200.0)  # of which one is simulated as well
 # Student t noise cannot change the answer where the bootstrap's p-value is above this, or where the statistic
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
+SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
 BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and residuals in them
 
@@ -234,11 +237,15 @@ def compute_misfit(
     rng: np.random.Generator,
     max_exceedances: int | None = None,
     p_value_factor: float = 1.0,
+    *,
+    skewed: bool = False,
+    quantization: Quantization | None = None,
 ) -> Misfit:
     """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
 
     After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P. Clifford,
-    Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`.
+    Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
+    `quantization`, is simulated as such.
     """
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
@@ -266,12 +273,19 @@ def compute_misfit(
         left = remove_structure(linearized.residual, hypotheses, own)
         wild = _make_wild_sampler(linearized, left, rng)
         null, share = simulate(wild or _make_student_sampler(linearized, rng), n_bootstrap)
-        doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE
+        doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
             kept = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
-            df = _estimate_tail_df(left.residual / kept)
-            heavy_tailed, its_share = simulate(_make_student_sampler(linearized, rng, df), number)
+            standardized = left.residual / kept
+            sampler = (
+                _make_resampler(standardized, rng)
+                if skewed
+                else _make_student_sampler(linearized, rng, _estimate_tail_df(standardized))
+            )
+            if quantization is not None:
+                sampler = _make_rounding_sampler(sampler, quantization)
+            heavy_tailed, its_share = simulate(sampler, number)
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
@@ -297,7 +311,24 @@ def _make_wild_sampler(
 def _make_student_sampler(
     linearized: LinearizedFit, rng: np.random.Generator, df: float = MIN_TAIL_DF
 ) -> NoiseSampler:
-    return lambda number: rng.standard_t(df, (len(linearized), number))
+    unit = np.sqrt((df - 2.0) / df)
+    return lambda number: unit * rng.standard_t(df, (len(linearized), number))
+
+
+def _make_resampler(residual: Array, rng: np.random.Generator) -> NoiseSampler:
+    """Noise as skewed as residuals, shape (n,): drawn from them with replacement, slightly smoothed."""
+    centred = residual - residual.mean()
+    centred /= np.sqrt(np.mean(centred**2))
+
+    def draw(number: int) -> Array:
+        shape = (len(centred), number)
+        return rng.choice(centred, shape) + SMOOTHING_SD * rng.standard_normal(shape)
+
+    return draw
+
+
+def _make_rounding_sampler(sampler: NoiseSampler, quantization: Quantization) -> NoiseSampler:
+    return lambda number: quantization.round(sampler(number))
 
 
 def _estimate_tail_df(residual: Array) -> float:

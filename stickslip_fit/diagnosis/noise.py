@@ -9,6 +9,7 @@ residuals allows (R. L. Berger and D. D. Boos, J. Am. Stat. Assoc. 89:1012, 1994
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -18,6 +19,13 @@ from scipy.special import chdtrc, poch, stdtrit
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
+from stickslip_fit.diagnosis.noise_shape import (
+    Skewness,
+    Unevenness,
+    estimate_unevenness,
+    fit_skewness,
+    group_rows,
+)
 
 # Heteroscedasticity
 MIXTURE_TAIL_DF = (5.0, 200.0)  # of Student t noise
@@ -117,10 +125,21 @@ class NoiseEstimate:
     sd : array
         Standard deviation of each drive's responses in quiet configurations, without rounding.
     heteroscedasticity : Heteroscedasticity
+        Of configurations, beside `unevenness`.
+    unevenness : Unevenness
+    skewness : Skewness or None
+        Of responses in units of their standard deviation; None where it is not clear.
     """
 
     sd: Array
     heteroscedasticity: Heteroscedasticity
+    unevenness: Unevenness
+    skewness: Skewness | None
+
+    @property
+    def ratio(self) -> Array:
+        """Standard deviation of each row relative to that of its drive, shape (n,)."""
+        return self.unevenness.ratio * self.heteroscedasticity.ratio
 
 
 def estimate_noise(
@@ -140,26 +159,54 @@ def estimate_noise(
     free = np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE)
     scale = np.sqrt(_estimate_drive_sd(deviation, free, rounding, drive, least_sd)[drive] ** 2 + rounding)
     cell = kind * (drive.max() + 1) + drive
-    uneven = estimate_heteroscedasticity(_subtract_cell_means(deviation / scale / np.sqrt(free), cell), kind)
-    ratio = uneven.ratio
-    sd = _estimate_drive_sd(deviation / ratio, free, rounding / ratio**2, drive, least_sd)
-    return NoiseEstimate(sd, uneven)
+    standardized = deviation / scale / np.sqrt(free)
+    uneven, skewness = Unevenness(np.ones(len(deviation))), None
+    if linearized.noise_filter is None:
+        uneven = _estimate_unevenness(standardized, cell, group_rows(linearized.rows, kind))
+        skewness = fit_skewness(standardized / uneven.ratio)
+    noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
+    ratio = uneven.ratio * noisy.ratio
+    most = np.inf if skewness else MAX_MEDIANS
+    sd = _estimate_drive_sd(deviation / ratio, free, rounding / ratio**2, drive, least_sd, most)
+    if skewness:
+        scale = np.sqrt((sd[drive] * ratio) ** 2 + rounding)
+        skewness = fit_skewness(deviation / scale / np.sqrt(free))
+    return NoiseEstimate(sd, noisy, uneven, skewness)
 
 
-def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:
-    """Deviations from the mean of replicates, so that a systematic effect does not count as noise."""
-    rows = np.bincount(cell)
-    mean = np.bincount(cell, np.clip(deviation, -CLIP_SD, CLIP_SD)) / np.maximum(rows, 1)
-    within = (deviation - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
+def _estimate_unevenness(deviation: Array, cell: IntArray, groupings: Mapping[str, IntArray]) -> Unevenness:
+    """From deviations from the means of replicates, which weigh rows as noisy as they are."""
+    first = estimate_unevenness(_subtract_cell_means(deviation, cell), groupings)
+    if np.all(first.ratio == 1.0):
+        return first
+    within = first.ratio * _subtract_cell_means(deviation / first.ratio, cell, first.ratio)
+    return estimate_unevenness(within, groupings)
+
+
+def _subtract_cell_means(deviation: Array, cell: IntArray, ratio: Array | float = 1.0) -> Array:
+    """Deviations from the mean of replicates, so that a systematic effect does not count as noise.
+
+    They are in units of each row's noise, which is `ratio` times the usual.
+    """
+    rows, size = np.bincount(cell), np.broadcast_to(ratio, deviation.shape)
+    weight = np.bincount(cell, size**-2.0)
+    mean = np.bincount(cell, np.clip(deviation, -CLIP_SD, CLIP_SD) / size) / np.where(weight > 0, weight, 1.0)
+    free = 1.0 - size**-2.0 / weight[cell]
+    within = (deviation - mean[cell] / size) / np.sqrt(np.where(free > 0, free, 1.0))
     return np.where(rows[cell] >= MIN_CELL_ROWS, within, deviation)
 
 
 def _estimate_drive_sd(
-    deviation: Array, free: Array, rounding: Array, drive: IntArray, least_sd: float
+    deviation: Array,
+    free: Array,
+    rounding: Array,
+    drive: IntArray,
+    least_sd: float,
+    max_medians: float = MAX_MEDIANS,
 ) -> Array:
     number, size = int(drive.max()) + 1, np.abs(deviation)
     median = np.array([np.median(size[drive == k]) if np.any(drive == k) else np.inf for k in range(number)])
-    squares = np.minimum(size, MAX_MEDIANS * np.maximum(median, least_sd)[drive]) ** 2
+    squares = np.minimum(size, max_medians * np.maximum(median, least_sd)[drive]) ** 2
     df = np.bincount(drive, free, number)
     pooled = max(float(squares.sum() / max(df.sum(), 1.0) - rounding.mean()), least_sd**2)
     rows = np.maximum(np.bincount(drive, minlength=number), 1)

@@ -33,6 +33,7 @@ from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.experiments import next_experiment
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.gross_errors import (
     find_gross_errors,
     restore_rows,
@@ -163,7 +164,21 @@ def diagnose_problem(
         seconds=time.perf_counter() - began,
         selection=selection,
         aliased_causes=find_aliased_causes(selection.first_misfit),
+        noise_properties=_noise_properties(selection, findings),
     )
+
+
+def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tuple[str, ...]:
+    """In which the noise is not as assumed."""
+    problem = selection.problem
+    present = {
+        "memory": any(one.cause == UNKNOWN and one.carrier.startswith("memory") for one in findings),
+        "skewed": problem.skewness is not None,
+        "rounded": problem.spacing is not None,
+        "gross errors": any(one.cause == MISFIRE for one in findings),
+        "uneven": len(problem.uneven) > 0,
+    }
+    return tuple(name for name, is_present in present.items() if is_present)
 
 
 NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"

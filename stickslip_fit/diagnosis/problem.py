@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
+from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.laws import Laws
@@ -79,6 +80,12 @@ class DiagnosisProblem:
         Whether rows with gross errors were set aside, chosen by the residuals.
     least_sd : float
         Least standard deviation of the noise: with less, the law fits to within rounding.
+    spacing : array, shape (n,), or None
+        Of responses that are rounded more coarsely than the rows say, 0 of others; None if there are none.
+    uneven : tuple of str
+        What the rows have in common whose noise is more than twice as large as others'.
+    skewness : Skewness or None
+        Of the noise, in units of its standard deviation; None where it is not clear.
     """
 
     rows: pd.DataFrame
@@ -97,6 +104,9 @@ class DiagnosisProblem:
     n_refits: int = 0
     trimmed: bool = False
     least_sd: float = MIN_SD
+    spacing: Array | None = None
+    uneven: tuple[str, ...] = ()
+    skewness: Skewness | None = None
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -171,7 +181,21 @@ class DiagnosisProblem:
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
         """The same problem with other noise."""
-        return replace(self, repeatability=noise.sd, noise_ratio=noise.heteroscedasticity.ratio)
+        return replace(
+            self,
+            repeatability=noise.sd,
+            noise_ratio=noise.ratio,
+            uneven=noise.unevenness.carriers,
+            skewness=noise.skewness,
+        )
+
+    def quantization(self, linearized: LinearizedFit) -> Quantization | None:
+        """The coarse rounding of the responses about a fit; None where there is none."""
+        if self.spacing is None:
+            return None
+        expected = self.responses - linearized.unwhiten(linearized.residual)
+        departure = (expected - self.responses) / np.where(self.spacing > 0, self.spacing, np.inf)
+        return Quantization(departure, self.spacing / self.scale)
 
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.
@@ -224,6 +248,7 @@ class DiagnosisProblem:
         smaller = replace(
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
+            spacing=None if self.spacing is None else self.spacing[kept],
             rows=self.rows.iloc[kept].reset_index(drop=True),
             parts=tuple(parts),
             **{
@@ -267,6 +292,11 @@ def problem_from_log(
         drive[places] = 2 * number + backwards[places]
         parts.append(LawBlock(fit.law, places, block, fit.values[block]))
         repeatability += [fit.repeatability[direction].value for direction in "+-"]
+    steps = rows["steps"].to_numpy(float)
+    spacing = find_count_spacing(
+        steps, rows["check_every"].to_numpy(float), rows["session"].to_numpy(object), rows["joint"].to_numpy()
+    )
+    rounding = np.where(spacing > 0, (spacing / steps) ** 2 / 12.0, rounding)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
@@ -280,5 +310,6 @@ def problem_from_log(
         alternatives=build_unstructured_alternatives,
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
+        spacing=spacing / steps if spacing.any() else None,
     )
     return problem, missing

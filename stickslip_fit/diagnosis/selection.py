@@ -121,7 +121,7 @@ def select_causes(
             following = first_of_pair(problem, selected, last) or following
         support = assess_support(linearized, last, following.cause)
         if support.too_narrow:
-            influential = support.outlying
+            influential = support.outlying if problem.skewness is None else influential
             following = make_selected(last, form_cause_set(last, UNKNOWN))
         selected.append(following)
         if following.cause == UNKNOWN:
@@ -177,13 +177,20 @@ def _reestimate_noise(
     The residuals are in units of the largest noise that their configuration may have. `effects` are as of
     `assess_residuals`.
     """
-    linearized = problem.linearize()
-    misfit = compute_evidence(linearized, problem, effects=effects)
-    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
-    noise = problem.estimate_noise(linearized, left)
-    problem = problem.with_noise(noise)
-    max_ratio = noise.heteroscedasticity.max_ratio / problem.noise_ratio
-    return problem, problem.linearize(), left.residual * linearized.scale / problem.scale / max_ratio
+    for _ in range(2):
+        linearized = problem.linearize()
+        misfit = compute_evidence(linearized, problem, effects=effects)
+        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+        noise = problem.estimate_noise(linearized, left)
+        problem = problem.with_noise(noise)
+        if np.all(noise.unevenness.ratio == 1.0):
+            break
+        # What looked like structure may be where the noise is large.
+    max_ratio = noise.heteroscedasticity.max_ratio / noise.heteroscedasticity.ratio
+    residual = left.residual * linearized.scale / problem.scale / max_ratio
+    if problem.skewness is not None:
+        residual = problem.skewness.symmetrize(residual)
+    return problem, problem.linearize(), residual
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:

@@ -78,7 +78,7 @@ def make_campaign(design: str, noise: str, seed: int, replicate: int = 0) -> Cam
         before=_before(plan),
         steps_before=_steps_before(plan.joint, counts),
         repeatability=repeatability(plan, noise, stream(seed, "repeatability")),
-        innovations=innovations(noise, len(counts), stream(seed, f"noise {replicate}")),
+        innovations=innovations(noise, plan, stream(seed, f"noise {replicate}")),
     )
 
 

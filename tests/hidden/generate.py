@@ -23,7 +23,7 @@ from tests.hidden.campaign import Campaign, make_campaign
 from tests.hidden.catalogue import CAUSES, EFFECTS
 from tests.hidden.conditions import decoy
 from tests.hidden.effect import Effect, change, expected
-from tests.hidden.noise import seen
+from tests.hidden.noise import seen, written
 from tests.hidden.physics import Array
 from tests.hidden.seeds import stream
 from tests.hidden.strength import Ruler
@@ -107,7 +107,8 @@ def hide(
         Names of `catalogue.EFFECTS`; none for a log in which nothing is wrong.
     strength : float or sequence of float, optional
         Of each effect alone; the largest plausible size where none is given. See `strength`.
-    noise : {'gaussian', 't5', 'uneven'}
+    noise : str
+        One of `noise.KINDS` or `noise.OTHER_KINDS`.
     decoys : sequence of str
         Kinds of `conditions.DECOYS`; they become columns ``sensor_1``, ``sensor_2``, ...
     seed : int
@@ -133,7 +134,8 @@ def hide(
     counts = expected(campaign, [(act.effect, act.size) for act in acts])
     if np.any(np.isnan(counts)):
         raise UnreachableError(f"with {', '.join(effects)} at work a joint comes to a halt")
-    steps = seen(counts * np.exp(campaign.repeatability * campaign.innovations), CHECK_EVERY)
+    stops = seen(counts * np.exp(campaign.repeatability * campaign.innovations), CHECK_EVERY)
+    steps = written(stops, noise)
     columns = {
         f"sensor_{number}": _decoy(campaign, kind, number, seed) for number, kind in enumerate(decoys, 1)
     }

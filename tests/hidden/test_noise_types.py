@@ -1,0 +1,65 @@
+"""Noise that is not as assumed is called what it is, and no physical cause is blamed for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.noise_types import GROSS, NO_CAUSE, TYPES, answer, coverage, findings, make
+from stickslip_fit.diagnosis.gross_errors import find_gross_errors
+from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.logs import read_log
+from tests.hidden.noise import KINDS
+
+LEVEL = 2.5e-4
+EXPECTED = {  # findings and noise properties; logs of one session, but for noise that differs between sessions
+    "memory": (("unknown",), ("memory",)),
+    "skewed": ((), ("skewed",)),
+    "rounded": ((), ("rounded",)),
+    "sessions": ((), ("uneven",)),
+    GROSS: (("end-stop-misfire",), ("gross errors",)),
+}
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("skewed", 3), ("rounded", 0), ("sessions", 5), (GROSS, 0)])
+def test_noise_is_called_what_it_is(kind, seed):
+    assert findings(kind, seed) == EXPECTED[kind]
+
+
+def test_the_noisy_session_is_named_in_the_text():
+    hidden = make("sessions", 5)
+    noisy = hidden.campaign.plan.session == hidden.campaign.plan.session[hidden.campaign.repeatability.argmax()]
+    (name,) = hidden.table["session"][noisy].unique()
+    assert f" times as large in session {name} as in others" in str(answer(hidden, 5))
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("skewed", 2), ("skewed", 5), ("sessions", 3), ("sessions", 5)])
+def test_large_noise_in_small_sessions_is_no_gross_error(kind, seed, tmp_path):
+    """A robust fit runs through most rows of a session with few, and far from the others."""
+    make(kind, seed).write(tmp_path / "log.csv")
+    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"), ())
+    assert not len(find_gross_errors(problem, LEVEL).rows)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", TYPES)
+def test_noise_is_blamed_on_no_cause(kind):
+    answers = [findings(kind, seed) for seed in range(1000, 1200)]
+    physical = sum(bool(set(causes) - NO_CAUSE) for causes, _ in answers)
+    right = sum(causes == EXPECTED.get(kind, ((), ()))[0] for causes, _ in answers)
+    assert physical <= 0.02 * len(answers), answers
+    assert right >= 0.9 * len(answers), answers
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_as_assumed_has_no_property(kind):
+    answers = [findings(kind, seed) for seed in range(2000, 2200)]
+    assert sum(bool(properties) for _, properties in answers) <= 0.02 * len(answers), answers
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", TYPES)
+def test_the_size_of_an_effect_is_known_whatever_the_noise(kind):
+    scores = [coverage(kind, seed, "thermal-warm-up", 12.0) for seed in range(3000, 3100)]
+    inside = [one for _, one in scores if one is not None]
+    assert sum(inside) >= 0.88 * len(inside)
