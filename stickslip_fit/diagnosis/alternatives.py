@@ -19,6 +19,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import (
     LinearizedFit,
 )
+from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.history import previous_rows
 from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.units import PRISMATIC
@@ -42,6 +43,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
         for name, columns in (*_configuration_indicators(rows), *_harmonics(rows))
     ]
+    hypotheses += build_smooth_alternatives(linearized)
     if not has_times(rows):
         return [one for one in hypotheses if one is not None]
     seconds = rows["session_seconds"].to_numpy(float)

@@ -68,7 +68,7 @@ class HypothesisBatch:
     groups : tuple of DirectionGroup
     explained_share : sparse array, shape (S len(STRENGTHS), m)
         Of the square along each direction, in the order of `groups`: what each of S subspace hypotheses
-        explains of it at each strength.
+        explains of it at each strength. Hypotheses may share directions.
     log_spread : array, shape (S len(STRENGTHS),)
         Log of the prior variance of the residuals over that of the noise.
     ar1s : tuple of AR1
@@ -134,12 +134,15 @@ def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> Hypothe
     share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
     signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
     row = owner[:, None] * n_strengths + np.arange(n_strengths)
-    column = np.broadcast_to(np.arange(len(share))[:, None], row.shape)
+    first = np.cumsum([0, *(len(group.directions) for group in groups)])
+    columns = [k + group.index for k, group in zip(first, groups, strict=False)]
+    column = np.concatenate([np.zeros(0, dtype=np.intp), *columns])
+    column = np.broadcast_to(column[:, None], row.shape)
     size = len(subspaces) * n_strengths
     entries = (signal / (1.0 + signal)).ravel(), (row.ravel(), column.ravel())
     return HypothesisBatch(
         groups,
-        csr_array(entries, shape=(size, len(share))),
+        csr_array(entries, shape=(size, int(first[-1]))),
         np.bincount(row.ravel(), np.log1p(signal).ravel(), size),
         tuple(one for one in hypotheses if isinstance(one, AR1)),
         position,
