@@ -24,6 +24,7 @@ from stickslip_fit._format import (
     join_words,
 )
 from stickslip_fit._summary import Column, Table
+from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -47,6 +48,7 @@ CARRIER_PHRASES = {
     "configuration": "depends on the configuration, in both directions alike",
     "configuration and direction": "depends on configuration and direction",
 }
+SAME_BOTH_WAYS = 0.8  # of an effect's extreme, from which on it is as large in the other direction
 COLUMN_WORDS = {
     "before_direction": "the direction of the traverse before",
     "before_load": "the load of the traverse before",
@@ -126,19 +128,27 @@ def describe_shape(finding: Finding) -> str:
 
 
 def _describe_proposal(finding: Finding) -> str:
-    follow = f"{_name_steps(finding)} follow something that no known cause describes"
-    if finding.term:
-        sizes = [
-            f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
-            for one in finding.parameters
-        ]
-        what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
-    else:
-        what = (
-            f"it {describe_carrier(finding.carrier)}, and in the extended law a smooth function of that "
-            "stands for it"
+    steps, worth = _name_steps(finding), _describe_worth(finding)
+    if not finding.term:
+        carrier = _name_carriers(finding)
+        return (
+            f"{steps} follow {carrier} in a way that no known cause describes; a smooth function of it is "
+            f"proposed; {worth}"
         )
-    return f"{follow}; {what}; {_describe_worth(finding)}"
+    sizes = [
+        f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
+        for one in finding.parameters
+    ]
+    what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
+    return f"{steps} follow something that no known cause describes; {what}; {worth}"
+
+
+def _name_carriers(finding: Finding) -> str:
+    carriers = getattr(finding.version, "carriers", ())
+    together = " together" if len(carriers) > 1 else ""
+    words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
+    in_sessions = ", in each session in its own way," if getattr(finding.version, "sessions", ()) else ""
+    return f"{words}{together}{in_sessions}"
 
 
 def _standard_error(parameter: SizedParameter) -> float:
@@ -186,27 +196,29 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         return ""
     change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    extremes = [rows.iloc[int(np.argmin(change))], rows.iloc[int(np.argmax(change))]]
-    places = [
-        f"{join_words([_format_carrier(name, row, machine) for name in carriers])} "
-        f"(steps {format_percent(-float(np.expm1(size)), signed=True)})"
-        for row, size in zip(extremes, (change.min(), change.max()), strict=True)
-    ]
-    ways = [f"joint {row['joint']} {format_direction(str(row['direction']))}" for row in extremes]
-    if ways[0] != ways[1]:
-        places = [f"of {way} at {place}" for way, place in zip(ways, places, strict=True)]
-        return f"To test it, repeat traverses where it is at its extremes: {' and '.join(places)}."
-    return (
-        f"To test it, repeat traverses of {ways[0]} where it is at its extremes, all else alike: at "
-        f"{' and at '.join(places)}."
-    )
+    at_extremes = [_describe_extreme(change * sign, rows, carriers, machine, sign) for sign in (1.0, -1.0)]
+    where = " and ".join(at_extremes)
+    return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
+
+
+def _describe_extreme(
+    change: Array, rows: pd.DataFrame, carriers: Sequence[str], machine: Machine, sign: float
+) -> str:
+    """The traverse with the largest change, and what it is; its direction where the other one has less."""
+    row = rows.iloc[int(np.argmax(change))]
+    is_other = ((rows["joint"] == row["joint"]) & (rows["direction"] != row["direction"])).to_numpy()
+    one_way = change[is_other].max(initial=0.0) < SAME_BOTH_WAYS * change.max()
+    way = f" {format_direction(str(row['direction']))}" if one_way else ""
+    place = join_words([_format_carrier(name, row, machine) for name in carriers])
+    size = format_percent(-float(np.expm1(sign * change.max())), signed=True)
+    return f"joint {row['joint']}{way} at {place} (steps {size})"
 
 
 def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     """A carrier's name and its value on one traverse."""
     label = name_carrier(name)
     if name in ANGLES:
-        return f"{name} = {format_coordinate(name, float(row[name]))}"
+        return format_coordinate(name, float(row[name]))
     if name == POSITION:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
@@ -225,7 +237,7 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
 def _format_pose(row: pd.Series[Any], machine: Machine) -> str:
     own = f"q{row['joint']}"
     known = [name for name in ANGLES if name != own and coordinate_unit(name, machine) == "deg"]
-    return ", ".join(f"{name} = {format_coordinate(name, float(row[name]))}" for name in known)
+    return ", ".join(format_coordinate(name, float(row[name])) for name in known)
 
 
 def describe_company(finding: Finding) -> str:
