@@ -1,13 +1,15 @@
 """Terms without a cause: what the diagnosis puts into a law for structure that has no name.
 
 A `SmoothTerm` is a smooth function of one carrier, or a product of such functions of two: a position, an
-angle, the load, a column of the log, the traverse before. `carrier_values` says what each carrier is.
+angle, the load, a column of the log, the traverse before. `carrier_values` says what each carrier is. A
+`ProposedTerm` is one number times a short expression of them, such as k sin(q1) x load.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 import pandas as pd
@@ -85,7 +87,6 @@ class SmoothTerm(LinearFactor):
     phrase = "steps follow something smoothly that no cause describes"
     physics = "Whatever the carrier stands for: the log alone shows that the step size follows it smoothly."
     shows_best = "one configuration at the lowest and at the highest values of the carrier"
-    scale_of_each: ClassVar[float] = SMOOTH_SCALE
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -124,7 +125,7 @@ class SmoothTerm(LinearFactor):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (self.scale_of_each,) * len(self.parameters)
+        return (SMOOTH_SCALE,) * len(self.parameters)
 
     def acts_on(self, law: StepLaw) -> bool:
         """See `Cause.acts_on`."""
@@ -152,17 +153,138 @@ class SmoothTerm(LinearFactor):
             ],
             axis=-1,
         )
-        sign = state.direction_sign[..., None]
-        functions = np.nan_to_num(functions) * (sign if self.mode == "opposite" else 1.0)
+        functions = np.nan_to_num(functions) * _sign(state, self.mode)[..., None]
         if self.on:
-            acts = np.stack(
-                [((sign > 0) == (way == "+")) * float(joint == state.joint) for joint, way in self.on], axis=-1
-            )
-            acts = acts if self.each else acts.sum(axis=-1, keepdims=True)
-            functions = (functions[..., None, :] * acts.transpose(0, 1, 3, 2)).reshape(
-                *functions.shape[:2], -1
-            )
+            acts = np.stack([_acts(state, joint, way) for joint, way in self.on], axis=-1)[:, :, :, None]
+            acts = acts if self.each else acts.sum(axis=2, keepdims=True)
+            functions = (functions[:, :, None, :] * acts).reshape(*functions.shape[:2], -1)
         if self.sessions:
             names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
             functions = (names[:, None, :, None] * functions[:, :, None, :]).reshape(*functions.shape[:2], -1)
         return np.asarray(functions)
+
+
+def _sign(state: State, mode: Mode) -> Array:
+    """-1 for an effect of opposite sign in direction ``-``, shape (n, 1)."""
+    return state.direction_sign if mode == "opposite" else np.ones((len(state.position), 1))
+
+
+def _acts(state: State, joint: int, way: str) -> Array:
+    """1 for the traverses of a joint in a direction, shape (n, 1)."""
+    return ((state.direction_sign > 0) == (way == "+")) * float(joint == state.joint)
+
+
+EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
+    "x": lambda x: x,
+    "x^2": np.square,
+    "|x|": np.abs,
+    "sin(x)": np.sin,
+    "cos(x)": np.cos,
+    "sin(2 x)": lambda x: np.sin(2.0 * x),
+    "cos(2 x)": lambda x: np.cos(2.0 * x),
+    "sin(3 x)": lambda x: np.sin(3.0 * x),
+    "cos(3 x)": lambda x: np.cos(3.0 * x),
+    "log(1 + x)": lambda x: np.log1p(np.maximum(x, 0.0)),
+}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A function of one carrier: an expression in (carrier - middle) / unit.
+
+    Attributes
+    ----------
+    expression : str
+        One of `EXPRESSIONS`.
+    carrier : str
+    middle, unit : float
+        0 and 1 for angles and loads.
+    """
+
+    expression: str
+    carrier: str
+    middle: float = 0.0
+    unit: float = 1.0
+
+    def values(self, carrier: Array) -> Array:
+        """From values of the carrier, of any shape; 0 where it is unknown."""
+        return np.nan_to_num(EXPRESSIONS[self.expression]((carrier - self.middle) / self.unit))
+
+    def __str__(self) -> str:
+        name = self.carrier.replace("_", " ")
+        if self.unit != 1.0:
+            name = f"({name} - mean) / half range" if self.middle else f"{name} / largest"
+            name = f"({name})" if self.expression == "x^2" else name
+        return self.expression.replace("x", name) if self.expression != "x^2" else f"{name}^2"
+
+
+@dataclass(frozen=True)
+class ProposedTerm(LinearFactor):
+    """gamma times 1 + k times a product of one or two functions of a carrier each.
+
+    Attributes
+    ----------
+    factors : tuple of (str, str, float, float)
+        Each a `Factor`.
+    on, mode
+        As of a `SmoothTerm`.
+    """
+
+    factors: tuple[tuple[str, str, float, float], ...] = (("x", POSITION, 0.0, 1.0),)
+    on: tuple[tuple[int, str], ...] = ()
+    mode: Mode = "same"
+
+    name = "proposed-term"
+    phrase = "steps follow a term that no cause describes"
+    physics = "Whatever stands behind it: of all short expressions this one describes the log best."
+    shows_best = "configurations in which the term is smallest and greatest"
+    parameters = (CauseParameter("k", "%", "size of the proposed term"),)
+    null_values = (0.0,)
+    scale = (SMOOTH_SCALE,)
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """The carrier of each factor."""
+        return tuple(factor[1] for factor in self.factors)
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(dict.fromkeys(name for carrier in self.carriers for name in carrier_columns(carrier)))
+
+    @property
+    def varies_along_traverse(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
+
+    @property
+    def formula(self) -> str:
+        """For people, such as ``k sin(q1) x load, joint 2, + only``."""
+        text = "k " + " x ".join(str(Factor(*factor)) for factor in self.factors)
+        return text + describe_where(self.on, self.mode)
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return not self.on or any(joint == law.joint for joint, _ in self.on)
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        function = np.prod(
+            np.broadcast_arrays(
+                *(Factor(*factor).values(carrier_values(state, factor[1])) for factor in self.factors)
+            ),
+            axis=0,
+        )
+        function = function * _sign(state, self.mode)
+        if self.on:
+            function = function * sum(_acts(state, joint, way) for joint, way in self.on)
+        return np.asarray(function[..., None])
+
+
+def describe_where(on: tuple[tuple[int, str], ...], mode: Mode) -> str:
+    """Joints and directions on which a term acts, as the end of its formula; empty for all."""
+    joints = sorted({joint for joint, _ in on})
+    ways = sorted({way for _, way in on})
+    text = f", joint {' and '.join(map(str, joints))}" if joints else ""
+    text += f", {ways[0]} only" if len(ways) == 1 else ""
+    return text + (", opposite sign in the two directions" if mode == "opposite" else "")

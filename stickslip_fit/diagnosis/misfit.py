@@ -220,6 +220,14 @@ class Misfit:
         places = places or list(range(len(self.hypotheses)))
         return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
 
+    def best_subspace(self, cause: str) -> Hypothesis:
+        """As `best_hypothesis`, autoregressions left out."""
+        subspaces = [k for k, one in enumerate(self.hypotheses) if isinstance(one, Hypothesis)]
+        own = [k for k in subspaces if classify_cause(self.hypotheses[k]) == cause]
+        best = self.hypotheses[max(own or subspaces, key=lambda k: self.log_evidence[k])]
+        assert isinstance(best, Hypothesis)
+        return best
+
     def n_shapes(self, cause: str) -> int:
         """Number of shapes over which the evidence of a cause is averaged, at least 1."""
         return max(sum(one.cause == cause for one in self.hypotheses), 1)

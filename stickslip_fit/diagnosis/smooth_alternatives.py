@@ -1,4 +1,4 @@
-"""Smooth unstructured alternatives: in every coordinate, every column of history and of the log, and in pairs.
+"""Smooth unstructured alternatives: in every coordinate, every column of history and log, and in pairs.
 
 Each is a Gaussian process over one carrier (`causes.proposed`): of the whole machine, by direction, by joint,
 and independent for each joint and direction; products of two carriers have one direction each. Which carriers
@@ -19,6 +19,7 @@ from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LOAD,
     POSITION,
+    SMOOTH_SCALE,
     SmoothTerm,
     carrier_values,
 )
@@ -62,13 +63,19 @@ class Carrier:
         return np.nan_to_num(cosines(self.values, self.low, self.high, number))
 
 
+def traverse_average(functions: Array) -> Array:
+    """Functions averaged along each traverse, (n, k, m) -> (n, m)."""
+    return functions[:, 0] if functions.shape[1] == 1 else np.einsum("nkm,k->nm", functions, WEIGHTS / 2)
+
+
 def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     """The coordinates, history and columns that vary in some rows of a log."""
     rows, n = linearized.rows, len(linearized)
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
-    values = {name: np.full((n, len(NODES)), np.nan) for name in (*ANGLES, LOAD, POSITION, *columns, *history)}
+    names = (*ANGLES, LOAD, POSITION, *columns, *history)
+    values = {name: np.full((n, len(NODES)), np.nan) for name in names}
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
         if joint is None:
@@ -100,8 +107,8 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     for carrier in carriers:
         sds = prior_sds(LENGTH)[: carrier.distinct - 1]
         orders = tuple((k,) for k in range(1, len(sds) + 1))
-        term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(0.01 * sds))
-        columns = builder.average(carrier.waves(len(sds))) * sds
+        term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(SMOOTH_SCALE * sds))
+        columns = traverse_average(carrier.waves(len(sds))) * SMOOTH_SCALE * sds
         if carrier.name == POSITION:
             hypotheses += builder.by_session(term, columns)
         else:
@@ -110,7 +117,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         if {one.name, other.name} & {LOAD, POSITION} or {one.name, other.name} <= {*ANGLES}:
             limits = ((one.low, one.high), (other.low, other.high))
             term = SmoothTerm((one.name, other.name), limits, PRODUCT)
-            columns = builder.average(one.waves(1) * other.waves(1))
+            columns = SMOOTH_SCALE * traverse_average(one.waves(1) * other.waves(1))
             name = f"product of {one.name} and {other.name}"
             hypotheses += builder.shapes(name, term, columns)
     return hypotheses
@@ -126,7 +133,7 @@ class _Subspace:
 
 
 class _Builder:
-    """Hypotheses about the effects of carriers; see `build_smooth_alternatives`."""
+    """From effects of carriers to hypotheses: calibration projected out, in some or all rows."""
 
     def __init__(self, linearized: LinearizedFit) -> None:
         self.linearized = linearized
@@ -138,10 +145,6 @@ class _Builder:
         self.joints = [int(joint) for joint in np.unique(self.joint)]
         session = linearized.rows["session"].astype(object).to_numpy()
         self.session_of = {str(name): session == name for name in dict.fromkeys(session)}
-
-    def average(self, functions: Array) -> Array:
-        """Functions averaged along each traverse, (n, k, m) -> (n, m)."""
-        return functions[:, 0] if functions.shape[1] == 1 else np.einsum("nkm,k->nm", functions, WEIGHTS / 2)
 
     def shapes(self, name: str, term: SmoothTerm, columns: Array) -> list[Hypothesis]:
         """The ways in which joints and directions may share a function, whose columns have shape (n, m)."""
