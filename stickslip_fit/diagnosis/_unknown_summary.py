@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip_fit._format import (
-    coordinate_unit,
     format_coordinate,
     format_direction,
     format_percent,
@@ -30,7 +29,7 @@ from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
-from stickslip_fit.machine import Machine, load_machine
+from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:
@@ -130,10 +129,10 @@ def describe_shape(finding: Finding) -> str:
 def _describe_proposal(finding: Finding) -> str:
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term:
-        carrier = _name_carriers(finding)
+        what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
         return (
-            f"{steps} follow {carrier} in a way that no known cause describes; a smooth function of it is "
-            f"proposed; {worth}"
+            f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; "
+            f"a smooth function of {what} is proposed; {worth}"
         )
     sizes = [
         f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
@@ -143,7 +142,8 @@ def _describe_proposal(finding: Finding) -> str:
     return f"{steps} follow something that no known cause describes; {what}; {worth}"
 
 
-def _name_carriers(finding: Finding) -> str:
+def name_carriers(finding: Finding) -> str:
+    """What a proposal follows, in words."""
     carriers = getattr(finding.version, "carriers", ())
     together = " together" if len(carriers) > 1 else ""
     words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
@@ -223,7 +223,10 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
     if name == LOAD:
-        return f"the load of {_format_pose(row, machine)}"
+        ends = (float(row[end]) for end in ("start", "stop"))
+        angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))
+        load = mean_load(int(row["joint"]), *(np.array([end]) for end in ends), *angles)
+        return f"{label} {format_significant(float(load[0]), 2)}"
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""
@@ -232,12 +235,6 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     elif name in CONDITIONS:
         value, unit = from_si(value, CONDITIONS[name].unit), f" {CONDITIONS[name].unit}"
     return f"{label} {format_significant(float(value), 3)}{unit}"
-
-
-def _format_pose(row: pd.Series[Any], machine: Machine) -> str:
-    own = f"q{row['joint']}"
-    known = [name for name in ANGLES if name != own and coordinate_unit(name, machine) == "deg"]
-    return ", ".join(format_coordinate(name, float(row[name])) for name in known)
 
 
 def describe_company(finding: Finding) -> str:

@@ -18,7 +18,7 @@ from stickslip_fit._format import coordinate_unit, format_percent, joint_name, p
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
-from stickslip_fit.diagnosis._unknown_summary import name_carrier
+from stickslip_fit.diagnosis._unknown_summary import name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -279,7 +279,7 @@ MAX_LIMIT_RATIO = 3.0  # times the residuals after: the scale may cut those befo
 TRAVERSE_LABEL = "traverse"
 BEFORE_LABEL = "the traverse before (%)"
 PROPOSAL_LABEL = "what is proposed, as fitted"
-EFFECT_LABEL = "effect of what is proposed (%)"
+EFFECT_LABEL = "effect of the proposal (%)"
 CARRIER_LABELS = {"load": "load along the axis"}
 
 
@@ -307,8 +307,10 @@ def finding_picture(
     )
     caption = f"Over {label}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
     if _is_proposal(selected):
-        title = f"What is proposed: {finding.term or f'a smooth function of {name_carrier(finding.carrier)}'}"
-        caption = caption.replace(", which carries it", "")
+        title = f"What is proposed: {finding.term or f'a smooth function of {name_carriers(finding)}'}"
+        caption = caption.replace(
+            f"{label}, which carries it", f"the {label}" if label == EFFECT_LABEL else label
+        )
         caption += (
             f"Above what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
             "fitted, beyond what recalibration absorbs; both should agree within the bars. Below what is "
