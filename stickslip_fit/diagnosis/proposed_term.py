@@ -2,8 +2,8 @@
 
 `propose_term` searches a dictionary of short expressions (one direction of effects each) over the carriers of
 `smooth_alternatives`. The best is proposed where it is at least as likely as the best smooth function, and
-explains more than the best expression of noise alone does. Otherwise the smooth function takes its place. It is
-part of `select_causes`, so that each fold searches anew.
+explains more than the best expression of noise alone does; otherwise the smooth function takes its place. It
+is part of `select_causes`, so that each fold searches anew.
 """
 
 from __future__ import annotations
