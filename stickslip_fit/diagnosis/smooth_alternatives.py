@@ -1,9 +1,9 @@
 """Smooth unstructured alternatives: in every coordinate, every column of history and log, and in pairs.
 
-Each is a Gaussian process over one carrier (`causes.proposed`): of the whole machine, opposite by direction, by
-joint, by direction of a joint, and independent for each of these; products of two carriers have one direction each. Which carriers
-there are and which vary follows from the rows. Effects of single joints are stored for their rows only, and
-what is independent for each joint and direction shares their directions.
+Each is a Gaussian process over one carrier (`causes.proposed`): of the whole machine, opposite by direction,
+by joint, by direction of a joint, and independent for each of these; products of two carriers have one
+direction each. Which carriers there are and which vary follows from the rows. Effects of single joints are
+stored for their rows only, and what is independent for each joint and direction shares their directions.
 """
 
 from __future__ import annotations
