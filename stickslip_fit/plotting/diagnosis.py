@@ -331,7 +331,11 @@ def _choose_causes(diagnosis: Diagnosis) -> tuple[Finding, Misfit, list[str]] | 
         if misfit is None or finding.cause == UNKNOWN:
             continue
         best = misfit.best_hypothesis(finding.cause)
-        rivals = [one for one in misfit.hypotheses if one.version is not None and one.cause != finding.cause]
+        rivals = [
+            one
+            for one in misfit.hypotheses
+            if one.version is not None and classify_cause(one) not in (UNKNOWN, finding.cause)
+        ]
         cosines: dict[str, float] = {}
         for rival, cosine in zip(rivals, compute_cosines([best], rivals)[0], strict=True):
             cosines[rival.cause] = max(float(cosine), cosines.get(rival.cause, 0.0))
