@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import asdict, fields, replace
 from importlib.metadata import EntryPoint, entry_points
 from math import inf
@@ -17,6 +17,7 @@ from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
 from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, restore_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -24,6 +25,7 @@ from stickslip_fit.machine import Machine
 
 FAMILIES = (temporal, environment, geometry, load, position, profile)
 ENTRY_POINT = "stickslip_fit.causes"
+PROPOSED: dict[str, Callable[..., Cause]] = {kind.name: kind for kind in (SmoothTerm, ProposedTerm)}
 
 
 def library() -> tuple[Cause, ...]:
@@ -145,6 +147,8 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
+    if name in PROPOSED:
+        return PROPOSED[name](**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:
         raise InputError(
             f"the saved law has a cause {name!r}, which is not in the library; pass it in `causes`"

@@ -33,6 +33,16 @@ from stickslip_fit._summary import Column, Section, Summary, Table, numbers, wor
 from stickslip_fit.causes import EndStopMisfire, SizedParameter
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis._noise_summary import describe_noise
+from stickslip_fit.diagnosis._unknown_summary import (
+    caption_parameters,
+    describe_company,
+    describe_proposals,
+    describe_shape,
+    describe_unknown_gain,
+    explains_tables,
+    find_extending,
+    name_finding,
+)
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -44,12 +54,6 @@ from stickslip_fit.units import PRISMATIC
 MAX_UNTESTABLE_NAMED = 4
 MIN_PROBABILITY, MAX_RANKED, MAX_TRAVERSES = 0.015, 10, 20
 LN_10 = np.log(10.0)
-CARRIER_PHRASES = {
-    "time": "changes slowly with time, in each session in its own way",
-    "time, the same in each session": "changes slowly with time, in all sessions alike",
-    "configuration": "depends on the configuration, in both directions alike",
-    "configuration and direction": "depends on configuration and direction",
-}
 
 
 def describe_effect(finding: Finding) -> str:
@@ -94,24 +98,6 @@ def name_cause(cause: str, diagnosis: Diagnosis) -> str:
     return f"{phrases[cause]} ({cause})" if phrases.get(cause) else cause
 
 
-def describe_carrier(carrier: str) -> str:
-    """What unknown structure does, as the end of a sentence.
-
-    Examples
-    --------
-    >>> describe_carrier("period of 41.2 min"), describe_carrier("time, joint 3")
-    ('comes and goes with a period of 41.2 min', 'changes slowly with time, in joint 3')
-    """
-    if carrier.startswith("period"):
-        return f"comes and goes with a {carrier}"
-    if carrier.startswith("memory"):
-        joint = carrier.removeprefix("memory").strip() or "of any joint"
-        return f"carries over from one traverse {joint} to the next"
-    if carrier.startswith("time, joint"):
-        return f"changes slowly with time, in {carrier.removeprefix('time, ')}"
-    return CARRIER_PHRASES.get(carrier, f"follows {carrier}")
-
-
 def baseline_name(diagnosis: Diagnosis) -> str:
     """What the laws are called that are put to the test."""
     return name_of_laws(part.law for part in diagnosis.selection.problem.parts)
@@ -143,34 +129,17 @@ def describe_untestable(diagnosis: Diagnosis) -> str:
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis) -> str:
     if finding.cause == UNKNOWN:
-        return _describe_shape(finding)
-    effect = describe_effect(finding)
+        return describe_shape(finding)
+    effect = f"{describe_effect(finding)}{describe_company(finding)}"
     if not finding.equivalent:
         return effect
     either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
     return f"This log cannot tell what is wrong: {either}. If it is the first: {lower_first(effect)}"
 
 
-def _describe_shape(finding: Finding) -> str:
-    text = (
-        f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
-        f"{describe_carrier(finding.carrier)}, and has the shape of no known cause"
-    )
-    if finding.note:
-        return f"{text}; {finding.note}"
-    if not finding.closest:
-        return text
-    return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
-
-
 def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     if finding.cause == UNKNOWN:
-        return (
-            "The figures show it: compare them with whatever changed meanwhile, and log that as a column of "
-            "its own; until it has a name, count on errors of "
-            f"{format_percent(diagnosis.misfit)}, where a traverse repeats to "
-            f"{format_percent(diagnosis.repeatability)}."
-        )
+        return describe_unknown_gain(finding, diagnosis)
     cure = remedy_for(finding) if not finding.equivalent else ""
     law = "" if finding.cause == MISFIRE else "the extended law"
     what = capitalize_first(f"{cure}, or {law}," if cure and law else cure or law)
@@ -192,9 +161,10 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
 
 def _describe_side_effects(finding: Finding) -> str:
     if finding.cause == UNKNOWN:
-        return f"Besides that: {lower_first(_describe_shape(finding))}."
+        return f"Besides that: {lower_first(describe_shape(finding))}."
     rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
-    return f"Besides that: {lower_first(describe_effect(finding))} ({finding.cause}{rivals})."
+    company = describe_company(finding)
+    return f"Besides that: {lower_first(describe_effect(finding))} ({finding.cause}{rivals}){company}."
 
 
 def lower_first(text: str) -> str:
@@ -214,7 +184,7 @@ def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),
-                (*ranking_tables(diagnosis), *next_traverses),
+                (*explains_tables(diagnosis), *ranking_tables(diagnosis), *next_traverses),
                 key="alternatives",
             ),
             Section("What this log could not have shown", tuple(list_untestable(diagnosis)), key="unseen"),
@@ -239,7 +209,7 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     rows = tuple(
         (
-            finding.cause,
+            name_finding(finding),
             format_percent(finding.effect.estimate, with_unit=False),
             format_interval(finding.effect, "%", 1),
             ", ".join(map(str, finding.joints)),
@@ -266,18 +236,19 @@ def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     rows: tuple[tuple[str, ...], ...] = tuple(
         (
-            finding.cause,
+            name_finding(finding),
             parameter.name,
             typeset_text(format_estimate(parameter.size, parameter.unit, signed=True)),
             format_interval(parameter.size, parameter.unit, 1),
             _scope(parameter),
         )
         for finding in diagnosis.findings
+        if finding.cause != UNKNOWN or finding.term
         for parameter in finding.parameters
     )
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
-    return [Table("Parameters of what was named", columns, rows, stubs=2)] if rows else []
+    return [Table(caption_parameters(diagnosis.findings), columns, rows, stubs=2)] if rows else []
 
 
 def _scope(parameter: SizedParameter) -> str:
@@ -309,8 +280,8 @@ def _outliers_table(traverses: pd.DataFrame) -> Table:
 
 def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
     """Errors on held-out traverses, before and after."""
-    named = [finding for finding in diagnosis.findings if finding.cause != UNKNOWN]
-    steps = [(f"with {finding.cause}", finding.gain) for finding in named] if len(named) > 1 else []
+    named = find_extending(diagnosis.findings)
+    steps = [(f"with {name_finding(finding)}", finding.gain) for finding in named] if len(named) > 1 else []
     lines: list[tuple[str, Gain | None]] = [
         ("held-out traverses", diagnosis.gain),
         *steps,
@@ -346,9 +317,7 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
     ]
     inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
     sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
-    if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
-        sentences.append("Structure without a name is not put into the law, so that it gains nothing.")
-    return sentences
+    return [*sentences, *describe_proposals(diagnosis.findings, "log")]
 
 
 def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:

@@ -32,6 +32,7 @@ from stickslip_fit.diagnosis._summary import (
     ranking_tables,
     summarize_log_diagnosis,
 )
+from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -189,7 +190,7 @@ def describe_table_carrier(carrier: str) -> str:
 def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) -> str:
     if finding.cause == UNKNOWN:
         return _describe_shape(finding, table)
-    effect = describe_table_effect(finding, table)
+    effect = f"{describe_table_effect(finding, table)}{describe_company(finding)}"
     if not finding.equivalent:
         return effect
     either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
@@ -220,7 +221,7 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
                 f"{format_size(diagnosis.misfit, table)}, where the noise is {noise}."
             )
         return f"They are left out; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
-    what = f"The law extended by {join_words([finding.cause for finding in named])}"
+    what = f"The law extended by {join_words([name_finding(finding) for finding in named])}"
     if gain is None:
         left = f"leaves {format_size(rms_after(diagnosis), table)} rms, instead of "
         cut = f"{left}{format_size(diagnosis.misfit, table)}"
@@ -256,7 +257,8 @@ def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
     if finding.cause == UNKNOWN:
         return f"Besides that: {lower_first(_describe_shape(finding, table))}."
     rivals = f"; or it is {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
-    return f"Besides that: {lower_first(describe_table_effect(finding, table))}{rivals}."
+    company = describe_company(finding)
+    return f"Besides that: {lower_first(describe_table_effect(finding, table))}{rivals}{company}."
 
 
 def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
@@ -344,7 +346,7 @@ def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     gain = diagnosis.gain
     if not named or gain is None:
         return []
-    steps = [(f"with {finding.cause}", finding.gain) for finding in named] if len(named) > 1 else []
+    steps = [(f"with {name_finding(finding)}", finding.gain) for finding in named] if len(named) > 1 else []
     lines: list[tuple[str, Gain | None]] = [
         ("held-out rows", gain),
         *steps,
@@ -372,6 +374,4 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
         f"Whatever {first} would do in this table, {second} could have done too."
         for first, second in diagnosis.aliased_causes
     ]
-    if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
-        sentences.append("Structure without a name is not put into the law, so that it gains nothing.")
-    return sentences
+    return [*sentences, *describe_proposals(diagnosis.findings, "table")]

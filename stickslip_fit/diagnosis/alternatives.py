@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -19,6 +21,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import (
     LinearizedFit,
 )
+from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.history import previous_rows
 from stickslip_fit.logs.schema import has_times, position_columns
 from stickslip_fit.units import PRISMATIC
@@ -42,19 +45,31 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
         for name, columns in (*_configuration_indicators(rows), *_harmonics(rows))
     ]
+    hypotheses += build_smooth_alternatives(linearized)
     if not has_times(rows):
         return [one for one in hypotheses if one is not None]
     seconds = rows["session_seconds"].to_numpy(float)
     session = pd.factorize(rows["session"].astype(object))[0]
     waves = smooth_in_time(seconds, session) / scale
+    orders = range(1, N_WAVES + 1)
+    alike = SmoothTerm(
+        ("session_seconds",),
+        ((0.0, float(seconds.max())),),
+        tuple((k,) for k in orders),
+        tuple(1 / k for k in orders),
+    )
     name = "unknown:time, the same in each session"
-    hypotheses.append(make_hypothesis(name, None, None, linearized.project(waves)))
-    hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
-    for joint in rows["joint"].unique():
-        own = waves * (rows["joint"] == joint).to_numpy()[:, None]
-        hypotheses += build_per_session_hypotheses(
-            [f"unknown:time, joint {joint}"], n, sessions, own[:, None]
+    hypotheses.append(make_hypothesis(name, alike, None, linearized.project(waves)))
+    own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
+    hypotheses += _with_version(
+        own, build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
+    )
+    for joint in map(int, rows["joint"].unique()):
+        inside = waves * (rows["joint"] == joint).to_numpy()[:, None]
+        by_joint = build_per_session_hypotheses(
+            [f"unknown:time, joint {joint}"], n, sessions, inside[:, None]
         )
+        hypotheses += _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
     # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
     order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
     for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
@@ -64,6 +79,10 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         names = [f"unknown:period of {period / unit:.1f} {label}" for period in periods]
         hypotheses += build_per_session_hypotheses(names, n, sessions, pairs)
     return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
+
+
+def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    return [replace(one, version=version) for one in hypotheses]
 
 
 def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:

@@ -11,7 +11,7 @@ reduces the correlation of residuals.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,8 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
         if selected.cause == problem.outlier_cause:
             findings.append(_size_outliers(selection, problem, selected))
         elif selected.cause == UNKNOWN:
-            findings.append(size_unknown(selection, selected, alpha))
+            finding = size_unknown(selection, selected, alpha)
+            findings.append(finding if selected.version is None else _with_law(finding, selection, selected))
         else:
             findings.append(_size_cause(selection, linearized, selected, next(slices), alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
@@ -132,6 +133,16 @@ def _size_parameters(
         for parameter, value, sd in zip(version.parameters, values, error, strict=True)
         if np.isfinite(sd) or getattr(parameter, "sudden", False)
     )
+
+
+def _with_law(finding: Finding, selection: Selection, selected: SelectedCause) -> Finding:
+    """A finding of unknown structure with the term or smooth function that extends the law."""
+    version, place = selected.version, selection.slices[-1]  # it is the last of the causes
+    formula = getattr(version, "formula", "")
+    carrier = " and ".join(version.carriers) if formula else finding.carrier
+    values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
+    parameters = _size_parameters(version, UNKNOWN, values, covariance) if formula else ()
+    return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)
 
 
 def estimate_effect(
@@ -244,20 +255,24 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     misfit, linearized = selected.misfit, selection.linearized
     assert misfit is not None
     best = misfit.best_hypothesis(UNKNOWN)
-    shape = _shrink_structure(best, linearized.residual)
+    residual = linearized.residual if selected.version is None else misfit.residual
+    shape = _shrink_structure(best, residual)
     squares, length = float(shape @ shape), float(np.linalg.norm(shape))
     if isinstance(best, AR1):
-        effect = estimate_ar1_effect(linearized, best).times(_rms(linearized.scale))
+        effect = estimate_ar1_effect(replace(linearized, residual=residual), best).times(
+            _rms(linearized.scale)
+        )
     else:
         strength = _estimate_strength(selected, np.sqrt(squares + 1.0), 1.0, 1, linearized, alpha)
         effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
     closest = max(known, key=lambda cause: known[cause]) if known else ""
-    share = 0.0
-    if closest:
-        near = misfit.best_hypothesis(closest)
-        assert isinstance(near, Hypothesis)
-        share = float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+    explains = {
+        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+        for cause in known
+        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
+    }
+    share = explains.get(closest, 0.0)
     size = np.abs(shape)
     joints = _joints_of_laws(
         part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
@@ -265,7 +280,19 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     # Where nothing but the causes was searched, the shape is that of one that is not supported.
     is_cause = not best.cause.startswith(UNKNOWN)
     carrier = f"{best.cause} to some extent" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
-    return Finding(UNKNOWN, None, (), selected.p_value, joints, effect, (), None, closest, share, carrier)
+    return Finding(
+        UNKNOWN,
+        None,
+        (),
+        selected.p_value,
+        joints,
+        effect,
+        (),
+        closest=closest,
+        share=share,
+        carrier=carrier,
+        explains=explains,
+    )
 
 
 def _shrink_structure(structure: Hypothesis | AR1, residual: Array) -> Array:

@@ -296,8 +296,7 @@ def _collect_competitors(selected: SelectedCause, df: int) -> CompetingCauses:
 
 def _explained_shape(misfit: Misfit, cause: str, df: int) -> tuple[Array, float]:
     """The part of the residuals that a cause explains, (n,), and its log evidence less its log likelihood."""
-    best = misfit.best_hypothesis(cause)
-    assert isinstance(best, Hypothesis)
+    best = misfit.best_subspace(cause)
     along = best.coefficients(misfit.residual)
     share = float(along @ along) / float(misfit.residual @ misfit.residual)
     return best.combine(along), misfit.log_evidence_by_cause[cause] - float(log_likelihood_ratio(share, df))

@@ -8,6 +8,7 @@ AR(1) noise. Directions confined to a session are stored for its rows only.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -95,31 +96,46 @@ class DirectionGroup:
     Attributes
     ----------
     rows : array of int, shape (s,), or slice
-    directions : array, shape (m, s)
-        In rows of the array.
+    directions : array, shape (m', s)
+        In rows of the array; those that hypotheses share are there once.
     place : array of int, shape (m,)
         Of each among the directions of the hypotheses one after the other.
+    index : array of int, shape (m,)
+        Which row of `directions` each is.
     """
 
     rows: IntArray | slice
     directions: Array
     place: IntArray
+    index: IntArray
 
 
 def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
     rows_of: dict[bytes, IntArray | slice] = {}
-    directions: dict[bytes, list[Array]] = {}
+    directions: dict[bytes, dict[int, Array]] = {}
     places: dict[bytes, list[int]] = {}
-    first = 0
+    indices: dict[bytes, list[int]] = {}
+    begins: dict[int, int] = {}  # of each block among the directions of its group
+    first, sizes = 0, Counter[bytes]()
     for hypothesis in hypotheses:
         for rows, block in hypothesis.blocks:
             key = b"" if isinstance(rows, slice) else rows.tobytes()
             rows_of.setdefault(key, rows)
-            directions.setdefault(key, []).append(block.T)
-            places.setdefault(key, []).extend(range(first, first := first + block.shape[1]))
+            group, width = directions.setdefault(key, {}), block.shape[1]
+            if id(block) not in group:
+                group[id(block)], begins[id(block)] = block.T, sizes[key]
+                sizes[key] += width
+            begin = begins[id(block)]
+            places.setdefault(key, []).extend(range(first, first := first + width))
+            indices.setdefault(key, []).extend(range(begin, begin + width))
     return tuple(
-        DirectionGroup(rows, np.concatenate(directions[key]), np.array(places[key], dtype=np.intp))
+        DirectionGroup(
+            rows,
+            np.concatenate(list(directions[key].values())),
+            np.array(places[key], dtype=np.intp),
+            np.array(indices[key], dtype=np.intp),
+        )
         for key, rows in rows_of.items()
     )
 

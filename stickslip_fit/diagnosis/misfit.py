@@ -71,7 +71,7 @@ class HypothesisBatch:
     groups : tuple of DirectionGroup
     explained_share : sparse array, shape (S len(STRENGTHS), m)
         Of the square along each direction, in the order of `groups`: what each of S subspace hypotheses
-        explains of it at each strength.
+        explains of it at each strength. Hypotheses may share directions.
     log_spread : array, shape (S len(STRENGTHS),)
         Log of the prior variance of the residuals over that of the noise.
     ar1s : tuple of AR1
@@ -137,12 +137,15 @@ def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> Hypothe
     share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
     signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
     row = owner[:, None] * n_strengths + np.arange(n_strengths)
-    column = np.broadcast_to(np.arange(len(share))[:, None], row.shape)
+    first = np.cumsum([0, *(len(group.directions) for group in groups)])
+    columns = [k + group.index for k, group in zip(first, groups, strict=False)]
+    column = np.concatenate([np.zeros(0, dtype=np.intp), *columns])
+    column = np.broadcast_to(column[:, None], row.shape)
     size = len(subspaces) * n_strengths
     entries = (signal / (1.0 + signal)).ravel(), (row.ravel(), column.ravel())
     return HypothesisBatch(
         groups,
-        csr_array(entries, shape=(size, len(share))),
+        csr_array(entries, shape=(size, int(first[-1]))),
         np.bincount(row.ravel(), np.log1p(signal).ravel(), size),
         tuple(one for one in hypotheses if isinstance(one, AR1)),
         position,
@@ -219,6 +222,14 @@ class Misfit:
         places = [k for k, one in enumerate(self.hypotheses) if classify_cause(one) == cause]
         places = places or list(range(len(self.hypotheses)))
         return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
+
+    def best_subspace(self, cause: str) -> Hypothesis:
+        """As `best_hypothesis`, autoregressions left out."""
+        subspaces = [k for k, one in enumerate(self.hypotheses) if isinstance(one, Hypothesis)]
+        own = [k for k in subspaces if classify_cause(self.hypotheses[k]) == cause]
+        best = self.hypotheses[max(own or subspaces, key=lambda k: self.log_evidence[k])]
+        assert isinstance(best, Hypothesis)
+        return best
 
     def n_shapes(self, cause: str) -> int:
         """Number of shapes over which the evidence of a cause is averaged, at least 1."""

@@ -15,8 +15,9 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.extension import SelectedCause
-from stickslip_fit.diagnosis.hypotheses import AR1
+from stickslip_fit.diagnosis.hypotheses import AR1, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
 
 N_BOOTSTRAP = 200
@@ -90,6 +91,29 @@ def compute_shape(selected: SelectedCause, linearized: LinearizedFit) -> Array:
     if isinstance(best, AR1):
         return best.shape(linearized.residual)
     return best.combine(best.coefficients(linearized.residual))
+
+
+def term_change(selection: Selection, cause: str) -> Array:
+    """What a fitted cause or proposed term does to the logarithm of each count, shape (n,)."""
+    place, selected = next(
+        (place, one)
+        for place, one in zip(selection.slices, selection.law_causes, strict=True)
+        if one.cause == cause
+    )
+    values = selection.fit.values[place][None]
+    return compute_changes(selection.problem.linearize(), selected.version, values)[:, 0]
+
+
+def finding_shape(selection: Selection, selected: SelectedCause) -> Array:
+    """What carries a finding, shape (n,): the structure that selected it, whitened.
+
+    Of a proposed term or smooth function its relative effect, beyond what calibration absorbs.
+    """
+    linearized = selection.problem.linearize()
+    if selected.cause != UNKNOWN or selected.version is None:
+        return compute_shape(selected, linearized)
+    change = term_change(selection, selected.cause)[:, None]
+    return linearized.unwhiten(linearized.project(linearized.whiten(change))[:, 0])
 
 
 def bin_values(values: Array) -> IntArray:

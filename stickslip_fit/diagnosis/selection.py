@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.extension import (
     assess_residuals,
     compute_evidence,
     extend_problem,
+    fit_causes,
     law_causes,
     make_selected,
 )
@@ -37,6 +38,7 @@ from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.proposed_term import propose_term
 
 MAX_CAUSES = 4
 MAX_EXCEEDANCES = 50  # bootstrap samples above the statistic, after which a second cause is ruled out
@@ -136,6 +138,10 @@ def select_causes(
         if [one.cause for one in revised] != [one.cause for one in causes]:
             problem, fit, linearized = extend_problem(problem, revised)
         selected = [*revised, *(one for one in selected if one.version is None)]
+    if selected and selected[-1].cause == UNKNOWN:
+        selected = propose_term(linearized, selected, rng)
+        fit = fit_causes(problem, selected)
+        linearized = problem.linearize_extended(fit)
     everything = (*misfires, *selected)
     return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
 

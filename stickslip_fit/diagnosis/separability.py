@@ -79,11 +79,14 @@ def _multiply_directions(ones: Sequence[Hypothesis], others: Sequence[Hypothesis
         for other in group_directions(others):
             place = np.ix_(own.place, other.place)
             if isinstance(own.rows, slice):
-                products[place] = own.directions[:, other.rows] @ other.directions.T
+                inner = own.directions[:, other.rows] @ other.directions.T
             elif isinstance(other.rows, slice):
-                products[place] = own.directions @ other.directions[:, own.rows].T
+                inner = own.directions @ other.directions[:, own.rows].T
             elif np.array_equal(own.rows, other.rows):
-                products[place] = own.directions @ other.directions.T
+                inner = own.directions @ other.directions.T
+            else:
+                continue
+            products[place] = inner[np.ix_(own.index, other.index)]
     return products
 
 

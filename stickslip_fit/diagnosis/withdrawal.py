@@ -2,7 +2,9 @@
 
 What a cause is worth shows on traverses that took no part in choosing or fitting it. A finding whose law
 predicts them worse than without it, or whose gain is so uncertain that it says nothing, becomes ``unknown``:
-the structure is there, the name is not supported. `Diagnosis.measure_gain` decides this, nothing else does.
+the structure is there, the name is not supported. A term or smooth function for unknown structure that does
+not predict better leaves the law: its finding stays, without a term. `Diagnosis.measure_gain` decides this,
+nothing else does.
 """
 
 from __future__ import annotations
@@ -41,6 +43,10 @@ def withdraw_causes(
 ) -> tuple[Selection, tuple[Finding, ...]]:
     """The selection and its findings with `unknown` for the unsupported ones; of a log without a `table`."""
     names = [one.cause for one in unsupported]
+    if names == [UNKNOWN]:
+        return _withdraw_term(selection, findings)
+    names = [name for name in names if name != UNKNOWN]
+    unsupported = [one for one in unsupported if one.cause != UNKNOWN]
     first = next(one for one in selection.selected if one.cause in names)
     assert first.misfit is not None
     unknown = replace(
@@ -55,6 +61,23 @@ def withdraw_causes(
     note = "; ".join(_explain(one, table) for one in unsupported)
     kept = [one for one in findings if one.cause not in (*names, UNKNOWN)]
     return smaller, (*kept, replace(size_unknown(smaller, unknown, alpha), note=note))
+
+
+def _withdraw_term(
+    selection: Selection, findings: Sequence[Finding]
+) -> tuple[Selection, tuple[Finding, ...]]:
+    """The selection and its findings without a law for unknown structure."""
+    smaller = refit_selection(
+        selection,
+        tuple(
+            replace(one, version=None, start=np.zeros(0)) if one.cause == UNKNOWN else one
+            for one in selection.selected
+        ),
+    )
+    return smaller, tuple(
+        replace(one, version=None, term="", parameters=(), gain=None) if one.cause == UNKNOWN else one
+        for one in findings
+    )
 
 
 def _explain(finding: Finding, table: TableInfo | None) -> str:

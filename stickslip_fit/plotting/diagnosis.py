@@ -15,7 +15,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis import Diagnosis, Finding
 from stickslip_fit.diagnosis._summary import baseline_name
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
-from stickslip_fit.diagnosis.residuals import compare_residuals, compute_shape
+from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
 from stickslip_fit.diagnosis.separability import (
     MAX_CONFUSION_DESIGN,
     SeparabilityMatrix,
@@ -240,7 +240,7 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     selected = next(cause for cause in diagnosis.selection.selected if cause.cause == chosen.cause)
     if selected.misfit is None:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
-    shape = compute_shape(selected, diagnosis.selection.problem.linearize())
+    shape = finding_shape(diagnosis.selection, selected)
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     return draw_finding(chosen, selected, shape, comparison, machine)[1]
@@ -331,7 +331,11 @@ def _choose_causes(diagnosis: Diagnosis) -> tuple[Finding, Misfit, list[str]] | 
         if misfit is None or finding.cause == UNKNOWN:
             continue
         best = misfit.best_hypothesis(finding.cause)
-        rivals = [one for one in misfit.hypotheses if one.version is not None and one.cause != finding.cause]
+        rivals = [
+            one
+            for one in misfit.hypotheses
+            if one.version is not None and classify_cause(one) not in (UNKNOWN, finding.cause)
+        ]
         cosines: dict[str, float] = {}
         for rival, cosine in zip(rivals, compute_cosines([best], rivals)[0], strict=True):
             cosines[rival.cause] = max(float(cosine), cosines.get(rival.cause, 0.0))

@@ -18,8 +18,10 @@ from stickslip_fit._format import coordinate_unit, format_percent, joint_name, p
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
+from stickslip_fit.diagnosis._unknown_summary import name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation.profile import follows_position
@@ -277,6 +279,9 @@ MIN_LIMIT = 0.01  # %: a law with as many parameters as traverses leaves nothing
 MAX_LIMIT_RATIO = 3.0  # times the residuals after: the scale may cut those before
 TRAVERSE_LABEL = "traverse"
 BEFORE_LABEL = "the traverse before (%)"
+PROPOSAL_LABEL = "what is proposed, as fitted"
+EFFECT_LABEL = "effect of the proposal (%)"
+CARRIER_LABELS = {"load": "load along the axis"}
 
 
 def finding_picture(
@@ -302,7 +307,18 @@ def finding_picture(
         format_percent(float(np.sqrt(np.mean(side**2)))) for side in (comparison.before, comparison.after)
     )
     caption = f"Over {label}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
-    if is_named:
+    if _is_proposal(selected):
+        title = f"What is proposed: {finding.term or f'a smooth function of {name_carriers(finding)}'}"
+        caption = caption.replace(
+            f"{label}, which carries it", f"the {label}" if label == EFFECT_LABEL else label
+        )
+        caption += (
+            f"Above what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
+            "fitted, beyond what recalibration absorbs; both should agree within the bars. Below what is "
+            f"left with it ({after} rms): the lines should lie within the grey band, where noise alone would "
+            "keep them."
+        )
+    elif is_named:
         caption += (
             f"Above under the {'published ' * machine.has_published_geometry}law ({before} rms), below with "
             f"all that was found in it ({after} rms): the lines should lie within the grey band, where noise "
@@ -323,13 +339,15 @@ def draw_finding(
     label, values = fold_phase(finding.carrier, rows, shape) or _find_carrier_values(
         selected, shape, comparison, subset, machine
     )
-    sides = [("after", comparison.after, comparison.null_after)]
-    if selected.version is not None:
+    sides, legend = [("after", comparison.after, comparison.null_after)], _residual_entries()
+    if _is_proposal(selected):
+        # A partial residual: what is left with the proposal in the law, and what the proposal does.
+        sides = [("without", comparison.after + shape, comparison.null_after), ("with", *sides[0][1:])]
+        legend.append(make_legend_entry(PROPOSAL_LABEL, INK, line="--"))
+    elif selected.version is not None:
         sides.insert(0, ("before", comparison.before, comparison.null_before))
     with report_style():
-        figure, axes = make_figure(
-            [1.5] * len(sides), len(joints), _residual_entries(), top=TITLE_LINE + 0.14
-        )
+        figure, axes = make_figure([1.5] * len(sides), len(joints), legend, top=TITLE_LINE + 0.14)
         residuals = 100 * np.abs(np.concatenate([residual for _, residual, _ in sides]))
         limit = max(robust_limit(residuals, LIMIT_QUANTILE, LIMIT_ZOOM), SMALLEST_LIMIT)
         masks = [(rows["joint"] == joint).to_numpy() & np.isfinite(values) for joint in joints]
@@ -339,6 +357,8 @@ def draw_finding(
             _set_ticks(axes[-1, column], label, values[subset], 7 if len(joints) < 3 else 4)
             for axis, (_, residual, null) in zip(axes[:, column], sides, strict=True):
                 limit = max(limit, 1.1 * _draw_bin_means(axis, values, residual, null, subset, rows))
+            if _is_proposal(selected):
+                _draw_proposal(axes[0, column], values, shape, subset, rows)
         for axes_of_joint, subset in zip(axes.T, masks, strict=True):
             for axis, (_, residual, _) in zip(axes_of_joint, sides, strict=True):
                 _draw_points(axis, values, residual, subset, limit, rows)
@@ -363,8 +383,14 @@ def _find_carrier_values(
     rows = comparison.rows
     if selected.version is not None and follows_position(selected.version):
         return _own_position(rows, subset, machine)
-    columns = _select_covariates(rows, subset, machine)
+    columns, carriers = _select_covariates(rows, subset, machine), getattr(selected.version, "carriers", ())
+    if len(carriers) > 1:
+        return EFFECT_LABEL, 100 * shape
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
+    moving = {int(joint) for joint in rows["joint"][subset]}
+    angles = [f"q{max(moving)}" if name == "position" and len(moving) == 1 else name for name in carriers]
+    begins = tuple(CARRIER_LABELS.get(name, f"{name} (") for name in angles)
+    own += [label for label in columns if begins and label.startswith(begins)]
     columns = {label: columns[label] for label in own if label in columns} | columns
     groups = 2 * rows["joint"].to_numpy() + (rows["direction"] == "-").to_numpy()
     label = find_carrier(
@@ -383,6 +409,22 @@ def _own_position(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> tu
     units = dict.fromkeys(coordinate_unit(name, machine).replace("deg", "°") for name in names.values())
     name = next(iter(names.values())) if len(names) == 1 else "own position"
     return f"{name} ({' or '.join(units)})", values
+
+
+def _is_proposal(selected: SelectedCause) -> bool:
+    """Whether it is what extends the law for structure without a name."""
+    return selected.cause == UNKNOWN and selected.version is not None
+
+
+def _draw_proposal(axis: Axes, values: Array, shape: Array, subset: BoolArray, rows: pd.DataFrame) -> None:
+    """The fitted proposal by the classes of the residuals, dashed in each direction."""
+    classes = bin_values(np.where(subset, values, np.nan))
+    for sign in DIRECTION_COLOURS:
+        inside = subset & (rows["direction"] == sign).to_numpy() & (classes >= 0)
+        by_class = (
+            pd.DataFrame({"x": values[inside], "y": 100 * shape[inside]}).groupby(classes[inside]).mean()
+        )
+        axis.plot(by_class["x"], by_class["y"], color=INK, ls="--", lw=1.1, zorder=4)
 
 
 def residuals_overview_picture(joint: int, comparison: ResidualComparison, machine: Machine) -> Picture:

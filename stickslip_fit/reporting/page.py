@@ -33,7 +33,7 @@ from stickslip_fit.anova import Anova, analyze_variance
 from stickslip_fit.anova._summary import CAUTIONS, sentences_by_joint
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis import Diagnosis, diagnose
-from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, compute_shape
+from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import (
     Result,
@@ -473,11 +473,11 @@ def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
 
 def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     """A diagnosis with its figures."""
-    comparison, linearized = number_residuals(diagnosis), diagnosis.selection.problem.linearize()
+    comparison = number_residuals(diagnosis)
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     selected = {cause.cause: cause for cause in diagnosis.selection.selected}
     pictures = [
-        finding_picture(finding, cause, compute_shape(cause, linearized), comparison, machine)
+        finding_picture(finding, cause, finding_shape(diagnosis.selection, cause), comparison, machine)
         for finding in diagnosis.findings
         if (cause := selected[finding.cause]).misfit is not None
     ]

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from tests.hidden.effect import Maker
-from tests.hidden.effects import angles, clockwork, loads, outside, parts, readings, stops
+from tests.hidden.effects import (
+    angles,
+    clockwork,
+    loads,
+    outside,
+    outside_history,
+    outside_state,
+    parts,
+    readings,
+    stops,
+)
 
 # States first, angles before loads: effects act on a state in this order.
 CAUSES: dict[str, dict[str, Maker]] = {
@@ -57,4 +67,13 @@ OUTSIDE: dict[str, dict[str, Maker]] = {
     "unknown:memory": {"all joints": outside.memory, "each joint": outside.memory_of_each_joint},
 }
 
-EFFECTS = {**CAUSES, **OUTSIDE}
+# Thirty more from outside the library of causes, for benchmarks/unknown.py.
+OUTSIDE_LIBRARY: dict[str, dict[str, Maker]] = {
+    "unknown:angle": outside_state.ANGLE,
+    "unknown:product": outside_state.PRODUCT,
+    "unknown:direction": outside_state.DIRECTION,
+    "unknown:history": outside_history.HISTORY,
+    "unknown:session": outside_history.SESSION,
+}
+
+EFFECTS = {**CAUSES, **OUTSIDE, **OUTSIDE_LIBRARY}

@@ -115,3 +115,15 @@ def test_rows_without_a_time_have_no_order():
     assert diagnosis.table.independent == 300
     for name in ("drift", "warm-up", "sudden-change", "memory"):
         assert "time='order'" in diagnosis.untestable[name]
+
+
+def test_noise_persists_over_at_most_four_tenths_of_the_longest_record():
+    """Of a first-order autoregression the time is (1 + phi) / (1 - phi) rows."""
+    sample, coefficient = np.r_[0:40, 100:161], np.array([0.99])
+    shortened = Autocorrelation(sample, None, coefficient).shorten()
+    longest = 0.4 * 61
+    assert shortened.coefficients == pytest.approx([(longest - 1) / (longest + 1)], rel=1e-4)
+    short = Autocorrelation(sample, None, np.array([0.9]))
+    np.testing.assert_array_equal(short.shorten().coefficients, short.coefficients)
+    ringing = Autocorrelation(np.arange(30), None, 0.999 ** np.arange(1, 3) * [1.5, -0.52]).shorten()
+    assert ringing.correlation_rows == pytest.approx(min(12, ringing.correlation_rows), rel=1e-4)

@@ -121,3 +121,18 @@ def test_the_interval_covers_the_gain_of_a_replicate(phi):
     differences = np.array([one.baseline - one.extended for one in gains])
     inside = [np.mean((one.low < differences) & (differences < one.high)) for one in gains]
     assert np.mean(inside) > 0.85
+
+
+@pytest.mark.parametrize("correlation_rows", [1.0, 50.0])
+def test_every_sequence_has_four_blocks_of_its_own_or_as_many_as_it_has_rows(correlation_rows):
+    """Long autocorrelation would make one block of a short session, whose parameters nothing would tell."""
+    lengths = {"a": 12, "b": 3, "c": 400, "d": 41}
+    rows = pd.DataFrame({"session": np.repeat(list(lengths), list(lengths.values()))})
+    kinds, _ = number_time_blocks(rows, correlation_rows)
+    blocks = pd.Series(kinds).groupby(rows["session"]).nunique()
+    assert pd.Series(kinds).groupby(kinds).ngroups == blocks.sum()
+    assert blocks[["a", "b", "d"]].tolist() == [4, 3, 4]
+    assert blocks["c"] >= (4 if correlation_rows > 1 else 20)
+    for session in lengths:
+        sizes = np.bincount(kinds[rows["session"] == session])
+        assert np.ptp(sizes[sizes > 0]) <= 1

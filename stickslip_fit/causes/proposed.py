@@ -1,0 +1,290 @@
+"""Terms without a cause: what the diagnosis puts into a law for structure that has no name.
+
+A `SmoothTerm` is a smooth function of one carrier, or a product of such functions of two: a position, an
+angle, the load, a column of the log, the traverse before. `carrier_values` says what each carrier is. A
+`ProposedTerm` is one number times a short expression of them, such as k sin(q1) x load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.smooth import LinearFactor, cosines
+from stickslip_fit.laws import State, StepLaw
+
+ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
+POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
+SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
+Mode = Literal["same", "opposite"]
+
+
+def carrier_values(state: State, carrier: str) -> Array:
+    """What a carrier is at each position of each traverse, shape (n, k) or (n, 1); NaN where it is unknown.
+
+    The angle of the joint that moves is unknown: along a traverse it is the position.
+    """
+    if carrier == POSITION:
+        return state.position
+    if carrier == LOAD:
+        return state.load
+    if carrier == f"q{state.joint}":
+        return np.full((len(state.position), 1), np.nan)
+    if carrier in ANGLES:
+        return np.asarray(getattr(state, carrier) + np.zeros((len(state.position), 1)))
+    if carrier == BEFORE_DIRECTION:
+        before = np.asarray(state.row[carrier], dtype=object)[:, None]
+        return np.asarray((before == "+") * 1.0 - (before == "-"))
+    return state.column(carrier)
+
+
+def carrier_columns(carrier: str) -> tuple[str, ...]:
+    """The column of a log in which a carrier is; none of what follows from the pose and the joint."""
+    return () if carrier in (*ANGLES, POSITION, LOAD) else (carrier,)
+
+
+@dataclass(frozen=True)
+class SmoothTerm(LinearFactor):
+    """gamma times 1 + a smooth function of the carriers.
+
+    Attributes
+    ----------
+    carriers : tuple of str
+        One or two, see `carrier_values`.
+    limits : tuple of (float, float)
+        Range of each carrier; beyond it the function is constant.
+    orders : tuple of tuple of int
+        Of each function, the order of its cosine in each carrier.
+    sds : tuple of float
+        Prior standard deviation of each function's coefficient.
+    on : tuple of (int, str)
+        Joints and directions on which it acts; all if empty.
+    mode : {"same", "opposite"}
+        Whether it has the other sign in direction ``-``.
+    each : bool
+        Whether each of `on` has a function of its own.
+    sessions : tuple of str
+        Sessions with a function of their own; empty for the same in all.
+    """
+
+    carriers: tuple[str, ...] = (POSITION,)
+    limits: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
+    orders: tuple[tuple[int, ...], ...] = ((1,),)
+    sds: tuple[float, ...] = (SMOOTH_SCALE,)
+    on: tuple[tuple[int, str], ...] = ()
+    mode: Mode = "same"
+    each: bool = False
+    sessions: tuple[str, ...] = ()
+
+    name = "smooth-term"
+    phrase = "steps follow something smoothly that no cause describes"
+    physics = "Whatever the carrier stands for: the log alone shows that the step size follows it smoothly."
+    shows_best = "one configuration at the lowest and at the highest values of the carrier"
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        own = [name for carrier in self.carriers for name in carrier_columns(carrier)]
+        return tuple(dict.fromkeys([*own, *(("session",) if self.sessions else ())]))
+
+    @property
+    def varies_along_traverse(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(
+            CauseParameter(
+                f"c{number}",
+                "%",
+                f"coefficient {number} of a smooth function of {' and '.join(self.carriers)}",
+                joint=joint,
+                direction=direction,
+                session=session,
+                prior_sd=sd,
+            )
+            for session in self.sessions or (None,)
+            for joint, direction in (self.on if self.each else ((None, None),))
+            for number, sd in enumerate(self.sds, 1)
+        )
+
+    @property
+    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (0.0,) * len(self.parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (SMOOTH_SCALE,) * len(self.parameters)
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return not self.on or any(joint == law.joint for joint, _ in self.on)
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """The same with another size: all prior standard deviations times a number."""
+        return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
+        waves = [
+            cosines(one, low, high, max(order[place] for order in self.orders))
+            for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
+        ]
+        functions = np.stack(
+            [
+                np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
+                for order in self.orders
+            ],
+            axis=-1,
+        )
+        functions = np.nan_to_num(functions) * _sign(state, self.mode)[..., None]
+        if self.on:
+            acts = np.stack([_acts(state, joint, way) for joint, way in self.on], axis=-1)[:, :, :, None]
+            acts = acts if self.each else acts.sum(axis=2, keepdims=True)
+            functions = (functions[:, :, None, :] * acts).reshape(*functions.shape[:2], -1)
+        if self.sessions:
+            names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
+            functions = (names[:, None, :, None] * functions[:, :, None, :]).reshape(*functions.shape[:2], -1)
+        return np.asarray(functions)
+
+
+def _sign(state: State, mode: Mode) -> Array:
+    """-1 for an effect of opposite sign in direction ``-``, shape (n, 1)."""
+    return state.direction_sign if mode == "opposite" else np.ones((len(state.position), 1))
+
+
+def _acts(state: State, joint: int, way: str) -> Array:
+    """1 for the traverses of a joint in a direction, shape (n, 1)."""
+    return ((state.direction_sign > 0) == (way == "+")) * float(joint == state.joint)
+
+
+EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
+    "x": lambda x: x,
+    "x^2": np.square,
+    "|x|": np.abs,
+    "sin(x)": np.sin,
+    "cos(x)": np.cos,
+    "sin(2 x)": lambda x: np.sin(2.0 * x),
+    "cos(2 x)": lambda x: np.cos(2.0 * x),
+    "sin(3 x)": lambda x: np.sin(3.0 * x),
+    "cos(3 x)": lambda x: np.cos(3.0 * x),
+    "log(1 + x)": lambda x: np.log1p(np.maximum(x, 0.0)),
+}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A function of one carrier: an expression in (carrier - middle) / unit.
+
+    Attributes
+    ----------
+    expression : str
+        One of `EXPRESSIONS`.
+    carrier : str
+    middle, unit : float
+        0 and 1 for angles and loads.
+    """
+
+    expression: str
+    carrier: str
+    middle: float = 0.0
+    unit: float = 1.0
+
+    def values(self, carrier: Array) -> Array:
+        """From values of the carrier, of any shape; 0 where it is unknown."""
+        return np.nan_to_num(EXPRESSIONS[self.expression]((carrier - self.middle) / self.unit))
+
+    def __str__(self) -> str:
+        name = self.carrier.replace("_", " ")
+        if self.unit != 1.0:
+            name = f"({name} - mean) / half range" if self.middle else f"{name} / largest"
+            name = f"({name})" if self.expression == "x^2" else name
+        return self.expression.replace("x", name) if self.expression != "x^2" else f"{name}^2"
+
+
+@dataclass(frozen=True)
+class ProposedTerm(LinearFactor):
+    """gamma times 1 + k times a product of one or two functions of a carrier each.
+
+    Attributes
+    ----------
+    factors : tuple of (str, str, float, float)
+        Each a `Factor`.
+    on, mode
+        As of a `SmoothTerm`.
+    """
+
+    factors: tuple[tuple[str, str, float, float], ...] = (("x", POSITION, 0.0, 1.0),)
+    on: tuple[tuple[int, str], ...] = ()
+    mode: Mode = "same"
+
+    name = "proposed-term"
+    phrase = "steps follow a term that no cause describes"
+    physics = "Whatever stands behind it: of all short expressions this one describes the log best."
+    shows_best = "configurations in which the term is smallest and greatest"
+    parameters = (CauseParameter("k", "%", "size of the proposed term"),)
+    null_values = (0.0,)
+    scale = (SMOOTH_SCALE,)
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """The carrier of each factor."""
+        return tuple(factor[1] for factor in self.factors)
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(dict.fromkeys(name for carrier in self.carriers for name in carrier_columns(carrier)))
+
+    @property
+    def varies_along_traverse(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
+
+    @property
+    def formula(self) -> str:
+        """For people, such as ``k sin(q1) x load, joint 2, + only``."""
+        text = "k " + " x ".join(str(Factor(*factor)) for factor in self.factors)
+        return text + describe_where(self.on, self.mode)
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return not self.on or any(joint == law.joint for joint, _ in self.on)
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        function = np.prod(
+            np.broadcast_arrays(
+                *(Factor(*factor).values(carrier_values(state, factor[1])) for factor in self.factors)
+            ),
+            axis=0,
+        )
+        function = function * _sign(state, self.mode)
+        if self.on:
+            function = function * sum(_acts(state, joint, way) for joint, way in self.on)
+        return np.asarray(function[..., None])
+
+
+def describe_where(on: tuple[tuple[int, str], ...], mode: Mode) -> str:
+    """Joints and directions on which a term acts, as the end of its formula; empty for all."""
+    joints = sorted({joint for joint, _ in on})
+    ways = sorted({way for _, way in on})
+    text = f", joint {' and '.join(map(str, joints))}" if joints else ""
+    text += f", {ways[0]} only" if len(ways) == 1 else ""
+    return text + (", opposite sign in the two directions" if mode == "opposite" else "")

@@ -1,0 +1,298 @@
+"""What is said of structure that no cause describes: what is proposed, what tests that, what comes close.
+
+A finding ``unknown`` may have a version that extends the law: a short term with a formula, `Finding.term`,
+or a smooth function of a carrier. Either is a proposal: it describes the log and names nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from math import sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stickslip_fit._format import (
+    format_coordinate,
+    format_direction,
+    format_percent,
+    format_position,
+    format_significant,
+    format_uncertain,
+    join_words,
+)
+from stickslip_fit._summary import Column, Table
+from stickslip_fit._typing import Array
+from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
+from stickslip_fit.machine import Machine, load_machine, mean_load
+from stickslip_fit.units import from_si
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from stickslip_fit.diagnosis.result import Diagnosis
+
+POSITION, LOAD = "position", "load"
+ANGLES = ("q1", "q2", "q3", "theta", "psi")
+Z_95 = 1.959964
+MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
+CARRIER_PHRASES = {
+    "time": "changes slowly with time, in each session in its own way",
+    "time, the same in each session": "changes slowly with time, in all sessions alike",
+    "configuration": "depends on the configuration, in both directions alike",
+    "configuration and direction": "depends on configuration and direction",
+}
+SAME_BOTH_WAYS = 0.8  # of an effect's extreme, from which on it is as large in the other direction
+COLUMN_WORDS = {
+    "before_direction": "the direction of the traverse before",
+    "before_load": "the load of the traverse before",
+    "session_seconds": "the time in the session",
+    "steps_before": "the joint's own steps so far",
+    "step_period": "the step period",
+    POSITION: "the joint's own position",
+    LOAD: "the load",
+}
+
+
+def describe_carrier(carrier: str) -> str:
+    """What unknown structure does, as the end of a sentence.
+
+    Examples
+    --------
+    >>> describe_carrier("period of 41.2 min"), describe_carrier("time, joint 3")
+    ('comes and goes with a period of 41.2 min', 'changes slowly with time, in joint 3')
+    >>> describe_carrier("product of load and session_seconds, joint 3")
+    'follows the product of the load and the time in the session, joint 3'
+    """
+    if carrier.startswith("period"):
+        return f"comes and goes with a {carrier}"
+    if carrier.startswith("memory"):
+        joint = carrier.removeprefix("memory").strip() or "of any joint"
+        return f"carries over from one traverse {joint} to the next"
+    if carrier.startswith("time, joint"):
+        return f"changes slowly with time, in {carrier.removeprefix('time, ')}"
+    return CARRIER_PHRASES.get(carrier, f"follows {name_carrier(carrier)}")
+
+
+def name_carrier(carrier: str) -> str:
+    """A carrier with its columns in words.
+
+    Examples
+    --------
+    >>> name_carrier("steps_before, joint 2 +"), name_carrier("covariate:lamp, opposite")
+    ("the joint's own steps so far, joint 2 +", 'lamp, with opposite signs in the two directions')
+    """
+    names, text = "|".join(COLUMN_WORDS), carrier.replace(COVARIATE_PREFIX, "")
+    text = re.sub(rf"\b({names})\b", lambda match: COLUMN_WORDS[match[1]], text)
+    text = text.replace(", opposite", ", with opposite signs in the two directions")
+    return re.sub(r"^product of", "the product of", text)
+
+
+def caption_parameters(findings: Sequence[Finding]) -> str:
+    """The caption of a table of parameters."""
+    proposed = any(one.cause == UNKNOWN and one.term for one in findings)
+    return f"Parameters of what was named{' or proposed' if proposed else ''}"
+
+
+def find_extending(findings: Sequence[Finding]) -> list[Finding]:
+    """The findings that extend the law: named causes, and proposals for what has no name."""
+    return [one for one in findings if one.version is not None or one.cause != UNKNOWN]
+
+
+def name_finding(finding: Finding) -> str:
+    """A finding as a table calls it; a proposal is called one."""
+    if finding.cause != UNKNOWN or finding.version is None:
+        return finding.cause
+    return f"{UNKNOWN}: {'proposed term' if finding.term else 'smooth function'}"
+
+
+def describe_shape(finding: Finding) -> str:
+    """What structure without a name does, without a full stop."""
+    if finding.version is not None:
+        return _describe_proposal(finding)
+    text = (
+        f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
+        f"{describe_carrier(finding.carrier)}, and has the shape of no known cause"
+    )
+    if finding.note:
+        return f"{text}; {finding.note}"
+    if not finding.closest:
+        return text
+    return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
+
+
+def _describe_proposal(finding: Finding) -> str:
+    steps, worth = _name_steps(finding), _describe_worth(finding)
+    if not finding.term:
+        what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
+        return (
+            f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; "
+            f"a smooth function of {what} is proposed; {worth}"
+        )
+    sizes = [
+        f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
+        for one in finding.parameters
+    ]
+    what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
+    return f"{steps} follow something that no known cause describes; {what}; {worth}"
+
+
+def name_carriers(finding: Finding) -> str:
+    """What a proposal follows, in words."""
+    carriers = getattr(finding.version, "carriers", ())
+    together = " together" if len(carriers) > 1 else ""
+    words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
+    in_sessions = ", in each session in its own way," if getattr(finding.version, "sessions", ()) else ""
+    return f"{words}{together}{in_sessions}"
+
+
+def _standard_error(parameter: SizedParameter) -> float:
+    return (parameter.size.high - parameter.size.low) / (2 * Z_95)
+
+
+def _name_steps(finding: Finding) -> str:
+    joints = [str(joint) for joint in finding.joints]
+    if len(joints) == 1:
+        return f"Joint {joints[0]}'s steps"
+    return f"The steps of joints {join_words(joints)}" if joints else "Steps"
+
+
+def _describe_worth(finding: Finding) -> str:
+    gain = finding.gain
+    if gain is None:
+        return f"its effect is {format_percent(finding.effect.estimate)} rms"
+    if gain.extended >= gain.baseline:
+        return f"held-out errors stay at {format_percent(gain.extended)}"
+    before, after = format_percent(gain.baseline), format_percent(gain.extended)
+    return f"it lowers the held-out error from {before} to {after}"
+
+
+def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
+    """What to do about structure without a name, as sentences."""
+    repeats = f"a traverse repeats to {format_percent(diagnosis.repeatability)}"
+    if finding.version is None:
+        return (
+            "The figures show it: compare them with whatever changed meanwhile, and log that as a column of "
+            "its own; until it has a name, count on errors of "
+            f"{format_percent(diagnosis.misfit)}, where {repeats}."
+        )
+    test = describe_test(finding, diagnosis)
+    what = "term" if finding.term else "function"
+    return (
+        f"{test + ' ' if test else ''}The {what} is a proposal, no cause: find out what it stands for, and "
+        f"log that as a column of its own. Meanwhile the extended law has it; {repeats}."
+    )
+
+
+def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
+    """The traverses that would test a proposal, as a sentence: where in this log it is at its extremes."""
+    carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
+    if diagnosis.table is not None or not carriers:
+        return ""
+    change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    at_extremes = [_describe_extreme(change * sign, rows, carriers, machine, sign) for sign in (1.0, -1.0)]
+    where = " and ".join(at_extremes)
+    return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
+
+
+def _describe_extreme(
+    change: Array, rows: pd.DataFrame, carriers: Sequence[str], machine: Machine, sign: float
+) -> str:
+    """The traverse with the largest change, and what it is; its direction where the other one has less."""
+    row = rows.iloc[int(np.argmax(change))]
+    is_other = ((rows["joint"] == row["joint"]) & (rows["direction"] != row["direction"])).to_numpy()
+    one_way = change[is_other].max(initial=0.0) < SAME_BOTH_WAYS * change.max()
+    way = f" {format_direction(str(row['direction']))}" if one_way else ""
+    place = join_words([_format_carrier(name, row, machine) for name in carriers])
+    size = format_percent(-float(np.expm1(sign * change.max())), signed=True)
+    return f"joint {row['joint']}{way} at {place} (steps {size})"
+
+
+def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
+    """A carrier's name and its value on one traverse."""
+    label = name_carrier(name)
+    if name in ANGLES:
+        return format_coordinate(name, float(row[name]))
+    if name == POSITION:
+        joint = int(row["joint"])
+        return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
+    if name == LOAD:
+        ends = (float(row[end]) for end in ("start", "stop"))
+        angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))
+        load = mean_load(int(row["joint"]), *(np.array([end]) for end in ends), *angles)
+        return f"{label} {format_significant(float(load[0]), 2)}"
+    if name == "before_direction":
+        return f"{label} {format_direction(str(row[name])) or 'unknown'}"
+    value, unit = float(row[name]), ""
+    if name == "session_seconds":
+        value, unit = from_si(value, "h"), " h"
+    elif name in CONDITIONS:
+        value, unit = from_si(value, CONDITIONS[name].unit), f" {CONDITIONS[name].unit}"
+    return f"{label} {format_significant(float(value), 3)}{unit}"
+
+
+def describe_company(finding: Finding) -> str:
+    """With which other causes a finding was found, as the end of a sentence; empty where it shows alone.
+
+    Examples
+    --------
+    >>> from stickslip_fit.units import Interval
+    >>> size = Interval(0.01, 0.0, 0.02)
+    >>> describe_company(Finding("drift", None, (), 0.001, (3,), size, (), together_with=("wear",)))
+    '; found together with wear: neither shows alone'
+    """
+    others = finding.together_with
+    if not others:
+        return ""
+    alone = "neither shows" if len(others) == 1 else "none of them shows"
+    return f"; found together with {join_words(others)}: {alone} alone"
+
+
+def explains_tables(diagnosis: Diagnosis) -> list[Table]:
+    """The causes that come closest to structure without a name, or no table."""
+    found = [one for one in diagnosis.findings if one.cause == UNKNOWN and one.explains]
+    tables = []
+    for finding in found:
+        ranked = sorted(finding.explains.items(), key=lambda item: -item[1])
+        shares = [item for item in ranked if item[1] >= MIN_EXPLAINED][:MAX_EXPLAINING]
+        size = finding.effect.estimate
+        rows = tuple(
+            (
+                cause,
+                f"{100 * share:.0f}",
+                format_percent(size * (1 - sqrt(max(1 - share, 0.0))), with_unit=False),
+                format_percent(size * sqrt(max(1 - share, 0.0)), with_unit=False),
+            )
+            for cause, share in shares
+        )
+        columns = (
+            Column("cause", text=True),
+            Column("explains", "%"),
+            Column("takes away", "% rms"),
+            Column("leaves", "% rms"),
+        )
+        note = (
+            f"Each by itself, of the {format_percent(size)} rms that have no name: the share of their "
+            "square, and what the cause would take away and leave."
+        )
+        tables += [Table("The closest causes", columns, rows, note=note)] if rows else []
+    return tables
+
+
+def describe_proposals(findings: Sequence[Finding], data: str) -> list[str]:
+    """What structure without a name is to the extended law, as sentences; `data` is "log" or "table"."""
+    unnamed = [one for one in findings if one.cause == UNKNOWN]
+    if not unnamed:
+        return []
+    if all(one.version is None for one in unnamed):
+        return ["Structure without a name is not put into the law, so that it gains nothing."]
+    return [
+        f"What is proposed for structure without a name describes this {data}; it is no cause, and what acts "
+        "may differ from it elsewhere."
+    ]

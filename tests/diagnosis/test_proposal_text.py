@@ -1,0 +1,170 @@
+"""What is said and drawn of structure without a name: what is proposed, what it gains, what tests it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes.proposed import SmoothTerm
+from stickslip_fit.diagnosis import Finding, Gain, diagnose
+from stickslip_fit.diagnosis._summary import write_headline
+from stickslip_fit.diagnosis._unknown_summary import describe_test, name_carriers
+from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
+from stickslip_fit.logs import read_log
+from stickslip_fit.machine import load_machine
+from stickslip_fit.plotting.diagnosis import plot_residuals
+from stickslip_fit.plotting.residuals import finding_picture
+from stickslip_fit.units import Interval
+from tests.hidden.generate import hide
+
+BY_SESSION = pd.DataFrame({"session": ["a"], "baseline": [0.02], "extended": [0.004], "traverses": [9]})
+GAIN = Gain(0.0186, 0.0041, 0.0029, 0.013, 0.0155, BY_SESSION)
+SIZE = Interval(0.008, 0.008 - 1.96 * 0.001, 0.008 + 1.96 * 0.001)
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    """Steps that shrink or grow with the square of psi."""
+    return hide("session", ("unknown:angle",), 25, seed=3, forms={"unknown:angle": "square of psi"})
+
+
+@pytest.fixture(scope="module")
+def proposed(hidden, tmp_path_factory):
+    path = tmp_path_factory.mktemp("proposed") / "log.csv"
+    hidden.write(path)
+    diagnosis = diagnose(read_log(path), gain=False)
+    assert [finding.cause for finding in diagnosis.findings] == ["unknown"]
+    assert diagnosis.findings[0].version is not None
+    return diagnosis
+
+
+def with_finding(diagnosis, **changes):
+    return replace(diagnosis, findings=(replace(diagnosis.findings[0], **changes),))
+
+
+def test_a_term_is_proposed_with_its_formula_its_size_and_its_gain(proposed):
+    sized = (SizedParameter("k", "%", SIZE),)
+    shown = with_finding(proposed, term="k psi^2", parameters=sized, gain=GAIN, joints=(3,))
+    first, second = write_headline(shown)
+    assert first == (
+        "Joint 3's steps follow something that no known cause describes; a term is proposed: k psi^2, "
+        "k = 0.80 ± 0.10 %; it lowers the held-out error from 1.9 % to 0.41 %."
+    )
+    assert "The term is a proposal, no cause" in second
+    text = " ".join(str(shown).split())
+    assert "Parameters of what was named or proposed" in text
+    assert "unknown: proposed term" in text
+    # Without a gain, the size of its effect.
+    assert "its effect is" in write_headline(with_finding(shown, gain=None))[0]
+
+
+def test_without_a_formula_it_is_a_smooth_function_and_its_coefficients_are_not_shown(proposed):
+    sized = (SizedParameter("c1", "%", SIZE),)
+    shown = with_finding(proposed, term="", parameters=sized, joints=(1, 2))
+    assert write_headline(shown)[0].startswith(
+        "The steps of joints 1 and 2 follow psi in a way that no known"
+    )
+    assert "c1" not in str(shown)
+
+
+def test_a_product_is_named_with_both_of_its_columns_in_words():
+    version = SmoothTerm(("load", "session_seconds"), sessions=("a",))
+    assert name_carriers(Finding("unknown", version, (), 0.001, (3,), SIZE, ())) == (
+        "the load and the time in the session together, in each session in its own way,"
+    )
+
+
+def test_the_traverses_that_test_it_are_those_where_its_effect_is_at_its_extremes(hidden, proposed):
+    """The square of psi, after recalibration: at psi of the log where the hidden effect is so, too."""
+    sentence = describe_test(proposed.findings[0], proposed)
+    told = re.findall(r"joint (\d)( [+−])? at psi = (−?\d+)° \(steps ([+−])([\d.]+) %\)", sentence)
+    assert len(told) == 2
+    steps = -np.expm1(hidden.effect("unknown:angle"))
+    at = {
+        float(psi): steps[hidden.table["psi_deg"] == psi].mean() for psi in hidden.table["psi_deg"].unique()
+    }
+    values = [at[float(psi.replace("−", "-"))] for *_, psi, _, _ in told]
+    signs = [1 if sign == "+" else -1 for *_, sign, _ in told]
+    assert sorted(signs) == [-1, 1]
+    assert (values[0] - values[1]) * (signs[0] - signs[1]) > 0
+    assert abs(values[0] - values[1]) > 0.7 * np.ptp(list(at.values()))
+
+
+def test_the_closest_causes_say_what_they_would_take_away(proposed):
+    explains = {"drift": 0.36, "wear": 0.05, "side-load": 0.75, "worn-spot": 0.004}
+    size = Interval(0.01, 0.009, 0.011)
+    text = str(with_finding(proposed, explains=explains, effect=size))
+    table = text[text.index("The closest causes") :].splitlines()
+    rows = [re.split(r"\s{2,}", line.strip()) for line in table[3:6]]
+    # 1 % with 75 % of its square explained leaves half of it.
+    assert rows == [
+        ["side-load", "75", "0.50", "0.50"],
+        ["drift", "36", "0.20", "0.80"],
+        ["wear", "5", "0.03", "0.97"],
+    ]
+    assert "worn-spot  " not in "\n".join(table[:8])
+
+
+def test_causes_that_show_only_together_say_so(named):
+    (drift,) = named.findings
+    together = replace(drift, together_with=("wear",))
+    assert write_headline(replace(named, findings=(together,)))[0].endswith(
+        "; found together with wear: neither shows alone."
+    )
+    three = replace(drift, together_with=("wear", "humidity"))
+    besides = write_headline(replace(named, findings=(drift, three)))[2]
+    assert besides.endswith("(drift); found together with wear and humidity: none of them shows alone.")
+
+
+def test_the_figure_shows_what_is_left_without_the_proposal_the_proposal_and_what_is_left_with_it(proposed):
+    figure = plot_residuals(proposed, 0)
+    comparison = compare_residuals(proposed.selection, proposed.seed)
+    shape = finding_shape(proposed.selection, proposed.selection.selected[-1])
+    axes, joints = figure.axes, proposed.findings[0].joints
+    assert len(axes) == 2 * len(joints)
+    psi = np.degrees(comparison.rows["psi"].to_numpy(float))
+    for column, joint in enumerate(joints):
+        without, left = axes[column], axes[len(joints) + column]
+        subset = ((comparison.rows["joint"] == joint) & (comparison.rows["direction"] == "+")).to_numpy()
+        (dashed, _) = (line for line in without.lines if line.get_linestyle() == "--")
+        for x, y in zip(dashed.get_xdata(), dashed.get_ydata(), strict=True):
+            inside = subset & np.isclose(psi, x)
+            assert y == pytest.approx(100 * shape[inside].mean(), abs=1e-9)
+        means = [
+            container.lines[0].get_ydata()[0] for container in (without.containers[0], left.containers[0])
+        ]
+        first = subset & np.isclose(psi, psi[subset].min())
+        assert means[0] - means[1] == pytest.approx(100 * shape[first].mean(), abs=1e-9)
+        assert left.get_xlabel() == "psi (°)"
+    # With the proposal the residuals are as noise alone would leave them: without it they were not.
+    assert np.std(comparison.after) < 0.8 * np.std(comparison.after + shape)
+
+
+def test_the_picture_shows_the_proposal_and_the_answer_calls_it_no_cause(proposed):
+    shown, selection = with_finding(proposed, term="k psi^2"), proposed.selection
+    selected, comparison = selection.selected[-1], compare_residuals(selection, proposed.seed)
+    shape = finding_shape(selection, selected)
+    picture = finding_picture(shown.findings[0], selected, shape, comparison, load_machine())
+    assert picture.title == "What is proposed: k psi^2"
+    assert picture.caption.startswith("Over psi (°). Points: traverses")
+    assert "dashed: the term as fitted" in picture.caption
+    text = " ".join(str(shown).split())
+    assert "it is no cause" in text
+    assert "is not put into the law" not in text
+
+
+def test_structure_without_a_law_has_no_proposal(unnamed):
+    bare = with_finding(unnamed, version=None, term="")
+    text = " ".join(str(bare).split())
+    assert "propos" not in text
+    assert "Structure without a name is not put into the law" in text
+
+
+def test_a_finding_of_no_columns_has_no_test(proposed):
+    none = Finding("unknown", object(), (), 0.001, (3,), SIZE, ())
+    assert describe_test(none, proposed) == ""
