@@ -14,7 +14,6 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, group_directions
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses
-from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.laws import Prismatic
@@ -54,9 +53,7 @@ def found(hidden_logs):
 def test_a_short_term_is_proposed_and_predicts_a_replicate(found, hidden_logs):
     assert found.verdict == "unknown cause"
     (finding,) = found.findings
-    assert finding.term.startswith("k ")
-    assert {"q1", "load"} <= set(finding.version.carriers)
-    assert "joint 3" in finding.term
+    assert finding.term == "k sin(q1) x load, joint 3"
     assert finding.joints == (3,)
     law = found.extended_law().joints[3]
     rows = hidden_logs[1].rows
@@ -73,7 +70,7 @@ def test_a_short_term_is_proposed_and_predicts_a_replicate(found, hidden_logs):
 
 def test_every_known_cause_has_its_share_and_gains_less_than_the_term(found):
     table = found.explain_unknown()
-    assert list(table["cause"])[0] in found.findings[0].explains
+    assert table["cause"].iloc[0] in found.findings[0].explains
     assert table["share"].is_monotonic_decreasing
     assert ((table["share"] >= 0) & (table["share"] <= 1 + 1e-9)).all()
     # A cause that explains nothing of the structure gains nothing on held-out traverses.
@@ -118,7 +115,7 @@ def test_directions_that_hypotheses_share_are_evaluated_once_and_right(found):
 
 
 @pytest.mark.parametrize(
-    "name", ["q1, opposite", "load, each joint and direction", "product of theta and load, joint 2"]
+    "name", ["q1, opposite", "load, each joint and direction", "product of theta and load, joint 3"]
 )
 def test_a_smooth_alternative_has_the_effects_of_the_law_that_it_becomes(found, name):
     linearized = found.selection.problem.linearize()
@@ -138,10 +135,3 @@ def test_nothing_unknown_has_nothing_to_explain(tmp_path):
     answer = diagnose(read_log(path), gain=False)
     assert answer.verdict == "nothing wrong"
     assert answer.explain_unknown().empty
-
-
-def test_two_functions_of_the_same_name_stay_apart_by_session_and_joint(found):
-    problem = problem_from_log(found.require_log())[0]
-    linearized = problem.linearize()
-    names = [one.cause for one in build_smooth_alternatives(linearized)]
-    assert len(set(names)) == len(names)
