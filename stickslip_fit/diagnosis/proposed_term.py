@@ -1,7 +1,7 @@
 """A law for unknown structure: a short expression where one does, else a smooth function.
 
 `propose_term` searches a dictionary of short expressions (one direction of effects each) over the carriers of
-`smooth_alternatives`. The best is proposed where it is at least as likely as the best smooth function, and
+`smooth_alternatives`. The best is proposed where the log cannot tell it from the best smooth function, and it
 explains more than the best expression of noise alone does; otherwise the smooth function takes its place. It
 is part of `select_causes`, so that each fold searches anew.
 """
@@ -25,6 +25,7 @@ from stickslip_fit.causes.proposed import (
     Mode,
     ProposedTerm,
 )
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -60,7 +61,7 @@ def propose_term(
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
     term = _find_term(linearized, misfit, rng)
-    if term is not None and term.log_evidence >= evidence:
+    if term is not None and term.log_evidence >= evidence - CAUSE_SET_LOG_BAYES_FACTOR:
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
     if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
         return list(selected)

@@ -21,6 +21,7 @@ from stickslip_fit.causes.proposed import (
     LOAD,
     POSITION,
     SMOOTH_SCALE,
+    Mode,
     SmoothTerm,
     carrier_values,
 )
@@ -196,7 +197,8 @@ class _Builder:
         """Functions that differ from session to session, by joint."""
         found = []
         for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
-            for mode, sign in (("same", None), ("opposite", self.sign)):
+            modes: tuple[tuple[Mode, Array | None], ...] = (("same", None), ("opposite", self.sign))
+            for mode, sign in modes:
                 own = {
                     session: subspace
                     for session, inside in self.session_of.items()
