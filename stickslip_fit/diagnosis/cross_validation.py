@@ -9,7 +9,7 @@ new day.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.leave_out import Looks
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
@@ -216,7 +217,31 @@ def compute_held_out_errors(
         Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
         for the first two, and so on; at last with all selected causes.
     """
-    selection = select_from_training(problem, split, selector, seed)
+    return _predict_by_steps(problem, split, findings, select_from_training(problem, split, selector, seed))
+
+
+def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Finding]) -> Array | None:
+    """As `compute_held_out_errors` where the training rows clearly show what the whole log shows, else None.
+
+    The looks of the selection are repeated by linear algebra, and the laws refitted from their fit to all rows.
+    """
+    whole = looks.selection
+    selected = looks.select_without(np.setdiff1d(np.arange(len(whole.problem)), split.train))
+    if selected is None:
+        return None
+    parts = [
+        replace(part, values=fitted.values[:, : part.values.shape[1]])
+        for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
+    ]
+    training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
+    fit = training.fit_extended([one.version for one in selected], whole.fit.values)
+    selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
+    return _predict_by_steps(whole.problem, split, findings, selection)
+
+
+def _predict_by_steps(
+    problem: DiagnosisProblem, split: Split, findings: Sequence[Finding], selection: Selection
+) -> Array:
     errors = [_prediction_errors(problem, split, (), np.zeros(0))]
     for versions, fit in extend_by_steps(selection, findings):
         errors.append(_prediction_errors(problem, split, versions, fit.values))

@@ -195,6 +195,8 @@ class Misfit:
         The statistic in the bootstrap samples.
     p_value_factor : float
         Factor on the p-value, for heteroscedasticity chosen by the same residuals.
+    basis : sparse array, shape (n, number of parameters), or None
+        Of the calibration that is projected out; None for residuals of no fit.
     """
 
     residual: Array
@@ -204,6 +206,7 @@ class Misfit:
     p_value: float
     null_log_evidence: Array
     p_value_factor: float = 1.0
+    basis: csr_array | None = None
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""
@@ -242,12 +245,9 @@ def compute_misfit(
     """
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
-    weight = _log_weights(hypotheses, causes)
+    weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
-    by_cause = {
-        name: float(logsumexp((own + weight)[[cause == name for cause in causes]]))
-        for name in dict.fromkeys(causes)
-    }
+    by_cause = average_by_cause(causes, weight, own)
     statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
     share = np.nan
 
@@ -275,7 +275,16 @@ def compute_misfit(
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
-    return Misfit(linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor)
+    return Misfit(
+        linearized.residual,
+        tuple(hypotheses),
+        own,
+        by_cause,
+        p_value,
+        null,
+        p_value_factor,
+        linearized.basis,
+    )
 
 
 NoiseSampler = Callable[[int], Array]
@@ -312,7 +321,14 @@ def _estimate_tail_df(residual: Array) -> float:
     return max(TAIL_DF, key=log_likelihood)
 
 
-def _log_weights(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
+def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Array) -> dict[str, float]:
+    """Log evidence of each cause, averaged over its hypotheses; all of length H."""
+    numbers = {cause: number for number, cause in enumerate(dict.fromkeys(causes))}
+    label, total = np.array([numbers[cause] for cause in causes], dtype=np.intp), log_evidence + log_weight
+    return {cause: float(logsumexp(total[label == number])) for cause, number in numbers.items()}
+
+
+def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
     """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind."""
     families = [
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause
