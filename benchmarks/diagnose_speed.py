@@ -1,8 +1,9 @@
 """CPU time of whole commands, in an older version of the package and in this one.
 
-`python -m benchmarks.diagnose_speed OLDER LOG...`, OLDER a checkout of the older version, e.g. made by `git worktree add
---detach ../older 62652d8`. The commands take turns; user and system time of all their processes counts, imports
-included. `--decide` also has 10,000 simulated traverses decided, without gain; `--page` and `--report` have pages made.
+`python -m benchmarks.diagnose_speed OLDER LOG...`, OLDER a checkout of the older version, e.g. made by
+`git worktree add --detach ../older 62652d8`. The commands take turns, after one turn to compile; user and
+system time of all their processes counts, imports included. `--decide` also has 10,000 simulated traverses
+decided, without gain; `--page` and `--report` have pages made.
 """
 
 from __future__ import annotations
@@ -59,6 +60,10 @@ def main() -> None:
             log = Path(folder) / "log.csv"
             number = make_log(log)
             commands[f"decide {number:,} traverses"] = [sys.executable, "-c", DECIDE, log]
+        for tree in (options.older.resolve(), NEWER):
+            cpu_seconds(
+                [*verb, "report", REFERENCE / "campaign.csv", "-o", page, "--no-diagnosis"], tree, folder
+            )
         print("| command | older | this | ratio | from | to |\n| --- | --- | --- | --- | --- | --- |")
         for name, command in commands.items():
             seconds = np.array(
@@ -85,7 +90,8 @@ def make_log(path: Path) -> int:
 
 def cpu_seconds(command: Sequence[str | Path], tree: Path, folder: str) -> float:
     """User and system time of a command and its children, with the package of a tree."""
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONPYCACHEPREFIX": f"{folder}/compiled"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = os.times()
     subprocess.run(command, check=True, env=environment, cwd=folder, stdout=subprocess.DEVNULL)
     after = os.times()

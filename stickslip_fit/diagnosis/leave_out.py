@@ -1,15 +1,14 @@
-"""The looks of a selection repeated without some rows, by linear algebra: what it would select from the others.
+"""The tests of a selection repeated without some rows, by linear algebra.
 
-To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S. Weisberg,
-Residuals and Influence in Regression, 1982, section 2.2). So every hypothesis of a test, its evidence included,
-follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws are
-linearized about their fit to all rows, whose noise is kept: both are errors of second order. Where a look
-is not clear, the selection has to be repeated.
+To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S.
+Weisberg, Residuals and Influence in Regression, 1982, section 2.2). So the evidence of every hypothesis
+follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws
+are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Where the
+answer of a test is not clear, the selection has to be repeated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -231,7 +230,7 @@ class Look:
 
 
 class Looks:
-    """The looks of a selection: those that named the causes in its law, and the last, which named no other."""
+    """The tests that named the causes in a selection's law, and the last one, which named no other."""
 
     def __init__(self, selection: Selection, alpha: float) -> None:
         self.selection = selection
