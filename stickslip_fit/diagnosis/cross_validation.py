@@ -9,7 +9,7 @@ new day.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.leave_out import Looks
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
@@ -81,9 +82,10 @@ def make_folds(
     effects = np.zeros((n, 0)) if effects is None else effects
     n_blocks, width = int(block.max()) + 1, coordinates.shape[1]
     folds = [_FoldInformation.empty(n_blocks, width, effects) for _ in range(number)]
+    sums = _KindInformation.of(kinds, block, coordinates, effects)
 
     def try_add(fold: int, rows: IntArray) -> bool:
-        return folds[fold].try_add(block[rows], coordinates[rows], effects[rows])
+        return folds[fold].try_add(sums[int(kinds[rows[0]])])
 
     return deal_kinds(kinds, number, try_add, rng)
 
@@ -118,6 +120,37 @@ def deal_kinds(
 
 
 @dataclass(frozen=True, eq=False)
+class _KindInformation:
+    """Information in the rows of a kind, on the b blocks that it has rows of; see `_FoldInformation`."""
+
+    blocks: IntArray
+    own: Array
+    cross: Array
+    effect: Array
+
+    @classmethod
+    def of(
+        cls, kinds: IntArray, block: IntArray, coordinates: Array, effects: Array
+    ) -> dict[int, _KindInformation]:
+        """Of each kind; n rows with their kinds and blocks, coordinates (n, w) and effects (n, k)."""
+        order = np.lexsort((block, kinds))
+        kind, block, x, effect = kinds[order], block[order], coordinates[order], effects[order]
+        begins = np.r_[True, (np.diff(kind) != 0) | (np.diff(block) != 0)]
+        first = np.flatnonzero(begins)
+        own = np.add.reduceat(x[:, :, None] * x[:, None, :], first)
+        cross = np.add.reduceat(x[:, :, None] * effect[:, None, :], first)
+        squares, of_kind = np.add.reduceat(effect**2, first), kind[first]
+        ends = np.r_[np.flatnonzero(np.diff(of_kind)) + 1, len(first)]
+        information, begin = {}, 0
+        for end in ends.tolist():
+            inside = slice(begin, end)
+            blocks = block[first[inside]]
+            information[int(of_kind[begin])] = cls(blocks, own[inside], cross[inside], squares[inside])
+            begin = end
+        return information
+
+
+@dataclass(frozen=True, eq=False)
 class _FoldInformation:
     """Information in a fold's rows on B blocks with up to w parameters, and on k causes.
 
@@ -129,6 +162,8 @@ class _FoldInformation:
         Of the rows' coordinates and the causes' effects.
     effect : array, shape (B, k)
         Squared effects.
+    lost : array, shape (B, k)
+        Squared strength in the held-out rows, and what the training rows then absorb.
     remaining_strength : array, shape (k,)
         Squared strength of each cause in the training rows, calibrated by them.
     min_strength : array, shape (k,)
@@ -137,6 +172,7 @@ class _FoldInformation:
     own: Array
     cross: Array
     effect: Array
+    lost: Array
     remaining_strength: Array
     min_strength: Array
 
@@ -145,30 +181,38 @@ class _FoldInformation:
         """Of no row."""
         k, whole = effects.shape[1], np.sum(effects**2, axis=0)
         sums = np.zeros((blocks, width, width)), np.zeros((blocks, width, k)), np.zeros((blocks, k))
-        return cls(*sums, whole, np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2))
+        return cls(*sums, np.zeros((blocks, k)), whole, np.minimum(MIN_KNOWN_STRENGTH**2, whole / 2))
 
-    def try_add(self, block: IntArray, coordinates: Array, effect: Array) -> bool:
-        """Hold these rows out, too, if every parameter stays determined."""
-        blocks, at = np.unique(block, return_inverse=True)
-        own, cross, squares = self.own[blocks], self.cross[blocks], self.effect[blocks]
-        before = _lost_strength(own, cross, squares)
-        np.add.at(own, at, coordinates[:, :, None] * coordinates[:, None, :])
-        np.add.at(cross, at, coordinates[:, :, None] * effect[:, None, :])
-        np.add.at(squares, at, effect**2)
-        if np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
+    def try_add(self, kind: _KindInformation) -> bool:
+        """Hold the rows of a kind out, too, if every parameter stays determined."""
+        blocks = kind.blocks
+        own, cross, effect = (
+            self.own[blocks] + kind.own,
+            self.cross[blocks] + kind.cross,
+            self.effect[blocks] + kind.effect,
+        )
+        # The trace bounds the largest eigenvalue.
+        bound = np.trace(own, axis1=1, axis2=2).max()
+        if bound >= MAX_UNKNOWN_SHARE and np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
             return False
-        left = self.remaining_strength + before - _lost_strength(own, cross, squares)
+        lost = _lost_strength(own, cross, effect) if effect.shape[1] else effect
+        left = self.remaining_strength + np.sum(self.lost[blocks] - lost, axis=0)
         if np.any(left < self.min_strength):
             return False
-        self.own[blocks], self.cross[blocks], self.effect[blocks] = own, cross, squares
+        self.own[blocks], self.cross[blocks], self.effect[blocks], self.lost[blocks] = (
+            own,
+            cross,
+            effect,
+            lost,
+        )
         self.remaining_strength[:] = left
         return True
 
 
-def _lost_strength(own: Array, cross: Array, squares: Array) -> Array:
-    """Squared strength in the held-out rows, and what the training rows then absorb; shape (k,)."""
+def _lost_strength(own: Array, cross: Array, effect: Array) -> Array:
+    """As `_FoldInformation.lost`, of each block."""
     solved = np.linalg.solve(np.eye(own.shape[1]) - own, cross)
-    return np.sum(squares + np.sum(cross * solved, axis=1), axis=0)
+    return np.asarray(effect + np.sum(cross * solved, axis=1))
 
 
 def number_blocks(parts: Sequence[LawBlock], n: int) -> IntArray:
@@ -216,7 +260,31 @@ def compute_held_out_errors(
         Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
         for the first two, and so on; at last with all selected causes.
     """
-    selection = select_from_training(problem, split, selector, seed)
+    return _predict_by_steps(problem, split, findings, select_from_training(problem, split, selector, seed))
+
+
+def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Finding]) -> Array | None:
+    """As `compute_held_out_errors` where the training rows clearly show what the whole log shows, else None.
+
+    The tests are repeated by linear algebra, and the laws refitted from their fit to all rows.
+    """
+    whole = looks.selection
+    selected = looks.select_without(np.setdiff1d(np.arange(len(whole.problem)), split.train))
+    if selected is None:
+        return None
+    parts = [
+        replace(part, values=fitted.values[:, : part.values.shape[1]])
+        for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
+    ]
+    training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
+    fit = training.fit_extended([one.version for one in selected], whole.fit.values)
+    selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
+    return _predict_by_steps(whole.problem, split, findings, selection)
+
+
+def _predict_by_steps(
+    problem: DiagnosisProblem, split: Split, findings: Sequence[Finding], selection: Selection
+) -> Array:
     errors = [_prediction_errors(problem, split, (), np.zeros(0))]
     for versions, fit in extend_by_steps(selection, findings):
         errors.append(_prediction_errors(problem, split, versions, fit.values))

@@ -21,6 +21,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
     compute_held_out_errors,
+    confirm_held_out_errors,
     hold_out_sessions,
     make_folds,
 )
@@ -36,6 +37,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     simulate_gain_interval,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
+from stickslip_fit.diagnosis.leave_out import prepare_looks
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -84,6 +86,8 @@ def measure_gain(
 
     # Only the interval of a law extended by causes needs splits of replicates.
     n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
+    looks = prepare_looks(selection, alpha) if selection.law_causes else None
+    confirm = partial(confirm_held_out_errors, looks) if looks is not None else None
     folds, *others = (
         hold_out_configurations(selection, np.random.default_rng([seed, k])) for k in range(1 + n_others)
     )
@@ -91,10 +95,12 @@ def measure_gain(
     gain = new_session = None
     if folds:
         report_split = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
-        gain, own = estimate(selection, findings, folds, others=others, progress=report_split)
+        gain, own = estimate(
+            selection, findings, folds, others=others, confirm=confirm, progress=report_split
+        )
     if sessions:
         report_split = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
-        new_session, _ = estimate(selection, findings, sessions, progress=report_split)
+        new_session, _ = estimate(selection, findings, sessions, confirm=confirm, progress=report_split)
     return gain, new_session, own if folds else findings
 
 
@@ -110,6 +116,7 @@ def estimate_gain(
     workers: int = -1,
     progress: SplitProgress | None = None,
     compute_errors: HeldOutErrors = compute_held_out_errors,
+    confirm: Callable[..., Array | None] | None = None,
     recolour: Recolouring = keep_columns,
 ) -> tuple[Gain, tuple[Finding, ...]]:
     """Repeat the selection in each split, and compare its predictions of the held-out rows.
@@ -134,6 +141,8 @@ def estimate_gain(
         Called with the number of splits that are done, and of all.
     compute_errors : callable, optional
         As `compute_held_out_errors`; a table's laws are calibrated in another way.
+    confirm : callable, optional
+        From a split and findings to the same errors, or None where the selection has to be repeated.
     recolour : callable, optional
         Of `LinearizedCampaign`.
 
@@ -146,7 +155,8 @@ def estimate_gain(
     extending = [finding for finding in findings if finding.version is not None]
     if extending:
         compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
-        errors = _collect_errors(compute, len(selection.problem), splits, seed, workers, progress)
+        known = [confirm(split, extending) if confirm else None for split in splits]
+        errors = _collect_errors(compute, known, len(selection.problem), splits, seed, workers, progress)
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
         campaign = _linearize_campaign(selection, [finding.cause for finding in extending], alpha)
         campaign = replace(campaign, recolour=recolour)
@@ -164,6 +174,7 @@ def estimate_gain(
 
 def _collect_errors(
     compute: Callable[..., Array],
+    known: Sequence[Array | None],
     n_rows: int,
     splits: Sequence[Split],
     seed: int,
@@ -172,15 +183,17 @@ def _collect_errors(
 ) -> Array:
     from joblib import Parallel, delayed
 
-    tasks = (delayed(compute)(split, seed=(seed, number)) for number, split in enumerate(splits))
+    open_splits = [number for number, errors in enumerate(known) if errors is None]
+    tasks = (delayed(compute)(splits[number], seed=(seed, number)) for number in open_splits)
     # Starting a process takes as long as the selection in several folds of a small log.
-    n_jobs = workers if n_rows > MAX_SERIAL_ROWS else 1
-    errors = []
-    for split_errors in Parallel(n_jobs=n_jobs, return_as="generator")(tasks):
-        errors.append(split_errors)
+    n_jobs = workers if n_rows > MAX_SERIAL_ROWS and len(open_splits) > 1 else 1
+    errors = dict(enumerate(known))
+    results = Parallel(n_jobs=n_jobs, return_as="generator")(tasks)
+    for done, (number, split_errors) in enumerate(zip(open_splits, results, strict=True), start=1):
+        errors[number] = split_errors
         if progress is not None:
-            progress(len(errors), len(splits))
-    return np.concatenate(errors, axis=1)
+            progress(len(splits) - len(open_splits) + done, len(splits))
+    return np.concatenate([errors[number] for number in range(len(splits))], axis=1)
 
 
 def _baseline_errors(selection: Selection, splits: Sequence[Split], recolour: Recolouring) -> Array:

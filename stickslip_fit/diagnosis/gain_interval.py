@@ -213,8 +213,16 @@ def simulate_gain_interval(
         Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
     lengths = campaign.effect_lengths(campaign.effects).diagonal()
+    prepared = _prepare_splits(campaign, splits)
     pairs = [
-        _simulate_replicate_pairs(campaign, splits, other, lengths, n_draws // len(others), rng)
+        _simulate_replicate_pairs(
+            campaign,
+            prepared,
+            prepared if other is splits else _prepare_splits(campaign, other),
+            lengths,
+            n_draws // len(others),
+            rng,
+        )
         for other in others
     ]
     first, second = (_concatenate(replicates) for replicates in zip(*pairs, strict=True))
@@ -238,8 +246,8 @@ def _concatenate(parts: Sequence[_SimulatedReplicates]) -> _SimulatedReplicates:
 
 def _simulate_replicate_pairs(
     campaign: LinearizedCampaign,
-    splits: Sequence[Split],
-    others: Sequence[Split],
+    splits: Sequence[SplitOperators],
+    others: Sequence[SplitOperators],
     lengths: Array,
     n_draws: int,
     rng: np.random.Generator,
@@ -270,21 +278,24 @@ def _draw_noise(campaign: LinearizedCampaign, number: int, rng: np.random.Genera
 
 
 def _simulate_replicates(
-    campaign: LinearizedCampaign, splits: Sequence[Split], responses: Array, rng: np.random.Generator
+    campaign: LinearizedCampaign,
+    splits: Sequence[SplitOperators],
+    responses: Array,
+    rng: np.random.Generator,
 ) -> _SimulatedReplicates:
     m, k = responses.shape[1], len(campaign.slopes)
     squares, count = np.zeros((m, k + 1)), 0
-    for split in splits:
+    for operators in splits:
         spread = [
             RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
             for one in campaign.competing_causes
         ]
-        operators = prepare_split(campaign.basis, split, campaign.recolour)
         results = np.stack(
             [simulate_selection(campaign, j, operators.training, responses, spread[j]) for j in range(k)],
             axis=1,
         )
-        scale, plain = campaign.scale[split.held_out, None], operators.prediction.subtract(responses)
+        held_out = operators.prediction.predicted
+        scale, plain = campaign.scale[held_out, None], operators.prediction.subtract(responses)
         squares[:, 0] += np.sum((plain * scale) ** 2, axis=0)
         for result in np.unique(results, axis=0):
             logs = np.flatnonzero(np.all(results == result, axis=1))
@@ -292,7 +303,7 @@ def _simulate_replicates(
                 columns, penalties = _extension_columns(campaign, result[:step])
                 errors = plain[:, logs] - predict_extension(operators, columns, penalties, responses[:, logs])
                 squares[logs, step] += np.sum((errors * scale) ** 2, axis=0)
-        count += len(split.held_out)
+        count += len(held_out)
     return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
 
 
@@ -344,6 +355,10 @@ class SplitOperators:
 
     training: CalibrationOperator
     prediction: CalibrationOperator
+
+
+def _prepare_splits(campaign: LinearizedCampaign, splits: Sequence[Split]) -> list[SplitOperators]:
+    return [prepare_split(campaign.basis, split, campaign.recolour) for split in splits]
 
 
 def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:

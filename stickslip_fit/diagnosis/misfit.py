@@ -26,7 +26,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +50,6 @@ from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
-MAX_LOG_EVIDENCE = 600.0  # nats; keeps sums of Bayes factors finite
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
@@ -94,24 +95,47 @@ class HypothesisBatch:
 
     def log_evidence(self, residuals: Array) -> Array:
         """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
-        subspaces = logsumexp(self._at_each_strength(residuals), axis=1) - np.log(len(STRENGTHS))
+        at_each = self._at_each_strength(residuals, np.sum(residuals**2, axis=0))
+        subspaces = logsumexp(at_each, axis=1) - np.log(len(STRENGTHS))
         return np.concatenate([subspaces, *self._ar1_log_evidence(residuals)])[self.position]
 
     def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
-        """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,)."""
+        """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,).
+
+        In single precision, to some 1e-5 nats.
+        """
         weight = np.empty(len(log_weight))
         weight[self.position] = np.exp(log_weight)
-        subspaces = self._at_each_strength(residuals)
-        np.exp(np.minimum(subspaces, MAX_LOG_EVIDENCE, out=subspaces), out=subspaces)
-        ar1s = [np.exp(np.minimum(log, MAX_LOG_EVIDENCE)) for log in self._ar1_log_evidence(residuals)]
-        return np.log(weight @ np.concatenate([subspaces.mean(axis=1), *ar1s]))
+        single, total = np.float32, np.sum(residuals**2, axis=0)
+        subspaces = self._single_precision._at_each_strength(residuals.astype(single), total.astype(single))
+        ar1s = [np.zeros((0, len(total))), *self._ar1_log_evidence(residuals)]
+        others = np.concatenate(ar1s)
+        highest = np.maximum(subspaces.max(axis=(0, 1), initial=0.0), others.max(axis=0, initial=0.0))
+        np.exp(np.subtract(subspaces, highest.astype(single), out=subspaces), out=subspaces)
+        n = len(subspaces)
+        mean = weight[:n].astype(single) @ subspaces.mean(axis=1) + weight[n:] @ np.exp(others - highest)
+        return np.asarray(np.log(mean) + highest)
 
-    def _at_each_strength(self, residuals: Array) -> Array:
-        """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k)."""
+    @cached_property
+    def _single_precision(self) -> HypothesisBatch:
+        single = np.float32
+        return replace(
+            self,
+            groups=tuple(replace(one, directions=one.directions.astype(single)) for one in self.groups),
+            explained_share=self.explained_share.astype(single),
+            log_spread=self.log_spread.astype(single),
+        )
+
+    def _at_each_strength(self, residuals: npt.NDArray[Any], total: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k).
+
+        `total`, shape (k,), are the sums of squares of the residuals.
+        """
         along = np.concatenate([group.directions @ residuals[group.rows] for group in self.groups])
         log = self.explained_share @ np.square(along, out=along)
-        log /= -np.sum(residuals**2, axis=0)
-        np.log1p(np.maximum(log, -MAX_EXPLAINED, out=log), out=log)
+        log /= -total
+        largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
+        np.log1p(np.maximum(log, -largest, out=log), out=log)
         log *= -0.5 * self.df
         log -= 0.5 * self.log_spread[:, None]
         return log.reshape(-1, len(STRENGTHS), residuals.shape[1])
@@ -201,6 +225,8 @@ class Misfit:
         The statistic in the bootstrap samples.
     p_value_factor : float
         Factor on the p-value, for heteroscedasticity chosen by the same residuals.
+    basis : sparse array, shape (n, number of parameters), or None
+        Of the calibration that is projected out; None for residuals of no fit.
     """
 
     residual: Array
@@ -210,6 +236,7 @@ class Misfit:
     p_value: float
     null_log_evidence: Array
     p_value_factor: float = 1.0
+    basis: csr_array | None = None
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""
@@ -219,8 +246,7 @@ class Misfit:
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""
-        places = [k for k, one in enumerate(self.hypotheses) if classify_cause(one) == cause]
-        places = places or list(range(len(self.hypotheses)))
+        places = self._places.get(cause) or range(len(self.hypotheses))
         return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
 
     def best_subspace(self, cause: str) -> Hypothesis:
@@ -230,6 +256,14 @@ class Misfit:
         best = self.hypotheses[max(own or subspaces, key=lambda k: self.log_evidence[k])]
         assert isinstance(best, Hypothesis)
         return best
+
+    @cached_property
+    def _places(self) -> dict[str, list[int]]:
+        """Where the hypotheses of each cause stand."""
+        places: dict[str, list[int]] = {}
+        for place, one in enumerate(self.hypotheses):
+            places.setdefault(classify_cause(one), []).append(place)
+        return places
 
     def n_shapes(self, cause: str) -> int:
         """Number of shapes over which the evidence of a cause is averaged, at least 1."""
@@ -260,12 +294,9 @@ def compute_misfit(
     """
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
-    weight = _log_weights(hypotheses, causes)
+    weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
-    by_cause = {
-        name: float(logsumexp((own + weight)[[cause == name for cause in causes]]))
-        for name in dict.fromkeys(causes)
-    }
+    by_cause = average_by_cause(causes, weight, own)
     statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
     share = np.nan
 
@@ -300,7 +331,16 @@ def compute_misfit(
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
-    return Misfit(linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor)
+    return Misfit(
+        linearized.residual,
+        tuple(hypotheses),
+        own,
+        by_cause,
+        p_value,
+        null,
+        p_value_factor,
+        linearized.basis,
+    )
 
 
 NoiseSampler = Callable[[int], Array]
@@ -354,7 +394,14 @@ def _estimate_tail_df(residual: Array) -> float:
     return max(TAIL_DF, key=log_likelihood)
 
 
-def _log_weights(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
+def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Array) -> dict[str, float]:
+    """Log evidence of each cause, averaged over its hypotheses; all of length H."""
+    numbers = {cause: number for number, cause in enumerate(dict.fromkeys(causes))}
+    label, total = np.array([numbers[cause] for cause in causes], dtype=np.intp), log_evidence + log_weight
+    return {cause: float(logsumexp(total[label == number])) for cause, number in numbers.items()}
+
+
+def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
     """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind."""
     families = [
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause

@@ -237,7 +237,11 @@ class DiagnosisProblem:
 
     def without_rows(self, removed: IntArray) -> DiagnosisProblem:
         """The problem without some rows, the baseline refitted."""
-        kept = np.setdiff1d(np.arange(len(self)), removed)
+        smaller = self.select_rows(np.setdiff1d(np.arange(len(self)), removed))
+        return replace(smaller, parts=smaller.fit_extended().parts)
+
+    def select_rows(self, kept: IntArray) -> DiagnosisProblem:
+        """The problem of some rows in ascending order, the baseline as it is."""
         place = np.full(len(self), -1)
         place[kept] = np.arange(len(kept))
         parts = []
@@ -245,7 +249,7 @@ class DiagnosisProblem:
             inside = place[part.rows] >= 0
             rows = place[part.rows][inside]
             parts.append(replace(part, rows=rows, block=part.block[inside], values=part.values[inside]))
-        smaller = replace(
+        return replace(
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
             spacing=None if self.spacing is None else self.spacing[kept],
@@ -256,7 +260,6 @@ class DiagnosisProblem:
                 for name in ("responses", "rounding", "noise_group", "configuration", "noise_ratio")
             },
         )
-        return replace(smaller, parts=smaller.fit_extended().parts)
 
 
 def _are_sizes(versions: Sequence[Any]) -> BoolArray:

@@ -1,0 +1,287 @@
+"""The tests of a selection repeated without some rows, by linear algebra.
+
+To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S.
+Weisberg, Residuals and Influence in Regression, 1982, section 2.2). So the evidence of every hypothesis
+follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws
+are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Where the
+answer of a test is not clear, the selection has to be repeated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.special import logsumexp
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    VARIANCE_TOL,
+    Hypothesis,
+    make_hypothesis,
+    sum_lags,
+)
+from stickslip_fit.diagnosis.misfit import (
+    MAX_EXPLAINED,
+    STRENGTHS,
+    UNKNOWN,
+    Misfit,
+    average_by_cause,
+    classify_cause,
+    weigh_hypotheses,
+)
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
+
+MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
+MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
+CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
+CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next
+MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Rows left out of n, of which h' directions are determined without them.
+
+    Attributes
+    ----------
+    rows : array of int, shape (h,)
+    weights : array, shape (h, h')
+        Combinations of the rows' projected indicators that are orthonormal.
+    """
+
+    rows: IntArray
+    weights: Array
+
+    @classmethod
+    def of(cls, basis: csr_array, rows: IntArray) -> LeftOut:
+        """Rows left out of a fit whose calibration has an orthonormal `basis`, shape (n, p)."""
+        own = basis[rows]
+        known, vectors = np.linalg.eigh(np.eye(len(rows)) - (own @ own.T).toarray())
+        kept = known > MIN_KNOWN
+        return cls(rows, vectors[:, kept] / np.sqrt(known[kept]))
+
+    def coordinates(self, columns: Array) -> Array:
+        """Projected columns along the directions left out, (n, m) -> (h', m)."""
+        return np.asarray(self.weights.T @ columns[self.rows])
+
+    def remove(self, columns: Array, basis: csr_array) -> Array:
+        """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
+        combined = self.weights @ self.coordinates(columns)
+        left = columns + basis @ (basis[self.rows].T @ combined)
+        left[self.rows] = 0.0
+        return np.asarray(left)
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockStack:
+    """Blocks of w directions each on the same s rows; k blocks.
+
+    Attributes
+    ----------
+    place : array of int, shape (n,)
+        Of each row of the fit among the s rows, or -1.
+    directions : array, shape (s, k w)
+    along : array, shape (k, w)
+        Coefficient of the residual along each direction.
+    root_share : array, shape (k, w)
+        Root of each direction's prior share.
+    owner : array of int, shape (k,)
+        Hypothesis of each block.
+    """
+
+    place: IntArray
+    directions: Array
+    along: Array
+    root_share: Array
+    owner: IntArray
+
+    def without(self, left_out: LeftOut, lost: Array) -> tuple[Array, Array]:
+        """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
+
+        `lost`, shape (h',), are the residual's coordinates among those left out.
+        """
+        place = self.place[left_out.rows]
+        cross = left_out.weights[place >= 0].T @ self.directions[place[place >= 0]]
+        along = self.along - (lost @ cross).reshape(self.along.shape)
+        k, w = self.along.shape
+        if w == 1:
+            left = 1.0 - np.sum(cross**2, axis=0)[:, None]
+            known = np.maximum(left, MIN_LEFT)
+            return np.where(left > MIN_LEFT, left, 0.0) * self.root_share**2, along**2 / known
+        blocks = cross.reshape(-1, k, w).transpose(1, 2, 0)
+        gram = np.eye(w) - blocks @ blocks.transpose(0, 2, 1)
+        scaled = self.root_share[:, :, None] * gram * self.root_share[:, None, :]
+        variance, right = np.linalg.eigh(scaled)
+        coefficients = np.einsum("kwv,kw->kv", right, self.root_share * along)
+        kept = variance > VARIANCE_TOL * np.sum(self.root_share**2, axis=1, keepdims=True)
+        return np.where(kept, variance, 0.0), coefficients**2 / np.where(kept, variance, np.inf)
+
+
+class Look:
+    """A misfit test, and its evidence without some rows."""
+
+    def __init__(self, misfit: Misfit) -> None:
+        assert misfit.basis is not None
+        self.misfit, self.basis = misfit, misfit.basis
+
+    @cached_property
+    def _stacks(self) -> list[_BlockStack]:
+        n = len(self.misfit.residual)
+        rows_of: dict[tuple[bytes, int], IntArray] = {}
+        blocks: dict[tuple[bytes, int], list[Array]] = {}
+        shares: dict[tuple[bytes, int], list[Array]] = {}
+        owners: dict[tuple[bytes, int], list[int]] = {}
+        for number, one in enumerate(self.misfit.hypotheses):
+            if isinstance(one, AR1):
+                continue
+            first = 0
+            for rows, block in one.blocks:
+                width = block.shape[1]
+                if not width:
+                    continue
+                key = (b"" if isinstance(rows, slice) else rows.tobytes(), width)
+                rows_of.setdefault(key, np.arange(n) if isinstance(rows, slice) else rows)
+                blocks.setdefault(key, []).append(block)
+                shares.setdefault(key, []).append(one.prior_share[first : first + width])
+                owners.setdefault(key, []).append(number)
+                first += width
+        stacks = []
+        for key, rows in rows_of.items():
+            place = np.full(n, -1)
+            place[rows] = np.arange(len(rows))
+            directions = np.concatenate(blocks[key], axis=1)
+            along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
+            root_share = np.sqrt(np.stack(shares[key]))
+            stacks.append(_BlockStack(place, directions, along, root_share, np.array(owners[key])))
+        return stacks
+
+    @cached_property
+    def _causes(self) -> list[str]:
+        return [classify_cause(one) for one in self.misfit.hypotheses]
+
+    @cached_property
+    def _log_weight(self) -> Array:
+        return weigh_hypotheses(self.misfit.hypotheses, self._causes)
+
+    def without(self, rows: IntArray) -> Misfit:
+        """The test without some rows, its residual zero in them; neither p-value nor directions are new."""
+        residual, left_out = self.misfit.residual, LeftOut.of(self.basis, rows)
+        lost = left_out.coordinates(residual[:, None])[:, 0]
+        total = float(residual @ residual - lost @ lost)
+        df = len(residual) - self.basis.shape[1] - left_out.weights.shape[1]
+        number = len(self.misfit.hypotheses)
+        spectra = [(stack.owner, *stack.without(left_out, lost)) for stack in self._stacks]
+        owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])
+        variance = np.concatenate([variance.ravel() for _, variance, _ in spectra])
+        squares = np.concatenate([squares.ravel() for _, _, squares in spectra])
+        share = variance / np.maximum(np.bincount(owner, variance, number), np.finfo(float).tiny)[owner]
+        at_strength = []
+        for strength in STRENGTHS:
+            signal = strength**2 * share
+            explained = np.bincount(owner, squares * signal / (1.0 + signal), number) / total
+            spread = np.bincount(owner, np.log1p(signal), number)
+            at_strength.append(
+                -0.5 * spread - 0.5 * df * np.log1p(-np.minimum(np.maximum(explained, 0.0), MAX_EXPLAINED))
+            )
+        evidence = logsumexp(np.stack(at_strength), axis=0) - np.log(len(STRENGTHS))
+        left = left_out.remove(residual[:, None], self.basis)[:, 0]
+        evidence = self._with_memory(evidence, rows, left, df)
+        by_cause = average_by_cause(self._causes, self._log_weight, evidence)
+        return replace(self.misfit, residual=left, log_evidence=evidence, log_evidence_by_cause=by_cause)
+
+    def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
+        """The evidence with that of each AR(1), whose sequences go on after the rows left out."""
+        kept = np.setdiff1d(np.arange(len(left)), rows)
+        place = np.full(len(left) + 1, -1)
+        place[kept] = np.arange(len(kept))
+        is_out = np.zeros(len(left) + 1, dtype=bool)
+        is_out[rows] = True
+        sums = {}
+        for number, one in enumerate(self.misfit.hypotheses):
+            if not isinstance(one, AR1):
+                continue
+            if id(one.before) not in sums:
+                before = one.before[kept]
+                while np.any(inside := is_out[before]):
+                    before = np.where(inside, one.before[before], before)
+                sums[id(one.before)] = sum_lags(place[before], left[kept, None])
+            evidence[number] = one.log_evidence(sums[id(one.before)], df)[0]
+        return evidence
+
+    def select(self, cause: str, without: Misfit, rows: IntArray) -> SelectedCause:
+        """The cause as selected from the test `without` some rows."""
+        best = without.best_hypothesis(cause)
+        assert isinstance(best, Hypothesis)
+        effects = best.directions * np.sqrt(best.prior_share) * best.length
+        own = make_hypothesis(
+            best.cause, best.version, best.values, LeftOut.of(self.basis, rows).remove(effects, self.basis)
+        )
+        hypotheses = without.hypotheses if own is None else (own,)
+        evidence = without.log_evidence if own is None else without.log_evidence.max(keepdims=True)
+        return make_selected(
+            replace(without, hypotheses=hypotheses, log_evidence=evidence), form_cause_set(without, cause)
+        )
+
+
+class Looks:
+    """The tests that named the causes in a selection's law, and the last one, which named no other."""
+
+    def __init__(self, selection: Selection, alpha: float) -> None:
+        self.selection = selection
+        self.critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
+        self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
+        self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
+        self.last = Look(selection.last_misfit)
+
+    def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
+        """The causes in the law as selected without some rows; None if a look is not clear without them."""
+        selected = []
+        for look, one in zip(self.naming, self.selection.law_causes, strict=True):
+            without = look.without(rows)
+            if not self._is_clear(look.misfit, without, one.cause):
+                return None
+            selected.append(look.select(one.cause, without, rows))
+        return selected if self._is_last(self.last.without(rows)) else None
+
+    def _is_clear(self, whole: Misfit, without: Misfit, cause: str) -> bool:
+        evidence = dict(without.log_evidence_by_cause)
+        statistic, own = float(logsumexp(list(evidence.values()))), evidence.pop(cause)
+        ahead = own - max(evidence.values(), default=-np.inf)
+        same = without.best_hypothesis(cause).version is whole.best_hypothesis(cause).version
+        return bool(
+            same
+            and statistic > self.critical + CLEAR_TEST
+            and ahead > max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+            and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
+        )
+
+    def _is_last(self, without: Misfit) -> bool:
+        """Whether no further known cause would be selected."""
+        evidence = dict(without.log_evidence_by_cause)
+        if float(logsumexp(list(evidence.values()))) < self.last_critical - CLEAR_TEST:
+            return True
+        unknown = evidence.pop(UNKNOWN, -np.inf)
+        return bool(unknown > max(evidence.values(), default=-np.inf) + CLEAR_NAME)
+
+
+def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
+    """The looks of a selection, if they can be repeated without some rows by linear algebra."""
+    tests = [*(one.misfit for one in selection.selected), selection.last_misfit]
+    known = [one for one in tests if one is not None]
+    possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
+    forced = any(
+        one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
+        for one in selection.selected
+    )
+    plain = selection.problem.autocorrelation is None and not selection.problem.n_refits
+    return Looks(selection, alpha) if possible and plain and not forced else None
+
+
+def _best_cause(misfit: Misfit) -> str:
+    return max(misfit.log_evidence_by_cause, key=lambda cause: misfit.log_evidence_by_cause[cause])

@@ -1,0 +1,111 @@
+"""A test repeated without some rows, by linear algebra: beside the same test of a log that lacks them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.causes import library
+from stickslip_fit.diagnosis.cross_validation import compute_held_out_errors, confirm_held_out_errors
+from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
+from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
+from stickslip_fit.diagnosis.hypotheses import (
+    AR1,
+    build_per_session_hypotheses,
+    make_hypothesis,
+    split_sessions,
+)
+from stickslip_fit.diagnosis.leave_out import Look, prepare_looks
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.selection import select_causes
+from stickslip_fit.logs import read_log
+from stickslip_fit.logs.history import previous_rows
+from tests.hidden.generate import hide
+
+FEW = ("drift", "thermal-warm-up", "theta-offset", "cable-torque", "q2-offset", "side-load")
+ALPHA = 0.01
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    path = tmp_path_factory.mktemp("leave_out") / "log.csv"
+    hide("thesis", ("drift",), 14, seed=3).write(path)
+    causes = [cause for cause in library() if cause.name in FEW]
+    return replace(problem_from_log(read_log(path), causes)[0], alternatives=alternatives)
+
+
+def alternatives(study):
+    """Of one direction and of several, in all rows and in sessions, and memory."""
+    rows = study.rows
+    session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
+    waves = np.cos(rows["session_seconds"].to_numpy(float)[:, None] / np.array([900.0, 2000.0, 7000.0]))
+    waves = waves / study.scale[:, None]
+    name, sessions = "unknown:in each session", [*split_sessions(study).values()]
+    return [
+        make_hypothesis("unknown:wave", None, None, study.project(waves[:, :1])),
+        make_hypothesis("unknown:waves", None, None, study.project(waves)),
+        *build_per_session_hypotheses([name], len(rows), sessions, waves[:, None]),
+        AR1("unknown:memory", previous_rows(session).astype(np.intp), 0.4),
+    ]
+
+
+@pytest.mark.parametrize("out", ["a tenth", "a third", "a session"])
+def test_the_evidence_is_that_of_a_log_without_the_rows(problem, out):
+    session = pd.factorize(problem.rows["session"].astype(object))[0]
+    n, rng = len(problem), np.random.default_rng(5)
+    rows = {
+        "a tenth": np.sort(rng.choice(n, n // 10, replace=False)),
+        "a third": np.sort(rng.choice(n, n // 3, replace=False)),
+        "a session": np.flatnonzero(session == 1),
+    }[out]
+    kept = np.setdiff1d(np.arange(n), rows)
+    whole = assess_residuals(problem.linearize(), problem, 0, rng)
+    smaller = problem.select_rows(kept)
+    expected = assess_residuals(smaller.linearize(), smaller, 0, rng)
+    without = Look(whole).without(rows)
+    np.testing.assert_allclose(without.residual[kept], expected.residual, atol=1e-9)
+    assert not without.residual[rows].any()
+    assert without.log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
+    assert without.log_evidence_by_cause == pytest.approx(expected.log_evidence_by_cause, abs=1e-6)
+    cause = max(FEW, key=lambda name: expected.log_evidence_by_cause.get(name, -np.inf))
+    one, other = (
+        Look(whole).select(cause, without, rows),
+        make_selected(expected, Look(whole).select(cause, without, rows).cause_set),
+    )
+    assert one.start == pytest.approx(other.start, rel=1e-6)
+
+
+def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    assert [one.cause for one in findings] == ["drift"]
+    looks = prepare_looks(selection, ALPHA)
+    split = hold_out_configurations(selection, np.random.default_rng(0))[0]
+    confirmed = confirm_held_out_errors(looks, split, findings)
+    repeated = compute_held_out_errors(
+        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
+    )
+    before, after = np.sqrt(np.mean(repeated**2, axis=1))
+    np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
+    assert after < before
+    assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.1 * after
+
+
+def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    looks, few = prepare_looks(selection, ALPHA), np.arange(0, len(selection.problem), 9)
+    assert [one.cause for one in looks.select_without(few)] == ["drift"]
+    assert looks.select_without(np.arange(0, len(selection.problem) - 60)) is None  # hardly a row is left
+    (one,) = selection.selected
+    evidence = one.misfit.log_evidence_by_cause
+    rival = {**evidence, UNKNOWN: evidence["drift"] - 1.0}
+    close = replace(one, misfit=replace(one.misfit, log_evidence_by_cause=rival))
+    withdrawn = replace(one, cause=UNKNOWN, version=None)
+    assert prepare_looks(replace(selection, selected=(withdrawn,)), ALPHA) is None
+    assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
