@@ -20,6 +20,7 @@ from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.leave_out import Looks
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
@@ -269,6 +270,8 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     The tests are repeated by linear algebra, and the laws refitted from their fit to all rows.
     """
     whole = looks.selection
+    if any(one.cause == UNKNOWN for one in whole.selected):  # what stands for it has to be searched again
+        return None
     selected = looks.select_without(np.setdiff1d(np.arange(len(whole.problem)), split.train))
     if selected is None:
         return None
