@@ -170,10 +170,10 @@ class _Builder:
     def shapes(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
         """The ways in which joints and directions may share the functions in some columns."""
         opposite = replace(term, mode="opposite")
-        found = [
-            self.make(name, term, [self.subspace(place)]),
-            self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)]),
-        ]
+        found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
+        # A function of a recorded condition or column, whatever its form, is that of its cause.
+        if name not in CONDITIONS and not name.startswith(COVARIATE_PREFIX):
+            found.append(self.make(name, term, [self.subspace(place)]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
