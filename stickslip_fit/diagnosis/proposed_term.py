@@ -21,7 +21,7 @@ from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LOAD,
     POSITION,
-    Factor,
+    CarrierFunction,
     Mode,
     ProposedTerm,
 )
@@ -37,7 +37,13 @@ from stickslip_fit.diagnosis.misfit import (
     classify_cause,
     remove_structure,
 )
-from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
+from stickslip_fit.diagnosis.smooth_alternatives import (
+    FOLLOWING,
+    MIN_SHARE,
+    Carrier,
+    find_carriers,
+    traverse_average,
+)
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -108,14 +114,15 @@ def _log_evidence(explained: float, residual: Array, df: int) -> float:
     return float(logsumexp(-0.5 * np.log1p(signal) - 0.5 * df * np.log1p(-share)) - np.log(len(signal)))
 
 
-def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[Factor, ...]], Array]:
+def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunction, ...]], Array]:
     """Products of one or two functions, of at most three symbols, and their averages; shape (n, m)."""
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
+        if carrier.name not in FOLLOWING
         for factor in _functions(carrier)
     ]
-    products: list[tuple[Factor, ...]] = [(factor,) for factor, _ in single]
+    products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
     for (one, values), (other, others) in combinations(single, 2):
         if one.carrier != other.carrier and "x" in (one.expression, other.expression):
@@ -125,7 +132,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[Factor, ...
     return products, np.concatenate([np.zeros((len(linearized), 0)), *averages], axis=1)
 
 
-def _functions(carrier: Carrier) -> Iterator[Factor]:
+def _functions(carrier: Carrier) -> Iterator[CarrierFunction]:
     """Functions of one carrier; of an angle also its harmonics."""
     largest = max(abs(carrier.low), abs(carrier.high))
     if carrier.name in (LOAD, BEFORE_DIRECTION, "before_load"):
@@ -138,7 +145,7 @@ def _functions(carrier: Carrier) -> Iterator[Factor]:
     else:
         expressions = ["x", "x^2", "|x|"]
         middle, unit = float(np.nanmean(carrier.values)), (carrier.high - carrier.low) / 2
-    return (Factor(expression, carrier.name, middle, unit) for expression in expressions)
+    return (CarrierFunction(expression, carrier.name, middle, unit) for expression in expressions)
 
 
 class _Dictionary:
