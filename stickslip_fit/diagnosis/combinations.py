@@ -70,29 +70,28 @@ def refit_likeliest(
 ) -> tuple[Misfit, dict[str, Array]]:
     """The test with the evidence of its likeliest causes after a refit of each, and the values then.
 
-    The squared residuals that a refit leaves take the place of those that the best trial would leave. Between
-    causes that are refitted the likelihoods decide, each under the noise that it leaves.
+    The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
+    price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the likelihoods
+    decide between causes that are refitted, each under the autocorrelation of the noise that it leaves.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
-    strong = (cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least)
-    likeliest = sorted(strong, key=lambda cause: -evidence[cause])[: problem.n_refits]
+    strong = [cause for cause in evidence if evidence[cause] > least]
+    known = sorted((cause for cause in strong if cause != UNKNOWN), key=lambda cause: -evidence[cause])
+    likeliest = known[: problem.n_refits] if len(strong) > 1 else []
     if not likeliest:
         return misfit, starts
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
     for cause in likeliest:
-        shape = misfit.best_hypothesis(cause)
-        assert isinstance(shape, Hypothesis)
         one = make_selected(misfit, form_cause_set(misfit, cause))
         fit = fit_causes(problem, [*selected, one])
         after = problem.linearize_extended(fit)
         left = (after.residual @ after.residual) / (before.residual @ before.residual)
-        whole = misfit.residual @ misfit.residual
-        explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
-        if np.isfinite(left) and left < 1.0 - explained:
-            evidence[cause] += 0.5 * before.df * float(np.log((1.0 - explained) / left))
+        gain = _refit_gain(misfit, cause, left, before.df)
+        if gain > 0:
+            evidence[cause] += gain
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
-        if len(likeliest) > 1:
+        if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
             trial, fit, _ = extend_problem(problem, [*selected, one])
             # Less what the Bayesian information criterion takes for its parameters.
@@ -101,3 +100,20 @@ def refit_likeliest(
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     return replace(misfit, log_evidence_by_cause=evidence), starts
+
+
+def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
+    """By how many nats a refit that leaves this share of the squared residuals is likelier than the best trial.
+
+    Each parameter that the trials had on a grid is now known more closely than the grid's spacing: a gain of
+    2 x per parameter means that the spacing is sqrt(2 x) standard errors, of which the prior takes its share.
+    """
+    shape = misfit.best_hypothesis(cause)
+    assert isinstance(shape, Hypothesis)
+    whole = misfit.residual @ misfit.residual
+    explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
+    if not (np.isfinite(left) and 0.0 < left < 1.0 - explained):
+        return 0.0
+    gain = 0.5 * df * float(np.log((1.0 - explained) / left))
+    on_grid = max(len(shape.version.start_values) - len(shape.prior_share), 0)
+    return gain - 0.5 * on_grid * float(np.log1p(2.0 * gain / max(on_grid, 1)))

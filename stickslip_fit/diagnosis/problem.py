@@ -35,6 +35,7 @@ from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 MISFIRE = "end-stop-misfire"
+N_REFITS = 3
 RESTART_SHARES = (0.3, 0.1)  # of the start values, for fits that do not converge
 DEFAULT_REPEATABILITY = 3e-3  # where no group of the log has replicates
 
@@ -280,5 +281,6 @@ def problem_from_log(
         alternatives=build_unstructured_alternatives,
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
+        n_refits=N_REFITS,
     )
     return problem, missing
