@@ -109,13 +109,19 @@ class Autocorrelation:
         if self.candidate_effects is None:
             return self
         effects = linearized.project(linearized.whiten(self.candidate_effects))
-        for _ in range(MAX_SHOCKS):
+        shocks = 0
+        while True:
             coefficients = estimate_autoregression(linearized, effects, self.sample)
-            found = replace(self, coefficients=coefficients).shorten()
-            shock = find_shock(linearized, effects, found.noise_filter)
-            if shock is None:
+            found, before = replace(self, coefficients=coefficients).shorten(), shocks
+            # All shocks that this noise does not explain, before the noise is estimated anew.
+            while shocks < MAX_SHOCKS:
+                shock = find_shock(linearized, effects, found.noise_filter)
+                if shock is None:
+                    break
+                effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
+                shocks += 1
+            if shocks == before:
                 break
-            effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
         return found
 
 
@@ -296,7 +302,7 @@ class _RestrictedLikelihood:
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
         limit = float(np.arctanh(MAX_PARTIAL))
-        options: Any = {"maxiter": 30, "ftol": 1e-8, "eps": GRADIENT_STEP}
+        options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:
             return self.negative_log(np.tanh(z))
