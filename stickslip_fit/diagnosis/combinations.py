@@ -102,11 +102,11 @@ def find_exchange(
 ) -> Combination | None:
     """A rival of the last selected cause that with another cause is likelier than it, if there is one.
 
-    `extension` is the `problem` with all `selected` in its laws, `last` the test of what they leave; `refits`
-    are those before it was selected. The law with a rival B and another cause C has to be likelier than the one
-    with A, and with what would be added to A, by the logarithm of the number of pairs over `level`: a
-    likelihood ratio of K or more has a probability of at most 1 / K if A is the truth (J. Ville, Etude critique
-    de la notion de collectif, 1939).
+    `extension` is the `problem` with all `selected` in its laws, `last` the test of what they leave;
+    `refits` are those before it was selected. The law with a rival B and another cause C has to be
+    likelier than the one with A, and with what would be added to A, by the logarithm of the number of pairs
+    over `level`: a likelihood ratio of K or more has a probability of at most 1 / K if A is the truth (J.
+    Ville, Etude critique de la notion de collectif, 1939).
     """
     *others, current = selected
     assert current.misfit is not None
@@ -226,7 +226,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
     price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the
     likelihoods decide between causes that are refitted, each under the autocorrelation of the noise that it
-    leaves. Where plain least squares say the opposite, the answer rests on the noise, and neither is ruled out.
+    leaves. Where plain least squares say the opposite, the answer rests on the noise, and neither is ruled
+    out.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     extensions: dict[str, Extension] = {}
