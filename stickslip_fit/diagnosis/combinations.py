@@ -213,11 +213,14 @@ class Refits:
         Values of their parameters then.
     extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
         As of `extend_problem`, where the noise was re-estimated as well.
+    failed : tuple of str
+        Causes whose fit failed; the test no longer has them.
     """
 
     misfit: Misfit
     starts: dict[str, Array]
     extensions: dict[str, Extension]
+    failed: tuple[str, ...] = ()
 
 
 def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:
@@ -231,20 +234,28 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     extensions: dict[str, Extension] = {}
+    failed: list[str] = []
     plain: dict[str, float] = {}
     least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
-    strong = [cause for cause in evidence if evidence[cause] > least]
-    known = sorted((cause for cause in strong if cause != UNKNOWN), key=lambda cause: -evidence[cause])
-    likeliest = known[: problem.n_refits] if len(strong) > 1 else []
+    known = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least]
+    known.sort(key=lambda cause: -evidence[cause])
+    likeliest = known[: problem.n_refits]
     if not likeliest:
         return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
     for cause in likeliest:
         one = make_selected(misfit, form_cause_set(misfit, cause))
-        fit = fit_causes(problem, [*selected, one])
-        after = problem.linearize_extended(fit)
+        try:
+            fit = fit_causes(problem, [*selected, one])
+            after = problem.linearize_extended(fit)
+        except np.linalg.LinAlgError:
+            failed.append(cause)
+            continue
         left = (after.residual @ after.residual) / (before.residual @ before.residual)
         gain = _refit_gain(misfit, cause, left, before.df)
+        if left > 0 and not hasattr(one.version, "with_amplitude"):
+            # No more than the best fit within the bounds; of a smooth cause this one is penalised.
+            evidence[cause] = min(evidence[cause], max(-0.5 * before.df * float(np.log(left)), 0.0))
         if gain > 0:
             evidence[cause] += gain
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
@@ -262,7 +273,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             doubtful = cause != best and plain[cause] > plain[best]
             below = DOUBTFUL_LOG_ODDS if doubtful else likelihoods[best] - likelihoods[cause]
             evidence[cause] = highest - min(below, likelihoods[best] - likelihoods[cause])
-    return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions)
+    evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
+    return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
 
 
 def _plain_likelihood(

@@ -105,7 +105,9 @@ class HypothesisBatch:
 
     def _at_each_strength(self, residuals: Array) -> Array:
         """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k)."""
-        along = np.concatenate([group.directions @ residuals[group.rows] for group in self.groups])
+        along = np.concatenate(
+            [np.maximum(group.directions @ residuals[group.rows], group.least) for group in self.groups]
+        )
         log = self.explained_share @ np.square(along, out=along)
         log /= -np.sum(residuals**2, axis=0)
         np.log1p(np.maximum(log, -MAX_EXPLAINED, out=log), out=log)

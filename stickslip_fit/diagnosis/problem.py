@@ -94,7 +94,7 @@ class DiagnosisProblem:
     noise_ratio: Array
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
-    outlier_cause: str = MISFIRE
+    outlier_cause: str = "outliers"
     n_refits: int = 0
     trimmed: bool = False
     least_sd: float = MIN_SD
@@ -268,6 +268,10 @@ def problem_from_log(
         drive[places] = 2 * number + backwards[places]
         parts.append(LawBlock(fit.law, places, block, fit.values[block]))
         repeatability += [fit.repeatability[direction].value for direction in "+-"]
+    outlier_causes = {part.law.outlier_cause for part in parts}
+    if MISFIRE not in outlier_causes:  # no law counts steps until a stop is heard
+        missing.pop(MISFIRE, None)
+        candidates = tuple(cause for cause in candidates if cause.name != MISFIRE)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
@@ -281,6 +285,7 @@ def problem_from_log(
         alternatives=build_unstructured_alternatives,
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
+        outlier_cause=min(outlier_causes, default=MISFIRE),
         n_refits=N_REFITS,
     )
     return problem, missing

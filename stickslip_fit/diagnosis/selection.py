@@ -69,6 +69,8 @@ class Selection:
         The baseline with `law_causes` in it.
     linearized : LinearizedFit
         The residuals under `fit`.
+    failed : tuple of str
+        Causes that were dropped since a fit with them failed.
     influential : array of int
         Rows of `problem`, outliers each, without which there is no evidence of the cause that the search
         would have selected next.
@@ -82,6 +84,7 @@ class Selection:
     p_value: float
     fit: ExtendedFit
     linearized: LinearizedFit
+    failed: tuple[str, ...] = ()
     influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
@@ -121,7 +124,7 @@ def select_causes(
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential = outliers[:0]
+    influential, failed = outliers[:0], set[str]()
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         problem, _, linearized = extension
@@ -130,7 +133,7 @@ def select_causes(
 
     while last.p_value < level and len(selected) < MAX_CAUSES:
         refits = refit_likeliest(problem, selected, last)
-        last = refits.misfit
+        last, failed = refits.misfit, failed | {*refits.failed}
         following = make_selected(last, form_cause_set(last), refits.starts)
         if following.cause == UNKNOWN and (pair := first_of_pair(problem, selected, last)):
             following = pair.first
@@ -160,7 +163,8 @@ def select_causes(
         problem, fit, linearized = extension
     selected = name_combinations(selected, combinations)
     everything = (*misfires, *selected)
-    return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
+    results = first, last, p_value, fit, linearized
+    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
 
 
 def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:
