@@ -109,13 +109,19 @@ class Autocorrelation:
         if self.candidate_effects is None:
             return self
         effects = linearized.project(linearized.whiten(self.candidate_effects))
-        for _ in range(MAX_SHOCKS):
+        shocks = 0
+        while True:
             coefficients = estimate_autoregression(linearized, effects, self.sample)
-            found = replace(self, coefficients=coefficients).shorten()
-            shock = find_shock(linearized, effects, found.noise_filter)
-            if shock is None:
+            found, before = replace(self, coefficients=coefficients).shorten(), shocks
+            # All shocks that this noise does not explain, before the noise is estimated anew.
+            while shocks < MAX_SHOCKS:
+                shock = find_shock(linearized, effects, found.noise_filter)
+                if shock is None:
+                    break
+                effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
+                shocks += 1
+            if shocks == before:
                 break
-            effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
         return found
 
 
@@ -193,10 +199,14 @@ class FilterPattern:
         table = np.zeros((self.order + 1, self.order + 1))
         for depth, row in enumerate(predictors(partial)):
             table[depth, : depth + 1] = np.append(1.0, -row) / error_sd[depth]
-        inside = np.arange(self.order + 1) <= self.depth[:, None]
-        entries = table[self.depth][inside]
         n = len(self.depth)
-        return csr_array((entries, self.indices, self.indptr), shape=(n, n))
+        return csr_array((table.ravel()[self._places], self.indices, self.indptr), shape=(n, n))
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Where each entry of the filter stands in a table by depth and lag."""
+        lags = np.arange(self.order + 1)
+        return ((self.order + 1) * self.depth[:, None] + lags)[lags <= self.depth[:, None]]
 
     def log_determinant(self, partial: Array) -> float:
         """Logarithm of the filter's determinant."""
@@ -269,14 +279,20 @@ class _RestrictedLikelihood:
     """Of an autoregression about a mean linear in blocks' own parameters and in those of a border."""
 
     def __init__(self, linearized: LinearizedFit, border: Array, sample: IntArray) -> None:
-        self.blocks, self.sample = linearized.blocks, sample
-        widths = [basis.shape[1] for _, basis in linearized.blocks]
+        self.sample, blocks = sample, linearized.blocks
+        widths = np.array([basis.shape[1] for _, basis in blocks], dtype=np.intp)
+        longest = max((len(rows) for rows, _ in blocks), default=0)
         own = np.zeros((len(sample), max(widths, default=0)))
-        for rows, basis in linearized.blocks:
+        # Blocks side by side: a shorter one is filled up with a row of zeros, the last one.
+        self.rows = np.full((len(blocks), longest), len(sample))
+        for k, (rows, basis) in enumerate(blocks):
             own[rows, : basis.shape[1]] = basis
+            self.rows[k, : len(rows)] = rows
         self.own_width = own.shape[1]
+        absent = np.arange(self.own_width) >= widths[:, None]
+        self.filled_up = absent[:, None, :] * np.eye(self.own_width)
         self.columns = np.concatenate([own, border, linearized.residual[:, None]], axis=1)
-        self.df = len(sample) - sum(widths) - border.shape[1]
+        self.df = len(sample) - int(widths.sum()) - border.shape[1]
         self.patterns: dict[int, FilterPattern] = {}
 
     def criterion(self, partial: Array) -> float:
@@ -286,7 +302,7 @@ class _RestrictedLikelihood:
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
         limit = float(np.arctanh(MAX_PARTIAL))
-        options: Any = {"maxiter": 30, "ftol": 1e-8, "eps": GRADIENT_STEP}
+        options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:
             return self.negative_log(np.tanh(z))
@@ -303,14 +319,16 @@ class _RestrictedLikelihood:
             self.patterns[len(partial)] = FilterPattern.of(self.sample, len(partial))
         pattern = self.patterns[len(partial)]
         filtered = np.asarray(pattern.fill(partial) @ self.columns)
-        every_own, columns = np.split(filtered, [self.own_width], axis=1)
-        left, log_determinant = columns.T @ columns, 0.0
-        for rows, basis in self.blocks:
-            own = every_own[rows, : basis.shape[1]]
-            lower = np.linalg.cholesky(own.T @ own)
-            across = np.linalg.solve(lower, own.T @ columns[rows])
+        columns, log_determinant = filtered[:, self.own_width :], 0.0
+        left = columns.T @ columns
+        if self.own_width:
+            padded = np.concatenate([filtered, np.zeros((1, filtered.shape[1]))])[self.rows]
+            products = padded[:, :, : self.own_width].transpose(0, 2, 1) @ padded
+            lower = np.linalg.cholesky(products[:, :, : self.own_width] + self.filled_up)
+            across = np.linalg.solve(lower, products[:, :, self.own_width :]).reshape(-1, len(left))
             left -= across.T @ across
-            log_determinant += 2.0 * float(np.log(np.diagonal(lower)).sum())
+            diagonals = np.diagonal(lower, axis1=1, axis2=2)
+            log_determinant += 2.0 * float(np.log(diagonals).sum())
         if len(left) > 1:
             lower = np.linalg.cholesky(left[:-1, :-1])
             across = np.linalg.solve(lower, left[:-1, -1])

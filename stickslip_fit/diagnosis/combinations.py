@@ -1,25 +1,34 @@
-"""Combinations: causes that show only together, and causes revised with the others in the law."""
+"""Combinations: causes that show only together, and causes revised with the others in the law.
+
+Forward selection fails in two ways. Two effects may act so that neither alone explains more than unstructured
+alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Or a wrong cause may explain
+more alone than either of two right ones: each selected cause is compared with its close rivals, another
+cause added to these (`find_exchange`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import (
+    Extension,
     SelectedCause,
     compute_evidence,
     extend_problem,
     fit_causes,
+    law_causes,
     make_selected,
 )
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
 )
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
+from stickslip_fit.diagnosis.linearized import ExtendedFit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 # Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
@@ -29,26 +38,152 @@ PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
 
 
+DOUBTFUL_LOG_ODDS = 0.5  # nats between causes on which likelihood and plain least squares disagree
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """The first of some causes to be selected, and those with which it was found."""
+
+    first: SelectedCause
+    others: tuple[str, ...]
+
+
 def first_of_pair(
     problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
-) -> SelectedCause | None:
-    """The first of two causes that together are likelier than unknown structure, if there are two.
+) -> Combination | None:
+    """Two or three causes that together are likelier than unknown structure, if there are any.
 
     The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
     """
     evidence = misfit.log_evidence_by_cause
     causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
     best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
+    pairs: list[tuple[float, list[SelectedCause]]] = []
     for cause in sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]:
         first = make_selected(misfit, form_cause_set(misfit, cause))
-        trial, _, linearized = extend_problem(problem, [*selected, first])
-        without = [cause, *(one.cause for one in selected)]
-        left = compute_evidence(linearized, trial, without).log_evidence_by_cause
-        second = max((name for name in left if name != UNKNOWN), key=lambda name: left[name], default=UNKNOWN)
-        pair = evidence[cause] + left[second]
-        if left[second] > left.get(UNKNOWN, -np.inf) and pair > highest:
-            best, highest = first, pair
+        left, second, unknown = _next_cause(extend_problem(problem, [*selected, first]), [*selected, first])
+        pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
+        if second == UNKNOWN:
+            continue
+        if left.log_evidence_by_cause[second] > unknown:
+            if pair > highest:
+                best, highest = Combination(first, (second,)), pair
+        elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
+            pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
+    if best is not None or not pairs:
+        return best
+    pair, both = max(pairs, key=lambda scored: scored[0])
+    left, third, unknown = _next_cause(extend_problem(problem, [*selected, *both]), [*selected, *both])
+    share = left.log_evidence_by_cause.get(third, -np.inf)
+    if third != UNKNOWN and share > unknown and pair + share > highest + PAIR_LOG_PENALTY:
+        return Combination(both[0], (both[1].cause, third))
+    return None
+
+
+def _next_cause(
+    extension: Extension, selected: Sequence[SelectedCause], without: Sequence[str] = ()
+) -> tuple[Misfit, str, float]:
+    """The test with causes in the law, the likeliest cause then, and the evidence of unknown structure."""
+    trial, _, linearized = extension
+    left = compute_evidence(linearized, trial, [*(one.cause for one in selected), *without])
+    evidence = left.log_evidence_by_cause
+    following = max((name for name in evidence if name != UNKNOWN), key=evidence.__getitem__, default=UNKNOWN)
+    return left, following, evidence.get(UNKNOWN, -np.inf)
+
+
+def find_exchange(
+    problem: DiagnosisProblem,
+    selected: Sequence[SelectedCause],
+    extension: Extension,
+    last: Misfit,
+    refits: Refits,
+    level: float,
+) -> Combination | None:
+    """A rival of the last selected cause that with another cause is likelier than it, if there is one.
+
+    `extension` is the `problem` with all `selected` in its laws, `last` the test of what they leave;
+    `refits` are those before it was selected. The law with a rival B and another cause C has to be
+    likelier than the one with A, and with what would be added to A, by the logarithm of the number of pairs
+    over `level`: a likelihood ratio of K or more has a probability of at most 1 / K if A is the truth (J.
+    Ville, Etude critique de la notion de collectif, 1939).
+    """
+    *others, current = selected
+    assert current.misfit is not None
+    rivals = _close_rivals(current, last, problem)
+    left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
+    margin = float(np.log(max(len(rivals) * len(last.log_evidence_by_cause), 1) / level))
+    to_beat = penalised_likelihood(*extension[:2]) + left_over + margin
+    best = None
+    for rival in rivals:
+        one = make_selected(current.misfit, form_cause_set(current.misfit, rival), refits.starts)
+        extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
+        left, second, unknown = _next_cause(extension, [*others, one], [current.cause])
+        if second == UNKNOWN or left.log_evidence_by_cause[second] < max(unknown, PAIR_MIN_LOG_BAYES_FACTOR):
+            continue
+        two = make_selected(left, form_cause_set(left, second))
+        trial, fit, _ = extend_problem(problem, [*others, one, two])
+        if (likelihood := penalised_likelihood(trial, fit)) > to_beat:
+            best, to_beat = Combination(one, (second,)), likelihood
     return best
+
+
+def _close_rivals(current: SelectedCause, last: Misfit, problem: DiagnosisProblem) -> list[str]:
+    """Causes that might be likelier than a selected one, if another cause were added to them.
+
+    Where the noise does not depend on the causes, the linearized effects already say whether they might be.
+    """
+    misfit = current.misfit
+    assert misfit is not None
+    evidence = misfit.log_evidence_by_cause
+    least = max(MIN_REFIT_SHARE * evidence[current.cause], MIN_REFIT_LOG_BAYES_FACTOR)
+    close = [cause for cause in evidence if cause not in (UNKNOWN, current.cause) and evidence[cause] > least]
+    close = sorted(close, key=lambda cause: -evidence[cause])[: problem.n_refits]
+    if problem.autocorrelation is not None or not close:
+        return close
+    left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
+    to_beat = evidence[current.cause] + left_over
+    without = np.stack([_without(misfit, cause) for cause in close], axis=1)
+    shapes = [one for one in misfit.hypotheses if classify_cause(one) not in (UNKNOWN, current.cause)]
+    added = batch_hypotheses(shapes, problem.linearize().df).log_evidence(without)
+    own = np.array([[one.cause == cause for cause in close] for one in shapes])
+    second = np.where(own, -np.inf, added).max(axis=0)
+    return [cause for cause, more in zip(close, second, strict=True) if evidence[cause] + more > to_beat]
+
+
+def _without(misfit: Misfit, cause: str) -> Array:
+    """The residuals without all that a cause's likeliest shape explains, shape (n,)."""
+    shape = misfit.best_hypothesis(cause)
+    assert isinstance(shape, Hypothesis)
+    return np.asarray(misfit.residual - shape.combine(shape.coefficients(misfit.residual)))
+
+
+def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
+    """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
+
+    It counts the causes' parameters, of those with a prior only what the data determine. The coefficients of
+    the noise are no part of the law.
+    """
+    determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
+    return problem.log_likelihood(fit) - 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
+
+
+def name_combinations(
+    selected: Sequence[SelectedCause], combinations: Sequence[Sequence[str]]
+) -> list[SelectedCause]:
+    """The selected causes, each with those of its combinations that were selected as well."""
+    names = [one.cause for one in selected]
+    return [
+        replace(
+            one,
+            together_with=tuple(
+                name
+                for name in names
+                if name != one.cause and any({name, one.cause} <= {*some} for some in combinations)
+            ),
+        )
+        for one in selected
+    ]
 
 
 def revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -> list[SelectedCause]:
@@ -58,46 +193,114 @@ def revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) ->
         others = [one for k, one in enumerate(revised) if k != place]
         trial, _, linearized = extend_problem(problem, others)
         misfit = compute_evidence(linearized, trial, [one.cause for one in others])
-        misfit, starts = refit_likeliest(trial, others, misfit)
-        cause_set = form_cause_set(misfit)
+        refits = refit_likeliest(trial, others, misfit)
+        cause_set = form_cause_set(refits.misfit)
         if cause_set.cause != UNKNOWN:
-            revised[place] = replace(make_selected(misfit, cause_set, starts), p_value=causes[place].p_value)
+            one = make_selected(refits.misfit, cause_set, refits.starts)
+            revised[place] = replace(one, p_value=causes[place].p_value)
     return revised
 
 
-def refit_likeliest(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
-) -> tuple[Misfit, dict[str, Array]]:
-    """The test with the evidence of its likeliest causes after a refit of each, and the values then.
+@dataclass(frozen=True, eq=False)
+class Refits:
+    """A test whose likeliest causes were refitted.
 
-    The squared residuals that a refit leaves take the place of those that the best trial would leave. Between
-    causes that are refitted the likelihoods decide, each under the noise that it leaves.
+    Attributes
+    ----------
+    misfit : Misfit
+        With their evidence after the refit.
+    starts : dict of str to array
+        Values of their parameters then.
+    extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
+        As of `extend_problem`, where the noise was re-estimated as well.
+    failed : tuple of str
+        Causes whose fit failed; the test no longer has them.
+    """
+
+    misfit: Misfit
+    starts: dict[str, Array]
+    extensions: dict[str, Extension]
+    failed: tuple[str, ...] = ()
+
+
+def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:
+    """The test with the evidence of its likeliest causes after a refit of each.
+
+    The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
+    price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the
+    likelihoods decide between causes that are refitted, each under the autocorrelation of the noise that it
+    leaves. Where plain least squares say the opposite, the answer rests on the noise, and neither is ruled
+    out.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
+    extensions: dict[str, Extension] = {}
+    failed: list[str] = []
+    plain: dict[str, float] = {}
     least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
-    strong = (cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least)
-    likeliest = sorted(strong, key=lambda cause: -evidence[cause])[: problem.n_refits]
+    known = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least]
+    known.sort(key=lambda cause: -evidence[cause])
+    likeliest = known[: problem.n_refits]
     if not likeliest:
-        return misfit, starts
+        return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
     for cause in likeliest:
-        shape = misfit.best_hypothesis(cause)
-        assert isinstance(shape, Hypothesis)
         one = make_selected(misfit, form_cause_set(misfit, cause))
-        fit = fit_causes(problem, [*selected, one])
-        after = problem.linearize_extended(fit)
+        try:
+            fit = fit_causes(problem, [*selected, one])
+            after = problem.linearize_extended(fit)
+        except np.linalg.LinAlgError:
+            failed.append(cause)
+            continue
         left = (after.residual @ after.residual) / (before.residual @ before.residual)
-        whole = misfit.residual @ misfit.residual
-        explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
-        if np.isfinite(left) and left < 1.0 - explained:
-            evidence[cause] += 0.5 * before.df * float(np.log((1.0 - explained) / left))
+        gain = _refit_gain(misfit, cause, left, before.df)
+        if left > 0 and not hasattr(one.version, "with_amplitude"):
+            # No more than the best fit within the bounds; of a smooth cause this one is penalised.
+            evidence[cause] = min(evidence[cause], max(-0.5 * before.df * float(np.log(left)), 0.0))
+        if gain > 0:
+            evidence[cause] += gain
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
-        if len(likeliest) > 1:
+        if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
-            trial, fit, _ = extend_problem(problem, [*selected, one])
-            # Less what the Bayesian information criterion takes for its parameters.
-            likelihoods[cause] = trial.log_likelihood(fit) - 0.5 * len(one.start) * np.log(before.df)
+            extensions[cause] = trial, fit, _ = extend_problem(problem, [*selected, one])
+            likelihoods[cause] = penalised_likelihood(trial, fit)
+            plain[cause] = _plain_likelihood(problem, fit, [*selected, one])
     if likelihoods:
-        highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
-        evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
-    return replace(misfit, log_evidence_by_cause=evidence), starts
+        highest, best = (
+            max(evidence[cause] for cause in likelihoods),
+            max(likelihoods, key=likelihoods.__getitem__),
+        )
+        for cause in likelihoods:
+            doubtful = cause != best and plain[cause] > plain[best]
+            below = DOUBTFUL_LOG_ODDS if doubtful else likelihoods[best] - likelihoods[cause]
+            evidence[cause] = highest - min(below, likelihoods[best] - likelihoods[cause])
+    evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
+    return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
+
+
+def _plain_likelihood(
+    problem: DiagnosisProblem, fit: ExtendedFit, selected: Sequence[SelectedCause]
+) -> float:
+    """Penalised log likelihood of plain least squares, with as many rows as there are independent values."""
+    assert problem.autocorrelation is not None
+    versions = [one.version for one in law_causes(selected)]
+    independent = replace(problem, autocorrelation=None)
+    squares = float(np.sum((independent.fit_extended(versions, fit.values).residual / problem.scale) ** 2))
+    number = len(problem) / problem.autocorrelation.correlation_rows
+    return -0.5 * number * float(np.log(squares)) - 0.5 * len(fit.values) * float(np.log(max(number, 2.0)))
+
+
+def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
+    """By how many nats a refit that leaves this share of the squared residuals is likelier than a trial.
+
+    Each parameter that the trials had on a grid is now known more closely than the grid's spacing: a gain of
+    2 x per parameter means that the spacing is sqrt(2 x) standard errors, of which the prior takes its share.
+    """
+    shape = misfit.best_hypothesis(cause)
+    assert isinstance(shape, Hypothesis)
+    whole = misfit.residual @ misfit.residual
+    explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
+    if not (np.isfinite(left) and 0.0 < left < 1.0 - explained):
+        return 0.0
+    gain = 0.5 * df * float(np.log((1.0 - explained) / left))
+    on_grid = max(len(shape.version.start_values) - len(shape.prior_share), 0)
+    return gain - 0.5 * on_grid * float(np.log1p(2.0 * gain / max(on_grid, 1)))

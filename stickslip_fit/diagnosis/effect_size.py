@@ -108,6 +108,7 @@ def _size_cause(
         _joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
         strength.times(effect.rms / max(effect.length, MIN_LENGTH)),
         _size_parameters(selected.version, selected.cause, values, covariance),
+        together_with=selected.together_with,
     )
 
 

@@ -49,6 +49,8 @@ class SelectedCause:
     misfit : Misfit or None
         None for outlying counts, which have no shape.
     p_value : float
+    together_with : tuple of str
+        Causes without which it would not have been found.
     """
 
     cause: str
@@ -57,6 +59,7 @@ class SelectedCause:
     cause_set: CauseSet
     misfit: Misfit | None
     p_value: float
+    together_with: tuple[str, ...] = ()
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
@@ -94,9 +97,11 @@ def assess_residuals(
     )
 
 
-def extend_problem(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause]
-) -> tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]:
+Extension = tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]
+"""A problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
+
+
+def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension:
     """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])

@@ -57,6 +57,9 @@ class Hypothesis:
         Of the directions, block by block; sums to 1.
     length : float
         Norm of the effect at `values`.
+    one_sided : bool
+        Whether the cause's bounds leave only the sign that its size has in `values`: the coefficient along its
+        one direction is not negative.
     """
 
     cause: str
@@ -66,6 +69,7 @@ class Hypothesis:
     blocks: tuple[tuple[IntArray | slice, Array], ...]
     prior_share: Array
     length: float
+    one_sided: bool = False
 
     @property
     def directions(self) -> Array:
@@ -78,7 +82,8 @@ class Hypothesis:
 
     def coefficients(self, residual: Array) -> Array:
         """Coefficient of a residual, shape (n,), along each direction; shape (m,)."""
-        return np.concatenate([block.T @ residual[rows] for rows, block in self.blocks])
+        along = np.concatenate([block.T @ residual[rows] for rows, block in self.blocks])
+        return np.maximum(along, 0.0) if self.one_sided else along
 
     def combine(self, coefficients: Array) -> Array:
         """Linear combination of the directions; (m,) -> (n,)."""
@@ -102,12 +107,15 @@ class DirectionGroup:
         Of each among the directions of the hypotheses one after the other.
     index : array of int, shape (m,)
         Which row of `directions` each is.
+    least : array, shape (m', 1)
+        Least coefficient along each: 0 of a one-sided hypothesis, else minus infinity.
     """
 
     rows: IntArray | slice
     directions: Array
     place: IntArray
     index: IntArray
+    least: Array
 
 
 def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
@@ -116,6 +124,7 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
     directions: dict[bytes, dict[int, Array]] = {}
     places: dict[bytes, list[int]] = {}
     indices: dict[bytes, list[int]] = {}
+    least: dict[bytes, list[float]] = {}
     begins: dict[int, int] = {}  # of each block among the directions of its group
     first, sizes = 0, Counter[bytes]()
     for hypothesis in hypotheses:
@@ -126,6 +135,7 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
             if id(block) not in group:
                 group[id(block)], begins[id(block)] = block.T, sizes[key]
                 sizes[key] += width
+                least.setdefault(key, []).extend([0.0 if hypothesis.one_sided else -np.inf] * width)
             begin = begins[id(block)]
             places.setdefault(key, []).extend(range(first, first := first + width))
             indices.setdefault(key, []).extend(range(begin, begin + width))
@@ -135,6 +145,7 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
             np.concatenate(list(directions[key].values())),
             np.array(places[key], dtype=np.intp),
             np.array(indices[key], dtype=np.intp),
+            np.array(least[key])[:, None],
         )
         for key, rows in rows_of.items()
     )
@@ -143,7 +154,8 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
 def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
     """A hypothesis whose effects are random combinations of columns, whitened and projected, shape (n, m).
 
-    None where calibration absorbs the effects, or where they are too large to be numbers.
+    None where calibration absorbs the effects, where they are too large to be numbers, or where their
+    eigenvalues do not converge.
     """
     if not np.isfinite(effects).all() or np.abs(effects).max(initial=0.0) > MAX_EFFECT:
         return None
@@ -151,10 +163,13 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
         length = float(np.linalg.norm(effects))
         if length < EFFECT_TOL:
             return None
-        return Hypothesis(
-            cause, version, values, len(effects), ((slice(None), effects / length),), np.ones(1), length
-        )
-    variance, right = np.linalg.eigh(effects.T @ effects)
+        block = (slice(None), effects / length)
+        one_sided = is_one_sided(version, values)
+        return Hypothesis(cause, version, values, len(effects), (block,), np.ones(1), length, one_sided)
+    try:
+        variance, right = np.linalg.eigh(effects.T @ effects)
+    except np.linalg.LinAlgError:
+        return None
     total = float(variance.sum())
     if total < EFFECT_TOL**2:
         return None
@@ -162,6 +177,17 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     directions = effects @ right[:, kept] / np.sqrt(variance[kept])
     share, length = variance[kept] / total, float(np.sqrt(total))
     return Hypothesis(cause, version, values, len(effects), ((slice(None), directions),), share, length)
+
+
+def is_one_sided(version: Any, values: Array | None) -> bool:
+    """Whether the bounds of a cause's size, its first parameter, exclude the other sign than it has here.
+
+    Of a cause without effect at size 0; a size on the excluded side would be no better.
+    """
+    if version is None or values is None or version.null_values[0] != 0 or values[0] == 0:
+        return False
+    size = version.parameters[0]
+    return bool(size.lower >= 0 if values[0] > 0 else size.upper <= 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,6 +280,7 @@ def build_session_hypotheses(
             ((session.rows, directions[:, k : k + 1]),),
             np.ones(1),
             float(lengths[k]),
+            is_one_sided(version, values[k]),
         )
         for k in np.flatnonzero(lengths > EFFECT_TOL)
     ]
@@ -274,7 +301,10 @@ def build_per_session_hypotheses(
             for columns in (flat, session.shared_basis.T @ flat)
         )
         products = own.transpose(0, 2, 1) @ own - shared.transpose(0, 2, 1) @ shared
-        variance, right = np.linalg.eigh(products)
+        try:
+            variance, right = np.linalg.eigh(products)
+        except np.linalg.LinAlgError:  # of one of them: all are left out
+            return []
         scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
         # Column by column in memory, as `group_directions` copies it.
         directions.append((scaled.transpose(0, 2, 1) @ own.transpose(0, 2, 1)).transpose(0, 2, 1))

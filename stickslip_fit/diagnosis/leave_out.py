@@ -93,6 +93,8 @@ class _BlockStack:
         Root of each direction's prior share.
     owner : array of int, shape (k,)
         Hypothesis of each block.
+    least : array, shape (k, 1)
+        Least coefficient of each block: 0 of a one-sided hypothesis, else minus infinity.
     """
 
     place: IntArray
@@ -100,6 +102,7 @@ class _BlockStack:
     along: Array
     root_share: Array
     owner: IntArray
+    least: Array
 
     def without(self, left_out: LeftOut, lost: Array) -> tuple[Array, Array]:
         """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
@@ -112,7 +115,7 @@ class _BlockStack:
         k, w = self.along.shape
         if w == 1:
             left = 1.0 - np.sum(cross**2, axis=0)[:, None]
-            known = np.maximum(left, MIN_LEFT)
+            known, along = np.maximum(left, MIN_LEFT), np.maximum(along, self.least)
             return np.where(left > MIN_LEFT, left, 0.0) * self.root_share**2, along**2 / known
         blocks = cross.reshape(-1, k, w).transpose(1, 2, 0)
         gram = np.eye(w) - blocks @ blocks.transpose(0, 2, 1)
@@ -137,6 +140,7 @@ class Look:
         blocks: dict[tuple[bytes, int], list[Array]] = {}
         shares: dict[tuple[bytes, int], list[Array]] = {}
         owners: dict[tuple[bytes, int], list[int]] = {}
+        least: dict[tuple[bytes, int], list[float]] = {}
         for number, one in enumerate(self.misfit.hypotheses):
             if isinstance(one, AR1):
                 continue
@@ -150,6 +154,7 @@ class Look:
                 blocks.setdefault(key, []).append(block)
                 shares.setdefault(key, []).append(one.prior_share[first : first + width])
                 owners.setdefault(key, []).append(number)
+                least.setdefault(key, []).append(0.0 if one.one_sided else -np.inf)
                 first += width
         stacks = []
         for key, rows in rows_of.items():
@@ -158,7 +163,11 @@ class Look:
             directions = np.concatenate(blocks[key], axis=1)
             along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
             root_share = np.sqrt(np.stack(shares[key]))
-            stacks.append(_BlockStack(place, directions, along, root_share, np.array(owners[key])))
+            stacks.append(
+                _BlockStack(
+                    place, directions, along, root_share, np.array(owners[key]), np.array(least[key])[:, None]
+                )
+            )
         return stacks
 
     @cached_property

@@ -121,7 +121,7 @@ class HypothesisBatch:
         single = np.float32
         return replace(
             self,
-            groups=tuple(replace(one, directions=one.directions.astype(single)) for one in self.groups),
+            groups=tuple(replace(one, directions=one.directions.astype(single), least=one.least.astype(single)) for one in self.groups),
             explained_share=self.explained_share.astype(single),
             log_spread=self.log_spread.astype(single),
         )
@@ -131,7 +131,9 @@ class HypothesisBatch:
 
         `total`, shape (k,), are the sums of squares of the residuals.
         """
-        along = np.concatenate([group.directions @ residuals[group.rows] for group in self.groups])
+        along = np.concatenate(
+            [np.maximum(group.directions @ residuals[group.rows], group.least) for group in self.groups]
+        )
         log = self.explained_share @ np.square(along, out=along)
         log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6

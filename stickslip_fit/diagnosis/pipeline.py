@@ -42,7 +42,7 @@ from stickslip_fit.diagnosis.gross_errors import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem, problem_from_log
+from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import Selection, empty_selection, select_causes, settle_noise
 from stickslip_fit.diagnosis.separability import find_aliased_causes
@@ -213,12 +213,13 @@ def _search(
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
-    if UNKNOWN in untestable and not any(cause.name != MISFIRE for cause in testable.causes):
+    if UNKNOWN in untestable and not any(cause.name != problem.outlier_cause for cause in testable.causes):
         too_small = too_small or NO_ALTERNATIVE
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
-    return _Search(selection, testable, linearized, untestable, too_small)
+    failed = dict.fromkeys(selection.failed, "it could not be fitted: with it the equations have no solution")
+    return _Search(selection, testable, linearized, {**untestable, **failed}, too_small)
 
 
 def bootstrap_size(alpha: float) -> int:

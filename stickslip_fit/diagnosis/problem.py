@@ -36,6 +36,7 @@ from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
 MISFIRE = "end-stop-misfire"
+N_REFITS = 3
 RESTART_SHARES = (0.3, 0.1)  # of the start values, for fits that do not converge
 DEFAULT_REPEATABILITY = 3e-3  # where no group of the log has replicates
 
@@ -100,7 +101,7 @@ class DiagnosisProblem:
     noise_ratio: Array
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
-    outlier_cause: str = MISFIRE
+    outlier_cause: str = "outliers"
     n_refits: int = 0
     trimmed: bool = False
     least_sd: float = MIN_SD
@@ -300,6 +301,10 @@ def problem_from_log(
         steps, rows["check_every"].to_numpy(float), rows["session"].to_numpy(object), rows["joint"].to_numpy()
     )
     rounding = np.where(spacing > 0, (spacing / steps) ** 2 / 12.0, rounding)
+    outlier_causes = {part.law.outlier_cause for part in parts}
+    if MISFIRE not in outlier_causes:  # no law counts steps until a stop is heard
+        missing.pop(MISFIRE, None)
+        candidates = tuple(cause for cause in candidates if cause.name != MISFIRE)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
@@ -314,5 +319,7 @@ def problem_from_log(
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
         spacing=spacing / steps if spacing.any() else None,
+        outlier_cause=min(outlier_causes, default=MISFIRE),
+        n_refits=N_REFITS,
     )
     return problem, missing

@@ -18,9 +18,16 @@ import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
-from stickslip_fit.diagnosis.combinations import first_of_pair, refit_likeliest, revise_causes
+from stickslip_fit.diagnosis.combinations import (
+    find_exchange,
+    first_of_pair,
+    name_combinations,
+    refit_likeliest,
+    revise_causes,
+)
 from stickslip_fit.diagnosis.extension import (
     OUTLIER_ALPHA_SHARE,
+    Extension,
     SelectedCause,
     assess_residuals,
     compute_evidence,
@@ -64,6 +71,8 @@ class Selection:
         The baseline with `law_causes` in it.
     linearized : LinearizedFit
         The residuals under `fit`.
+    failed : tuple of str
+        Causes that were dropped since a fit with them failed.
     influential : array of int
         Rows of `problem`, outliers each, without which there is no evidence of the cause that the search
         would have selected next.
@@ -77,6 +86,7 @@ class Selection:
     p_value: float
     fit: ExtendedFit
     linearized: LinearizedFit
+    failed: tuple[str, ...] = ()
     influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
@@ -115,36 +125,53 @@ def select_causes(
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
-    influential = outliers[:0]
+    combinations: list[tuple[str, ...]] = []
+    influential, failed = outliers[:0], set[str]()
+
+    def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
+        problem, _, linearized = extension
+        names = [one.cause for one in selected]
+        return assess_residuals(linearized, problem, n_bootstrap, rng, names, MAX_EXCEEDANCES)
+
     while last.p_value < level and len(selected) < MAX_CAUSES:
-        last, starts = refit_likeliest(problem, selected, last)
-        following = make_selected(last, form_cause_set(last), starts)
-        if following.cause == UNKNOWN:
-            following = first_of_pair(problem, selected, last) or following
+        refits = refit_likeliest(problem, selected, last)
+        last, failed = refits.misfit, failed | {*refits.failed}
+        following = make_selected(last, form_cause_set(last), refits.starts)
+        if following.cause == UNKNOWN and (pair := first_of_pair(problem, selected, last)):
+            following = pair.first
+            combinations.append((following.cause, *pair.others))
         support = assess_support(linearized, last, following.cause)
         if support.too_narrow:
             influential = support.outlying if problem.skewness is None else influential
             following = make_selected(last, form_cause_set(last, UNKNOWN))
-        selected.append(following)
         if following.cause == UNKNOWN:
+            selected.append(following)
             break
-        problem, fit, linearized = extend_problem(problem, selected)
-        last = assess_residuals(
-            linearized, problem, n_bootstrap, rng, [one.cause for one in selected], MAX_EXCEEDANCES
-        )
-    causes = law_causes(selected)
-    if len(causes) > 1:
-        revised = revise_causes(problem, causes)
-        if [one.cause for one in revised] != [one.cause for one in causes]:
-            problem, fit, linearized = extend_problem(problem, revised)
-        selected = [*revised, *(one for one in selected if one.version is None)]
+        chosen = [*selected, following]
+        extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
+        if selected:
+            revised = revise_causes(extension[0], chosen)
+            if [one.cause for one in revised] != [one.cause for one in chosen]:
+                extension = extend_problem(extension[0], revised)
+            chosen = revised
+        last = assess(extension, chosen)
+        if exchange := find_exchange(problem, chosen, extension, last, refits, level):
+            trial = [*chosen[:-1], exchange.first]
+            other = refits.extensions.get(exchange.first.cause) or extend_problem(problem, trial)
+            if (test := assess(other, trial)).p_value < level:
+                chosen, extension, last = trial, other, test
+                combinations.append((exchange.first.cause, *exchange.others))
+        selected = chosen
+        problem, fit, linearized = extension
+    selected = name_combinations(selected, combinations)
     if selected and selected[-1].cause == UNKNOWN:
         selected = propose_term(linearized, selected, rng)
         if selected[-1].version is not None:
             fit = fit_causes(problem, selected)
             linearized = problem.linearize_extended(fit)
     everything = (*misfires, *selected)
-    return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
+    results = first, last, p_value, fit, linearized
+    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
 
 
 def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:

@@ -15,7 +15,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
 MIN_DF = 10
@@ -46,7 +46,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
 
 
 def largest_strength(
-    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str = MISFIRE
+    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str
 ) -> float:
     """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
     if cause.name == outlier_cause:

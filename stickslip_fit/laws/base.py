@@ -106,6 +106,9 @@ class StepLaw(ABC):
         Columns of a row, besides start and stop, on which the step size depends.
     max_panel : float
         Widest integration panel that resolves the step size along a traverse, rad or m.
+    outlier_cause : str
+        The cause of the few counts that are far off: steps are counted until a stop is heard. ``outliers``
+        for a law whose counts end otherwise.
     """
 
     name: ClassVar[str]
@@ -113,6 +116,7 @@ class StepLaw(ABC):
     parameters: tuple[Parameter, ...]
     columns: ClassVar[tuple[str, ...]] = ()
     max_panel: float = np.inf
+    outlier_cause: str = "end-stop-misfire"
 
     @property
     def prismatic(self) -> bool:

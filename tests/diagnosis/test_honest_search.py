@@ -1,0 +1,93 @@
+"""Searching within the bounds of parameters, whatever sizes are tried, and whatever one trial does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.diagnosis import combinations
+from stickslip_fit.diagnosis.hypotheses import make_hypothesis
+
+N, SD = 240, 0.05
+
+
+def stribeck(size, seed=0):
+    """Friction against velocity, with a bump of some size near zero velocity."""
+    rng = np.random.default_rng(seed)
+    v = rng.uniform(0.01, 3.0, N)
+    force = 1.0 + 0.4 * v + size * np.exp(-((v / 0.5) ** 2)) + SD * rng.standard_normal(N)
+    return pd.DataFrame({"v": v, "F": force, "x": rng.standard_normal(N)})
+
+
+def diagnose(frame, *causes, **options):
+    return ssf.diagnose_table(frame, "F ~ F0 + Fv*v", causes=causes, gain=False, generic_causes=(), **options)
+
+
+def bump(**options):
+    return ssf.Cause("stribeck", "+ Fs*exp(-(v/vs)**2)", "Fs, vs", **options)
+
+
+BOUNDED = {"Fs": (0.0, 5.0), "vs": (0.1, 1.0)}
+
+
+def test_a_cause_whose_best_fit_is_outside_its_bounds_is_not_named():
+    found = diagnose(stribeck(-0.3), bump(bounds=BOUNDED))
+    assert "stribeck" not in [finding.cause for finding in found.findings]
+    free = diagnose(stribeck(-0.3), bump(bounds={"vs": (0.1, 1.0)}))
+    assert free.findings[0].cause == "stribeck"
+
+
+def test_bounds_do_not_hide_what_lies_within_them():
+    (finding,) = diagnose(stribeck(0.3), bump(bounds=BOUNDED)).findings
+    size = finding.parameters[0].size
+    assert finding.cause == "stribeck"
+    assert size.low < 0.3 < size.high
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_the_size_that_is_tried_does_not_matter(factor):
+    frame = stribeck(0.3)
+    frame["F"] = frame["F"] - 0.3 * np.exp(-((frame["v"] / 0.5) ** 2)) + 0.4 * 0.3 * np.tanh(2 * frame["x"])
+    causes = [
+        ssf.Cause("linear", "+ k*x", "k", size=0.1 * factor),
+        ssf.Cause("bent", "+ k*tanh(2*x)", "k", size=0.1 * factor),
+    ]
+    (finding,) = diagnose(frame, *causes).findings
+    assert finding.cause == "bent"
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_shift_of_a_column_is_found_whatever_size_is_tried(factor):
+    rng = np.random.default_rng(1)
+    v = rng.uniform(0.01, 3.0, N)
+    frame = pd.DataFrame({"v": v, "F": 1.0 + 3.0 * np.tanh(v + 0.4) + SD * rng.standard_normal(N)})
+    shift = ssf.Cause("shift", "v = v + d", "d", size=0.4 * factor)
+    found = ssf.diagnose_table(frame, "F ~ F0 + A*tanh(v)", causes=[shift], gain=False, generic_causes=())
+    assert [finding.cause for finding in found.findings] == ["shift"]
+    assert found.findings[0].parameters[0].size.low < 0.4 < found.findings[0].parameters[0].size.high
+
+
+def failing(*arguments, **options):
+    """What numpy does with a matrix now and then, and with one that is no number always."""
+    raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+
+def test_eigenvalues_that_do_not_converge_drop_a_trial(monkeypatch):
+    effects = np.random.default_rng(0).standard_normal((20, 3))
+    assert make_hypothesis("cause", None, None, effects) is not None
+    monkeypatch.setattr(np.linalg, "eigh", failing)
+    assert make_hypothesis("cause", None, None, effects) is None
+
+
+def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):
+    real = combinations.fit_causes
+    monkeypatch.setattr(
+        combinations,
+        "fit_causes",
+        lambda problem, selected: failing() if selected else real(problem, selected),
+    )
+    found = diagnose(stribeck(0.3), bump(bounds=BOUNDED))
+    assert "stribeck" not in [finding.cause for finding in found.findings]
+    assert "could not be fitted" in found.untestable["stribeck"]
