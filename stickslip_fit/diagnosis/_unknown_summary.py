@@ -196,9 +196,12 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         return ""
     change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    # Within one joint and direction, so that nothing else has to differ.
+    groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
+    inside = max(groups, key=lambda places: float(np.ptp(change[places])))
     places = []
     for extreme in (np.argmin, np.argmax):
-        place = int(extreme(change))
+        place = int(inside[extreme(change[inside])])
         row, size = rows.iloc[place], -float(np.expm1(change[place]))
         way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
         where = join_words([_format_carrier(name, row, machine) for name in carriers])
