@@ -189,7 +189,7 @@ EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
 
 
 @dataclass(frozen=True)
-class Factor:
+class CarrierFunction:
     """A function of one carrier: an expression in (carrier - middle) / unit.
 
     Attributes
@@ -225,7 +225,7 @@ class ProposedTerm(LinearFactor):
     Attributes
     ----------
     factors : tuple of (str, str, float, float)
-        Each a `Factor`.
+        Each a `CarrierFunction`.
     on, mode
         As of a `SmoothTerm`.
     """
@@ -260,7 +260,7 @@ class ProposedTerm(LinearFactor):
     @property
     def formula(self) -> str:
         """For people, such as ``k sin(q1) x load, joint 2, + only``."""
-        text = "k " + " x ".join(str(Factor(*factor)) for factor in self.factors)
+        text = "k " + " x ".join(str(CarrierFunction(*factor)) for factor in self.factors)
         return text + describe_where(self.on, self.mode)
 
     def acts_on(self, law: StepLaw) -> bool:
@@ -271,7 +271,10 @@ class ProposedTerm(LinearFactor):
         """See `LinearFactor.functions`."""
         function = np.prod(
             np.broadcast_arrays(
-                *(Factor(*factor).values(carrier_values(state, factor[1])) for factor in self.factors)
+                *(
+                    CarrierFunction(*factor).values(carrier_values(state, factor[1]))
+                    for factor in self.factors
+                )
             ),
             axis=0,
         )

@@ -21,7 +21,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import Misfit, StructureRemoved, compute_misfit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -130,10 +130,15 @@ def fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> 
 def make_selected(
     misfit: Misfit, cause_set: CauseSet, starts: Mapping[str, Array] | None = None
 ) -> SelectedCause:
-    """The cause that a test chose, with start values for its fit: `starts`, or of its estimated size."""
+    """The cause that a test chose, with start values for its fit: `starts`, or of its estimated size.
+
+    Unknown structure has no version yet, see `proposed_term`.
+    """
     shape = misfit.best_hypothesis(cause_set.cause)
     p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     start = np.zeros(0)
+    if cause_set.cause == UNKNOWN:
+        return SelectedCause(UNKNOWN, None, start, cause_set, misfit, p_value)
     if isinstance(shape, Hypothesis) and shape.version is not None:
         start = np.array(shape.version.start_values)
         if shape.values is not None:

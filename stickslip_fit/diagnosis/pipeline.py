@@ -4,13 +4,13 @@
    becomes one in `table`, whose autocorrelated noise `autocorrelation` estimates and removes.
 2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
-4. `hypotheses`: what could be wrong, each as a subspace of effects; `alternatives` without a cause stand for
-   "unknown", and `testability` says what a log could show.
+4. `hypotheses`: what could be wrong, each as a subspace of effects; `alternatives` without a cause
+   (`smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
 5. `noise`: repeatability, noisy configurations, outlying counts.
 6. `misfit`: is anything wrong? Bayes factors and the p-value.
 7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
    cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests
-   on one or two rows.
+   on one or two rows. `proposed_term`: a law for structure without a name.
 8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
    `withdrawal`: a cause that does not predict better is not named.

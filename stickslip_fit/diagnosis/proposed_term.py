@@ -1,7 +1,7 @@
 """A law for unknown structure: a short expression where one does, else a smooth function.
 
 `propose_term` searches a dictionary of short expressions (one direction of effects each) over the carriers of
-`smooth_alternatives`. The best is proposed where it is at least as likely as the best smooth function, and
+`smooth_alternatives`. The best is proposed where the log cannot tell it from the best smooth function, and it
 explains more than the best expression of noise alone does; otherwise the smooth function takes its place. It
 is part of `select_causes`, so that each fold searches anew.
 """
@@ -21,10 +21,11 @@ from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LOAD,
     POSITION,
-    Factor,
+    CarrierFunction,
     Mode,
     ProposedTerm,
 )
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -60,7 +61,7 @@ def propose_term(
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
     term = _find_term(linearized, misfit, rng)
-    if term is not None and term.log_evidence >= evidence:
+    if term is not None and term.log_evidence >= evidence - CAUSE_SET_LOG_BAYES_FACTOR:
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
     if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
         return list(selected)
@@ -107,14 +108,14 @@ def _log_evidence(explained: float, residual: Array, df: int) -> float:
     return float(logsumexp(-0.5 * np.log1p(signal) - 0.5 * df * np.log1p(-share)) - np.log(len(signal)))
 
 
-def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[Factor, ...]], Array]:
+def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunction, ...]], Array]:
     """Products of one or two functions, of at most three symbols, and their averages; shape (n, m)."""
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
         for factor in _functions(carrier)
     ]
-    products: list[tuple[Factor, ...]] = [(factor,) for factor, _ in single]
+    products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
     for (one, values), (other, others) in combinations(single, 2):
         if one.carrier != other.carrier and "x" in (one.expression, other.expression):
@@ -124,7 +125,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[Factor, ...
     return products, np.concatenate([np.zeros((len(linearized), 0)), *averages], axis=1)
 
 
-def _functions(carrier: Carrier) -> Iterator[Factor]:
+def _functions(carrier: Carrier) -> Iterator[CarrierFunction]:
     """Functions of one carrier; of an angle also its harmonics."""
     largest = max(abs(carrier.low), abs(carrier.high))
     if carrier.name in (LOAD, BEFORE_DIRECTION, "before_load"):
@@ -137,7 +138,7 @@ def _functions(carrier: Carrier) -> Iterator[Factor]:
     else:
         expressions = ["x", "x^2", "|x|"]
         middle, unit = float(np.nanmean(carrier.values)), (carrier.high - carrier.low) / 2
-    return (Factor(expression, carrier.name, middle, unit) for expression in expressions)
+    return (CarrierFunction(expression, carrier.name, middle, unit) for expression in expressions)
 
 
 class _Dictionary:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
+from stickslip_fit.diagnosis.explanation import explain_structure
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
@@ -166,11 +167,33 @@ class Diagnosis(Summarized):
             seconds=self.seconds + time.perf_counter() - began,
         )
 
+    def explain_unknown(self) -> pd.DataFrame:
+        """Each known cause's share of the unknown structure, and what it alone would gain.
+
+        Returns
+        -------
+        DataFrame
+            cause; share of the structure's square that it explains; error, the rms error of the step size
+            (relative) on held-out traverses with it in the law; gain, how much less that is than without it.
+            Largest share first; no rows where nothing unknown was found.
+
+        Raises
+        ------
+        InputError
+            If the data were no log.
+        """
+        self.require_log()
+        for finding in self.findings:
+            if finding.cause == UNKNOWN:
+                return explain_structure(self.selection, finding, self.seed)
+        return pd.DataFrame({"cause": pd.Series(dtype=str), "share": [], "error": [], "gain": []})
+
     def extended_law(self, *, command: str = "") -> Result | TableFit:
         """The law extended by the named causes, fitted to the log or the table.
 
         Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
-        excluded; unknown structure has no place in a law. `command` is for the result's provenance.
+        excluded; unknown structure is in the law as the term or smooth function of its finding, if it has
+        one. `command` is for the result's provenance.
 
         Returns
         -------

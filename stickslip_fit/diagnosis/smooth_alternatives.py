@@ -21,6 +21,7 @@ from stickslip_fit.causes.proposed import (
     LOAD,
     POSITION,
     SMOOTH_SCALE,
+    Mode,
     SmoothTerm,
     carrier_values,
 )
@@ -169,10 +170,10 @@ class _Builder:
     def shapes(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
         """The ways in which joints and directions may share the functions in some columns."""
         opposite = replace(term, mode="opposite")
-        found = [
-            self.make(name, term, [self.subspace(place)]),
-            self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)]),
-        ]
+        found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
+        # A function of a recorded condition or column, whatever its form, is that of its cause.
+        if name not in CONDITIONS and not name.startswith(COVARIATE_PREFIX):
+            found.append(self.make(name, term, [self.subspace(place)]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
@@ -196,7 +197,8 @@ class _Builder:
         """Functions that differ from session to session, by joint."""
         found = []
         for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
-            for mode, sign in (("same", None), ("opposite", self.sign)):
+            modes: tuple[tuple[Mode, Array | None], ...] = (("same", None), ("opposite", self.sign))
+            for mode, sign in modes:
                 own = {
                     session: subspace
                     for session, inside in self.session_of.items()

@@ -1,0 +1,137 @@
+"""Unknown structure: recognised wherever it lies, given a law by a short term or a smooth function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stickslip_fit.causes import extend
+from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm
+from stickslip_fit.causes.registry import describe, restore
+from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.finding import Gain
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, group_directions
+from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses
+from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
+from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
+from stickslip_fit.laws import Prismatic
+from stickslip_fit.logs import read_log
+from tests.hidden.catalogue import EFFECTS
+from tests.hidden.effect import Effect, sized
+from tests.hidden.generate import hide
+
+
+def sine_times_load(campaign, rng):
+    """On joint 3 alone, the step size times 1 + A sin(q1) u."""
+
+    def factor(place, size):
+        return 1 + size * np.sin(place.angles["q1"]) * place.load if place.joint == 3 else 1.0
+
+    return Effect(0.05, sized("A", "%", 100), factor=factor)
+
+
+@pytest.fixture(scope="module")
+def hidden_logs(tmp_path_factory):
+    """A log with an effect that no cause describes, and a replicate of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(EFFECTS, "unknown:test", {"only": sine_times_load})
+        logs = []
+        for replicate in (0, 1):
+            path = tmp_path_factory.mktemp("hidden") / "log.csv"
+            hide("many", ("unknown:test",), 20.0, "gaussian", (), 3, replicate=replicate).write(path)
+            logs.append(read_log(path))
+    return logs
+
+
+@pytest.fixture(scope="module")
+def found(hidden_logs):
+    return diagnose(hidden_logs[0], seed=1, gain=False)
+
+
+def test_a_short_term_is_proposed_and_predicts_a_replicate(found, hidden_logs):
+    assert found.verdict == "unknown cause"
+    (finding,) = found.findings
+    assert finding.term == "k sin(q1) x load, joint 3"
+    assert finding.joints == (3,)
+    law = found.extended_law().joints[3]
+    rows = hidden_logs[1].rows
+    rows = rows[(rows["joint"] == 3) & (rows["status"] == "ok")].reset_index(drop=True)
+    values = law.values[law.group_index(rows)]
+    without = values.copy()
+    without[:, -1] = 0.0
+    response = law.law.response(rows)[0]
+    errors = [np.std(response - law.law.predict(rows, one)) for one in (values, without)]
+    assert errors[0] < 0.9 * errors[1]
+    (size,) = (parameter.size for parameter in finding.parameters)
+    assert size.low < law.values[0, -1] < size.high
+
+
+def test_every_known_cause_has_its_share_and_gains_less_than_the_term(found):
+    table = found.explain_unknown()
+    assert table["cause"].iloc[0] in found.findings[0].explains
+    assert table["share"].is_monotonic_decreasing
+    assert ((table["share"] >= 0) & (table["share"] <= 1 + 1e-9)).all()
+    # A cause that explains nothing of the structure gains nothing on held-out traverses.
+    assert table["gain"].iloc[-1] < 1e-4
+    assert np.isfinite(table[["error", "gain"]]).all(axis=None)
+
+
+def test_a_term_that_does_not_predict_better_leaves_the_law_and_unknown_stays(found):
+    (finding,) = found.findings
+    worse = Gain(0.004, 0.0041, 0.003, -0.001, 0.001, found.residuals)
+    findings = (replace(finding, gain=worse),)
+    unsupported = find_unsupported(findings)
+    assert unsupported == findings
+    selection, left = withdraw_causes(found.selection, findings, unsupported, 0.01)
+    assert (left[0].cause, left[0].version, left[0].term) == ("unknown", None, "")
+    assert selection.law_causes == []
+
+
+def test_a_law_with_terms_is_saved_and_restored(found, hidden_logs):
+    machine = hidden_logs[0].machine
+    smooth = SmoothTerm(("theta", "load"), ((-0.5, 0.5), (-1.0, 1.0)), ((1, 1),), (0.02,), ((3, "+"),))
+    term = ProposedTerm((("sin(x)", "q1", 0.0, 1.0), ("x", "load", 0.0, 1.0)), ((3, "+"),))
+    assert term.formula == "k sin(q1) x load, joint 3, + only"
+    law = extend(extend(Prismatic(), smooth), term)
+    restored = restore(describe(law), machine)
+    assert restored.causes == law.causes
+
+
+def test_directions_that_hypotheses_share_are_evaluated_once_and_right(found):
+    problem = found.selection.problem
+    linearized = problem.linearize()
+    hypotheses = build_smooth_alternatives(linearized)
+    directions = sum(len(group.directions) for group in group_directions(hypotheses))
+    assert directions < 0.8 * sum(len(one.prior_share) for one in hypotheses)
+    residual = linearized.residual
+    evidence = batch_hypotheses(hypotheses, linearized.df).log_evidence(residual[:, None])[:, 0]
+    for one, its_evidence in list(zip(hypotheses, evidence, strict=True))[::37]:
+        signal = STRENGTHS[:, None] ** 2 * one.prior_share
+        explained = (signal / (1 + signal)) @ (one.directions.T @ residual) ** 2 / (residual @ residual)
+        log = -0.5 * np.sum(np.log1p(signal), axis=1) - 0.5 * linearized.df * np.log1p(-explained)
+        assert its_evidence == pytest.approx(np.log(np.mean(np.exp(log))), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["q1, opposite", "load, each joint and direction", "product of theta and load, joint 3"]
+)
+def test_a_smooth_alternative_has_the_effects_of_the_law_that_it_becomes(found, name):
+    linearized = found.selection.problem.linearize()
+    (one,) = (one for one in build_smooth_alternatives(linearized) if one.cause == f"unknown:{name}")
+    assert isinstance(one, Hypothesis)
+    size = 1e-4 * np.random.default_rng(0).standard_normal(len(one.version.parameters))
+    effect = linearized.project(linearized.whiten(compute_changes(linearized, one.version, size[None])))[:, 0]
+    directions, _ = np.linalg.qr(one.directions)
+    left = effect - directions @ (directions.T @ effect)
+    # Averages along a traverse are not weighted by the step size.
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(effect)
+
+
+def test_nothing_unknown_has_nothing_to_explain(tmp_path):
+    path = tmp_path / "log.csv"
+    hide("session", (), None, "gaussian", (), 2).write(path)
+    answer = diagnose(read_log(path), gain=False)
+    assert answer.verdict == "nothing wrong"
+    assert answer.explain_unknown().empty
