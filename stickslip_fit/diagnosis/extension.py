@@ -42,7 +42,7 @@ class SelectedCause:
     ----------
     cause : str
     version : object or None
-        As it acts in this log; None for unknown structure and outlying counts.
+        As it acts in this log; None for outlying counts, and for unknown structure without a law.
     start : array, shape (q,)
         Start values of its parameters.
     cause_set : CauseSet

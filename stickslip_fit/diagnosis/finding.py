@@ -64,7 +64,8 @@ class Finding:
     cause : str
         ``unknown`` for structure without a known cause.
     version : object or None
-        The cause as it acts in this log; None for unknown structure and outlying counts.
+        The cause as it acts in this log, or the term or smooth function that stands for unknown structure;
+        None for outlying counts, and for unknown structure without one.
     equivalent : tuple of str
         Causes that this log cannot separate from it.
     p_value : float

@@ -37,7 +37,13 @@ from stickslip_fit.diagnosis.misfit import (
     classify_cause,
     remove_structure,
 )
-from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
+from stickslip_fit.diagnosis.smooth_alternatives import (
+    FOLLOWING,
+    MIN_SHARE,
+    Carrier,
+    find_carriers,
+    traverse_average,
+)
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -113,6 +119,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunc
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
+        if carrier.name not in FOLLOWING
         for factor in _functions(carrier)
     ]
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]

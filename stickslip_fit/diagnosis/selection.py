@@ -140,8 +140,9 @@ def select_causes(
         selected = [*revised, *(one for one in selected if one.version is None)]
     if selected and selected[-1].cause == UNKNOWN:
         selected = propose_term(linearized, selected, rng)
-        fit = fit_causes(problem, selected)
-        linearized = problem.linearize_extended(fit)
+        if selected[-1].version is not None:
+            fit = fit_causes(problem, selected)
+            linearized = problem.linearize_extended(fit)
     everything = (*misfires, *selected)
     return Selection(problem, outliers, everything, first, last, p_value, fit, linearized, influential)
 

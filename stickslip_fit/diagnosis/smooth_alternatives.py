@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -29,9 +30,13 @@ from stickslip_fit.causes.smooth import cosines, prior_sds
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
+from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 
 LENGTH = 0.25  # correlation length, of the carrier's range
+# What follows from the order of the rows: no column of a log, so that a law cannot depend on it.
+FOLLOWING = ("length of the traverse before", "joint before", "pause")
+OF_CAUSES = (*CONDITIONS, "steps_before", "before_load")  # with one function for all joints
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
@@ -75,7 +80,9 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
-    names = (*ANGLES, LOAD, POSITION, *columns, *history)
+    # A machine without the published geometry has no gravity load.
+    load = (LOAD,) if rows["before_load"].notna().any() else ()
+    names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, *columns, *history))
     values = {name: np.full((n, len(NODES)), np.nan) for name in names}
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
@@ -85,8 +92,23 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
         state = state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
         for name, array in values.items():
             array[part.rows] = carrier_values(state, name)
-    carriers = [_make_carrier(name, array) for name, array in values.items()]
+    following = _follow(rows) if has_times(rows) else {}
+    carriers = [_make_carrier(name, array) for name, array in (values | following).items()]
     return [carrier for carrier in carriers if carrier is not None]
+
+
+def _follow(rows: pd.DataFrame) -> dict[str, Array]:
+    """`FOLLOWING` of each traverse, shape (n, 1); lengths over the joint's longest, NaN for the first."""
+    session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
+    joint, seconds = (rows[name].to_numpy(float) for name in ("joint", "session_seconds"))
+    length = (rows["stop"] - rows["start"]).abs().groupby(rows["joint"]).transform(lambda x: x / x.max())
+    same, last = previous_rows(session * 64 + rows["joint"].to_numpy(np.int64)), previous_rows(session)
+    values = (
+        np.where(same >= 0, length.to_numpy()[same], np.nan),
+        np.where(last >= 0, joint[last], np.nan),
+        np.where(last >= 0, np.log1p(np.maximum(seconds - seconds[last], 0.0)), np.nan),
+    )
+    return {name: column[:, None] for name, column in zip(FOLLOWING, values, strict=True)}
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:
@@ -105,11 +127,13 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     """Gaussian processes over every carrier, and products of two."""
     carriers = find_carriers(linearized)
     shapes = [
-        *((carrier.name, *_smooth_functions(carrier)) for carrier in carriers),
+        # A function of the load, different in each joint and direction, is nonlinearity of the load.
+        *((carrier.name, *_smooth_functions(carrier)) for carrier in carriers if carrier.name != LOAD),
         *(
             (f"product of {one.name} and {other.name}", *_product(one, other))
             for one, other in combinations(carriers, 2)
-            if {one.name, other.name} & {LOAD, POSITION} or {one.name, other.name} <= {*ANGLES}
+            if other.name not in FOLLOWING
+            and ({one.name, other.name} & {LOAD, POSITION} or {one.name, other.name} <= {*ANGLES})
         ),
     ]
     columns = [np.zeros((len(linearized), 0)), *(own for _, _, own in shapes)]
@@ -117,7 +141,8 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     hypotheses: list[Hypothesis] = []
     for name, term, own in shapes:
         place = slice(last, last := last + own.shape[1])
-        hypotheses += (builder.by_session if name == POSITION else builder.shapes)(name, term, place)
+        found = (builder.by_session if name == POSITION else builder.shapes)(name, term, place)
+        hypotheses += [replace(one, version=None) for one in found] if name in FOLLOWING else found
     return hypotheses
 
 
@@ -171,8 +196,8 @@ class _Builder:
         """The ways in which joints and directions may share the functions in some columns."""
         opposite = replace(term, mode="opposite")
         found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
-        # A function of a recorded condition or column, whatever its form, is that of its cause.
-        if name not in CONDITIONS and not name.startswith(COVARIATE_PREFIX):
+        # What a cause is a function of is the cause's own, whatever the form of the function.
+        if name not in OF_CAUSES and not name.startswith(COVARIATE_PREFIX):
             found.append(self.make(name, term, [self.subspace(place)]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():

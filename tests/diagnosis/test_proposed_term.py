@@ -115,7 +115,7 @@ def test_directions_that_hypotheses_share_are_evaluated_once_and_right(found):
 
 
 @pytest.mark.parametrize(
-    "name", ["q1, opposite", "load, each joint and direction", "product of theta and load, joint 3"]
+    "name", ["q1, opposite", "theta, each joint and direction", "product of theta and load, joint 3"]
 )
 def test_a_smooth_alternative_has_the_effects_of_the_law_that_it_becomes(found, name):
     linearized = found.selection.problem.linearize()
