@@ -185,7 +185,9 @@ def diagnose_table(
 
 def describe_extension(diagnosis: Diagnosis) -> str:
     """Whether the law was extended, and by what."""
-    names = [finding.cause for finding in diagnosis.findings if finding.version is not None]
+    from stickslip_fit.diagnosis._unknown_summary import name_finding
+
+    names = [name_finding(finding) for finding in diagnosis.findings if finding.version is not None]
     return f"extended by {', '.join(names)}" if names else "as it was, since no cause was named"
 
 

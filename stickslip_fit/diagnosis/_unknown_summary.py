@@ -23,7 +23,6 @@ from stickslip_fit._format import (
     join_words,
 )
 from stickslip_fit._summary import Column, Table
-from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -47,7 +46,6 @@ CARRIER_PHRASES = {
     "configuration": "depends on the configuration, in both directions alike",
     "configuration and direction": "depends on configuration and direction",
 }
-SAME_BOTH_WAYS = 0.8  # of an effect's extreme, from which on it is as large in the other direction
 COLUMN_WORDS = {
     "before_direction": "the direction of the traverse before",
     "before_load": "the load of the traverse before",
@@ -147,8 +145,10 @@ def name_carriers(finding: Finding) -> str:
     carriers = getattr(finding.version, "carriers", ())
     together = " together" if len(carriers) > 1 else ""
     words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
+    opposite = getattr(finding.version, "mode", "same") == "opposite"
+    ways = ", with opposite signs in the two directions," if opposite else ""
     in_sessions = ", in each session in its own way," if getattr(finding.version, "sessions", ()) else ""
-    return f"{words}{together}{in_sessions}"
+    return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
 
 
 def _standard_error(parameter: SizedParameter) -> float:
@@ -196,22 +196,25 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         return ""
     change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    at_extremes = [_describe_extreme(change * sign, rows, carriers, machine, sign) for sign in (1.0, -1.0)]
-    where = " and ".join(at_extremes)
+    # Within one joint and direction, so that nothing else has to differ.
+    groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
+    inside = max(groups, key=lambda places: float(np.ptp(change[places])))
+    places = []
+    for extreme in (np.argmin, np.argmax):
+        place = int(inside[extreme(change[inside])])
+        row, size = rows.iloc[place], -float(np.expm1(change[place]))
+        way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
+        where = join_words([_format_carrier(name, row, machine) for name in carriers])
+        places.append(f"joint {row['joint']}{way} at {where} (steps {format_percent(size, signed=True)})")
+    where = " and ".join(places)
     return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
 
 
-def _describe_extreme(
-    change: Array, rows: pd.DataFrame, carriers: Sequence[str], machine: Machine, sign: float
-) -> str:
-    """The traverse with the largest change, and what it is; its direction where the other one has less."""
-    row = rows.iloc[int(np.argmax(change))]
-    is_other = ((rows["joint"] == row["joint"]) & (rows["direction"] != row["direction"])).to_numpy()
-    one_way = change[is_other].max(initial=0.0) < SAME_BOTH_WAYS * change.max()
-    way = f" {format_direction(str(row['direction']))}" if one_way else ""
-    place = join_words([_format_carrier(name, row, machine) for name in carriers])
-    size = format_percent(-float(np.expm1(sign * change.max())), signed=True)
-    return f"joint {row['joint']}{way} at {place} (steps {size})"
+def _is_same_both_ways(finding: Finding) -> bool:
+    """Whether a proposal does the same in both directions of a joint."""
+    version, ways = finding.version, [way for _, way in getattr(finding.version, "on", ())]
+    each, mode = getattr(version, "each", False), getattr(version, "mode", "same")
+    return not each and mode == "same" and ways.count("+") == ways.count("-")
 
 
 def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:

@@ -251,7 +251,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         except np.linalg.LinAlgError:
             failed.append(cause)
             continue
-        left = (after.residual @ after.residual) / (before.residual @ before.residual)
+        left = float((after.residual @ after.residual) / (before.residual @ before.residual))
         gain = _refit_gain(misfit, cause, left, before.df)
         if left > 0 and not hasattr(one.version, "with_amplitude"):
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.

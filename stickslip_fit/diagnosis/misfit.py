@@ -121,7 +121,10 @@ class HypothesisBatch:
         single = np.float32
         return replace(
             self,
-            groups=tuple(replace(one, directions=one.directions.astype(single), least=one.least.astype(single)) for one in self.groups),
+            groups=tuple(
+                replace(one, directions=one.directions.astype(single), least=one.least.astype(single))
+                for one in self.groups
+            ),
             explained_share=self.explained_share.astype(single),
             log_spread=self.log_spread.astype(single),
         )

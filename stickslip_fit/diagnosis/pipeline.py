@@ -175,7 +175,7 @@ def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tu
         "memory": any(one.cause == UNKNOWN and one.carrier.startswith("memory") for one in findings),
         "skewed": problem.skewness is not None,
         "rounded": problem.spacing is not None,
-        "gross errors": any(one.cause == MISFIRE for one in findings),
+        "gross errors": any(one.cause == problem.outlier_cause for one in findings),
         "uneven": len(problem.uneven) > 0,
     }
     return tuple(name for name, is_present in present.items() if is_present)

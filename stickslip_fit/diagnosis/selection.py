@@ -158,8 +158,8 @@ def select_causes(
         if exchange := find_exchange(problem, chosen, extension, last, refits, level):
             trial = [*chosen[:-1], exchange.first]
             other = refits.extensions.get(exchange.first.cause) or extend_problem(problem, trial)
-            if (test := assess(other, trial)).p_value < level:
-                chosen, extension, last = trial, other, test
+            if (other_test := assess(other, trial)).p_value < level:
+                chosen, extension, last = trial, other, other_test
                 combinations.append((exchange.first.cause, *exchange.others))
         selected = chosen
         problem, fit, linearized = extension

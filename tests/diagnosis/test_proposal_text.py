@@ -77,6 +77,25 @@ def test_a_product_is_named_with_both_of_its_columns_in_words():
     assert name_carriers(Finding("unknown", version, (), 0.001, (3,), SIZE, ())) == (
         "the load and the time in the session together, in each session in its own way,"
     )
+    opposite = SmoothTerm(("covariate:lamp",), mode="opposite")
+    assert name_carriers(Finding("unknown", opposite, (), 0.001, (3,), SIZE, ())) == (
+        "lamp, with opposite signs in the two directions,"
+    )
+
+
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [
+        (SmoothTerm(("psi",)), False),
+        (SmoothTerm(("psi",), mode="opposite"), True),
+        (SmoothTerm(("psi",), on=((3, "+"), (3, "-"))), False),
+        (SmoothTerm(("psi",), on=((3, "+"),)), True),
+        (SmoothTerm(("psi",), on=((3, "+"), (3, "-")), each=True), True),
+    ],
+)
+def test_the_direction_of_a_test_is_told_where_it_matters(proposed, version, told):
+    sentence = describe_test(replace(proposed.findings[0], version=version), proposed)
+    assert bool(re.search(r"joint \d [+−] at", sentence)) == told
 
 
 def test_the_traverses_that_test_it_are_those_where_its_effect_is_at_its_extremes(hidden, proposed):
