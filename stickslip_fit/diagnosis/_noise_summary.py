@@ -44,4 +44,3 @@ def _describe_unevenness(problem: DiagnosisProblem, carrier: str) -> str:
     if len(noisy) > MANY_SESSIONS:
         where = f"{len(noisy)} of {len(by_session)} sessions"
     return f"it is {float(noisy.median()) / quiet:.0f} times as large in {where} as in others"
-

@@ -35,7 +35,9 @@ def test_noise_as_assumed_is_neither_uneven_nor_skewed(tails, ratio):
 @pytest.mark.parametrize(("carrier", "noisy"), [("session", SESSION == 2), ("configuration", KIND % 7 == 3)])
 def test_noise_five_times_as_large_somewhere_is_seen_for_what_it_is(carrier, noisy):
     for seed in range(6):
-        noise = draw("t5" if seed % 2 else "gaussian", np.random.default_rng(seed)) * np.where(noisy, 5.0, 1.0)
+        noise = draw("t5" if seed % 2 else "gaussian", np.random.default_rng(seed)) * np.where(
+            noisy, 5.0, 1.0
+        )
         found = estimate_unevenness(noise, GROUPINGS)
         assert found.carriers == (carrier,)
         assert found.ratio[noisy].mean() / found.ratio[~noisy].mean() == pytest.approx(5.0, rel=0.4)

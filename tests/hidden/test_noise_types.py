@@ -11,7 +11,7 @@ from stickslip_fit.logs import read_log
 from tests.hidden.noise import KINDS
 
 LEVEL = 2.5e-4
-EXPECTED = {  # findings and noise properties; logs of one session, but for noise that differs between sessions
+EXPECTED = {  # findings and noise properties
     "memory": (("unknown",), ("memory",)),
     "skewed": ((), ("skewed",)),
     "rounded": ((), ("rounded",)),
@@ -27,7 +27,9 @@ def test_noise_is_called_what_it_is(kind, seed):
 
 def test_the_noisy_session_is_named_in_the_text():
     hidden = make("sessions", 5)
-    noisy = hidden.campaign.plan.session == hidden.campaign.plan.session[hidden.campaign.repeatability.argmax()]
+    noisy = (
+        hidden.campaign.plan.session == hidden.campaign.plan.session[hidden.campaign.repeatability.argmax()]
+    )
     (name,) = hidden.table["session"][noisy].unique()
     assert f" times as large in session {name} as in others" in str(answer(hidden, 5))
 
