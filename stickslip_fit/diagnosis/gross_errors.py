@@ -79,7 +79,8 @@ def _deviation_from_others(
     have by their residuals, shrunk towards the usual. The usual is `ratio` times as large in each row, shape
     (n,). Where the others do not determine the prediction, it is that of `parts`.
     """
-    z, slopes = np.empty(len(problem)), {}
+    z = np.empty(len(problem))
+    slopes: dict[int, Array] = {}
     for part in parts:
         predicted, own = part.law.model(problem.rows.iloc[part.rows])(part.values)
         z[part.rows] = problem.responses[part.rows] - predicted

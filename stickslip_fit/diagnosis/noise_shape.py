@@ -177,7 +177,8 @@ class Skewness:
         The short tail stays as it is: the uncertainty of a fit blurs where it ends.
         """
         u = (deviation - self.location) / self.scale
-        return np.asarray(np.where(self.g * u > 0, np.log1p(np.maximum(self.g * u, 0.0)) / self.g, u))
+        long_tail = np.log1p(np.maximum(self.g * u, 0.0)) / self.g
+        return np.asarray(self.scale * np.where(self.g * u > 0, long_tail, u))
 
 
 def fit_skewness(deviation: Array) -> Skewness | None:
