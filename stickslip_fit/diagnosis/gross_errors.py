@@ -75,11 +75,12 @@ def _deviation_from_others(
 ) -> Array:
     """How far rows are from what the other rows of their block predict by least squares.
 
-    In units of the standard deviation of that difference, with the uncertainty of the prediction, and the noise
-    that the others have by their residuals, shrunk towards the usual. That is `ratio` times as large in each
-    row, shape (n,). Where the others do not determine the prediction, it is that of `parts`.
+    In units of the standard deviation of that difference: of the prediction, and of the noise that the others
+    have by their residuals, shrunk towards the usual. The usual is `ratio` times as large in each row, shape
+    (n,). Where the others do not determine the prediction, it is that of `parts`.
     """
-    z, slopes = np.empty(len(problem)), dict[int, Array]()
+    z = np.empty(len(problem))
+    slopes: dict[int, Array] = {}
     for part in parts:
         predicted, own = part.law.model(problem.rows.iloc[part.rows])(part.values)
         z[part.rows] = problem.responses[part.rows] - predicted

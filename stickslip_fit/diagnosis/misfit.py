@@ -11,8 +11,8 @@ would inflate it, so the best hypothesis is subtracted first; residuals are divi
 as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985). A wild bootstrap keeps
 the largest residuals where they are; in small logs with heavy tails their places look like structure about
 twice as often as the p-value says. So where it comes out small, Student t noise with tails as heavy as the
-residuals' is simulated, too, and the larger p-value counts. Where the noise is clearly skewed, residuals drawn
-with replacement take its place; where counts are coarsely rounded, the simulated ones are rounded likewise.
+residuals' is simulated, too, and the larger p-value counts. Where the noise is clearly skewed, residuals
+drawn with replacement take its place; where counts are coarsely rounded, so are the simulated ones.
 
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest

@@ -31,8 +31,8 @@ CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likeli
 TAIL_DF = (5.0, 200.0)  # of Student t noise
 # Uneven
 RELATIVE_SDS = 2.0 ** np.arange(-3.0, 4.01, 0.25)
-# Steps of this grid within which noise may differ and be as assumed. Between configurations that is a factor of
-# 2.4, of which a factor of two falls short wherever it lies; between sessions none.
+# Steps of this grid within which noise may differ and be as assumed. Between configurations that is a factor
+# of 2.4, of which a factor of two falls short wherever it lies; between sessions none.
 STEPS_AS_ASSUMED = {"session": 0}
 MANY_STEPS_AS_ASSUMED = 5
 MIN_RATIO = 2.0  # of the largest to the smallest standard deviation, for noise to be called uneven
@@ -177,7 +177,8 @@ class Skewness:
         The short tail stays as it is: the uncertainty of a fit blurs where it ends.
         """
         u = (deviation - self.location) / self.scale
-        return np.asarray(np.where(self.g * u > 0, np.log1p(np.maximum(self.g * u, 0.0)) / self.g, u))
+        long_tail = np.log1p(np.maximum(self.g * u, 0.0)) / self.g
+        return np.asarray(self.scale * np.where(self.g * u > 0, long_tail, u))
 
 
 def fit_skewness(deviation: Array) -> Skewness | None:

@@ -1,8 +1,8 @@
 """The noise of a log: in `KINDS` nothing is wrong; `OTHER_KINDS` are what noise should not be.
 
-Of the others: memory is an AR(1) of 0.5 from traverse to traverse of a session; skewed noise is log-normal, its
-long tail above or below; places, configurations and sessions have noise five times as large in a third of each
-joint's travel, in a tenth of the configurations, or in one session; rounded counts are written to 50 steps.
+Of the others: memory is an AR(1) of 0.5 from traverse to traverse of a session; skewed noise is log-normal,
+its long tail above or below; places, configurations and sessions have noise five times as large in a third of
+each joint's travel, in a tenth of the configurations, or in one session; rounded counts are multiples of 50.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from stickslip_fit.logs import read_log
 from tests.hidden.noise import KINDS
 
 LEVEL = 2.5e-4
-EXPECTED = {  # findings and noise properties; logs of one session, but for noise that differs between sessions
+EXPECTED = {  # findings and noise properties
     "memory": (("unknown",), ("memory",)),
     "skewed": ((), ("skewed",)),
     "rounded": ((), ("rounded",)),
