@@ -121,8 +121,8 @@ def positions_table(analysis: PositionAnalysis) -> Table:
     load = ""
     if analysis.machine.has_published_geometry:
         load = (
-            " Gravity's load changes along the travel of a rotary joint and is part of this; the figure of the "
-            "step size along the travel has what the law leaves of it."
+            " Gravity's load changes along the travel of a rotary joint and is part of this; the figure of "
+            "the step size along the travel has what the law leaves of it."
         )
     errors = {
         error: join_words([test.term for test in analysis.tests if test.error_term == error])
@@ -132,9 +132,9 @@ def positions_table(analysis: PositionAnalysis) -> Table:
     note = (
         f"{pluralize(len(analysis.rows), 'traverse')} over {len(analysis.stretches)} stretches; traverses of "
         f"one stretch have {ends}. All factors together, of the logarithm of the step size; sums of squares "
-        "of type II. Compared: {against}. Rms: without what noise adds. Degrees of freedom are fewer where neighbouring stretches "
-        "err alike. Adjusted: for everything asked of this log (Holm). Would show: the rms that is seen at "
-        f"5 % in 80 of 100 such logs.{load}{left_out}"
+        f"of type II. Compared: {against}. Rms: without what noise adds. Degrees of freedom are fewer where "
+        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Would show: the "
+        f"rms that is seen at 5 % in 80 of 100 such logs.{load}{left_out}"
     )
     rows = tuple(map(_row, analysis.tests))
     caption = f"Along the travel of {joint_name(analysis.joint, analysis.machine)}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -87,7 +89,10 @@ def test_the_profile_is_the_one_that_was_put_in(tmp_path):
             of_truth / true_factor(np.degrees(one.position)).mean() - 1, abs=0.02
         )
     (picture,) = profile_pictures(rows, fit)
-    assert "10.6 % rms" in picture.caption or "10.7 % rms" in picture.caption
+    sizes = [float(text) for text in re.findall(r"([\d.]+) % rms", picture.caption)]
+    assert sizes == pytest.approx([100 * 0.15 / np.sqrt(2)] * 2, abs=0.6)
+    places = [float(text) for text in re.findall(r"(\d+)°", picture.caption)]
+    assert places == pytest.approx([90, 270] * 2, abs=15)
 
 
 def test_without_a_cause_in_position_the_means_alone_are_shown(tmp_path):
