@@ -62,21 +62,16 @@ def restore_table_law(content: Mapping[str, Any], functions: Functions) -> Any:
 
 
 def _describe_parameter(parameter: Parameter) -> dict[str, Any]:
-    limits = {"lower": finite_or_null(parameter.lower), "upper": finite_or_null(parameter.upper)}
+    """Its fields; null for a bound or a prior that it has not."""
     is_plain = not isinstance(parameter.unit, TableUnit)
-    return asdict(parameter) | {"unit": str(parameter.unit), "converted": is_plain} | limits
+    content = asdict(parameter) | {"unit": str(parameter.unit), "converted": is_plain}
+    return {name: finite_or_null(one) if isinstance(one, float) else one for name, one in content.items()}
 
 
 def _restore_parameter[Kind: Parameter](kind: type[Kind], content: Mapping[str, Any]) -> Kind:
-    own = dict(content)
-    unit = own.pop("unit")
-    lower, upper = own.pop("lower"), own.pop("upper")
-    return kind(
-        unit=unit if own.pop("converted") else TableUnit(unit),
-        lower=-np.inf if lower is None else lower,
-        upper=np.inf if upper is None else upper,
-        **own,
-    )
+    own = {name: value for name, value in content.items() if value is not None}
+    unit, is_plain = own.pop("unit"), own.pop("converted")
+    return kind(unit=unit if is_plain else TableUnit(unit), **own)
 
 
 def _describe_cause(cause: Any) -> dict[str, Any]:
