@@ -44,10 +44,14 @@ class Line:
     seconds: float
 
     @property
+    def silent(self) -> bool:
+        """Whether the diagnosis finds nothing wrong where a spline lowers the error by a fifth."""
+        return self.verdict == "nothing wrong" and self.spline < USEFUL * self.constant
+
+    @property
     def holds(self) -> bool:
-        """Whether the diagnosis predicts as well, and says that something is wrong where a spline does."""
-        silent = self.verdict == "nothing wrong" and self.spline < USEFUL * self.constant
-        return self.extended <= ALLOWED * self.spline and not silent
+        """Whether the diagnosis predicts as well as the spline and is not silent."""
+        return self.extended <= ALLOWED * self.spline and not self.silent
 
     def __str__(self) -> str:
         return (

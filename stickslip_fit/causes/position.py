@@ -249,7 +249,7 @@ class WornSpot(GuideProfileCause):
         return (*(0.05,) * (len(self.parameters) - 2), 1e-3, 1e-3)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: spots of three widths, side by side along the guide, each also by direction."""
+        """See `Cause.trials`: spots of three widths, side by side along the guide; wide ones by direction."""
         ends = rows.loc[rows["joint"] == PRISMATIC, ["start", "stop"]].to_numpy(float)
         middles = [np.arange(ends.min() + width / 2, ends.max(), width) for width in SPOT_WIDTHS]
         spots = [(x0, width) for width, places in zip(SPOT_WIDTHS, middles, strict=True) for x0 in places]
@@ -260,6 +260,7 @@ class WornSpot(GuideProfileCause):
             versions += [
                 (replace(self, place=spot), np.array([(0.05, 0.0, *spot), (0.0, 0.05, *spot)]))
                 for spot in spots
+                if spot[1] > SPOT_WIDTHS[0]
             ]
         return versions
 

@@ -18,8 +18,8 @@ from scipy.special import gammaincinv
 from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause, extend_by
-from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter
-from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds
+from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
+from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds, rough_prior_sds
 from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import Interval
@@ -121,14 +121,15 @@ class AlongTravel(LinearFactor):
         return None if _find_travel(rows) else "every traverse of a joint runs the same range"
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: each length, joint by joint and all together, by direction or not."""
+        """See `Cause.trials`: each length and all, joint by joint and all together, by direction or not."""
         versions = [self]
         if self.amplitude is None:
             joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
             directions = (False, True) if rows["direction"].nunique() > 1 else (False,)
+            shapes = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
             versions = [
-                replace(self, travel=travel, by_direction=each, shape=tuple(prior_sds(length).tolist()))
-                for length in LENGTHS
+                replace(self, travel=travel, by_direction=each, shape=tuple(shape.tolist()))
+                for shape in shapes
                 for travel in joints
                 for each in directions
             ]
@@ -191,18 +192,18 @@ class AlongTravel(LinearFactor):
 
     def _mean_functions(self, law: StepLaw, rows: Row, values: Array) -> Array:
         """Derivative of each response by each parameter, all 0: a mean along the traverse, less; (n, q)."""
-        row, before = self.row_values(law, rows), extend_by(law, ())
+        before = extend_by(law, ())
+        row = collect_row_values(rows, before.columns)
         start, stop = row["start"][:, None], row["stop"][:, None]
-        edges = start + (stop - start) * np.linspace(0.0, 1.0, N_PIECES + 1)
-        middles = state_at(law.joint, row, (edges[:, 1:] + edges[:, :-1]) / 2.0)
-        gamma = before.gamma(middles, values)
-        if gamma.shape[1] == 1:
-            edges = edges[:, [0, -1]]
+        places = (np.arange(N_PIECES) + 0.5) / N_PIECES
+        gamma = before.gamma(state_at(law.joint, row, start + (stop - start) * places), values)
         low, high = next((low, high) for joint, low, high in self.travel if joint == law.joint)
-        integrals = _cosine_integrals((edges - low) / (high - low), len(self.shape))
-        duration = np.diff(edges, axis=1) / gamma
-        means = np.diff(integrals, axis=1) * ((high - low) / gamma)[:, :, None]
-        mean = means.sum(axis=1) / duration.sum(axis=1, keepdims=True)
+        stretches, which = np.unique(np.concatenate([start, stop], axis=1), axis=0, return_inverse=True)
+        shares = np.linspace(stretches[:, 0], stretches[:, 1], gamma.shape[1] + 1, axis=1)
+        integrals = _cosine_integrals((shares - low) / (high - low), len(self.shape))
+        means = np.diff(integrals, axis=1) / np.diff(shares, axis=1)[:, :, None] * (high - low)
+        weights = (1.0 / gamma) / np.sum(1.0 / gamma, axis=1, keepdims=True)
+        mean = np.einsum("np,npk->nk", weights, means[which.ravel()])
         return -self._place(mean, law.joint, np.sign(stop - start))
 
 
@@ -218,10 +219,11 @@ def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
 
 def _cosine_integrals(share: Array, number: int) -> Array:
     """Integrals of `cosines` from 0 to each share of the travel, (n, m) -> (n, m, number)."""
-    inside = np.clip(share, 0.0, 1.0)
-    turns = np.pi * np.arange(1, number + 1)
-    phases = inside[:, :, None] * turns
-    return np.asarray(np.sin(phases) / turns + np.cos(phases) * (share - inside)[:, :, None])
+    turns, inside = np.pi * np.arange(1, number + 1), np.clip(share, 0.0, 1.0)
+    integrals = np.sin(inside[:, :, None] * turns) / turns
+    if np.any(inside != share):
+        integrals += np.cos(inside[:, :, None] * turns) * (share - inside)[:, :, None]
+    return np.asarray(integrals)
 
 
 def _rms_interval(values: Array, covariance: Array) -> Interval:

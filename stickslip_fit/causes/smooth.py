@@ -53,6 +53,19 @@ def prior_sds(length: float) -> Array:
     return np.asarray(sd / np.sqrt(0.5 * np.sum(sd**2)))
 
 
+def rough_prior_sds() -> Array:
+    """As `prior_sds`, of a function with details of every length: the mean of their covariances.
+
+    Examples
+    --------
+    >>> len(rough_prior_sds())
+    19
+    """
+    each = [prior_sds(length) for length in LENGTHS]
+    longest = max(len(sds) for sds in each)
+    return np.asarray(np.sqrt(np.mean([np.pad(sds, (0, longest - len(sds))) ** 2 for sds in each], axis=0)))
+
+
 class LinearFactor(FactorCause):
     """gamma times 1 + the sum of each parameter times a function; all parameters are 0 without effect."""
 

@@ -80,7 +80,7 @@ def polynomial(s, f1, f2, f3):  # type: ignore[no-untyped-def]
     return 1 + f(min(max(getattr(s, "covariate:pressure"), 990), 1030)) - f(1000)
 
 
-TRAVEL = ((1, -1.0, 1.5), (2, -210 * DEG, 30 * DEG), (3, 0.0, 10 * MM))
+TRAVEL = ((1, -2.5, 2.2), (2, -210 * DEG, 30 * DEG), (3, -1 * MM, 12 * MM))
 
 
 def by_way(s, up, down):  # type: ignore[no-untyped-def]
@@ -88,9 +88,9 @@ def by_way(s, up, down):  # type: ignore[no-untyped-def]
 
 
 def profile(s, sizes):  # type: ignore[no-untyped-def]
-    """Cosines over the joint's travel, level beyond its ends."""
+    """Cosines over the joint's travel."""
     (low, high), *_ = ((low, high) for joint, low, high in TRAVEL if joint == s.joint)
-    share = min(max((s.q - low) / (high - low), 0.0), 1.0)
+    share = (s.q - low) / (high - low)
     return sum(size * cos(k * pi * share) for k, size in enumerate(sizes, start=1))
 
 
