@@ -133,8 +133,8 @@ def positions_table(analysis: PositionAnalysis) -> Table:
         f"{pluralize(len(analysis.rows), 'traverse')} over {len(analysis.stretches)} stretches; traverses of "
         f"one stretch have {ends}. All factors together, of the logarithm of the step size; sums of squares "
         f"of type II. Compared: {against}. Rms: without what noise adds. Degrees of freedom are fewer where "
-        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Would show: the "
-        f"rms that is seen at 5 % in 80 of 100 such logs.{load}{left_out}"
+        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Would show: "
+        f"the rms that is seen at 5 % in 80 of 100 such logs.{load}{left_out}"
     )
     rows = tuple(map(_row, analysis.tests))
     caption = f"Along the travel of {joint_name(analysis.joint, analysis.machine)}"
