@@ -109,7 +109,6 @@ def positions_table(analysis: PositionAnalysis) -> Table:
         Column("F (degrees)"),
         *numbers("F test", "adjusted", group="p"),
         Column("would show", "%"),
-        Column("compared with", text=True),
     )
     ends = "the same ends" if analysis.repeated else "middles in the same class"
     left_out = ""
@@ -119,12 +118,23 @@ def positions_table(analysis: PositionAnalysis) -> Table:
             f" Left out: {traverses} over half of the travel or more, or over a stretch that no other "
             "session or configuration has."
         )
+    load = ""
+    if analysis.machine.has_published_geometry:
+        load = (
+            " Gravity's load changes along the travel of a rotary joint and is part of this; the figure of "
+            "the step size along the travel has what the law leaves of it."
+        )
+    errors = {
+        error: join_words([test.term for test in analysis.tests if test.error_term == error])
+        for error in dict.fromkeys(test.error_term for test in analysis.tests)
+    }
+    against = "; ".join(f"{terms} with {error}" for error, terms in errors.items())
     note = (
         f"{pluralize(len(analysis.rows), 'traverse')} over {len(analysis.stretches)} stretches; traverses of "
         f"one stretch have {ends}. All factors together, of the logarithm of the step size; sums of squares "
-        "of type II. Rms: without what noise adds. Degrees of freedom are fewer where neighbouring stretches "
-        "err alike. Adjusted: for everything asked of this log (Holm). Would show: the rms that is seen at "
-        f"5 % in 80 of 100 such logs.{left_out}"
+        f"of type II. Compared: {against}. Rms: without what noise adds. Degrees of freedom are fewer where "
+        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Would show: "
+        f"the rms that is seen at 5 % in 80 of 100 such logs.{load}{left_out}"
     )
     rows = tuple(map(_row, analysis.tests))
     caption = f"Along the travel of {joint_name(analysis.joint, analysis.machine)}"
@@ -146,5 +156,4 @@ def _row(test: PositionTest) -> tuple[str, ...]:
         format_p_value(test.p_value),
         format_p_value(test.p_holm),
         f"{100 * test.detectable:.2g}",
-        test.error_term,
     )

@@ -59,7 +59,7 @@ def anova(
     until: Until = None,
     json: Json = None,
 ) -> None:
-    """Analyse the variance: day, direction, normal force; or the terms of a formula."""
+    """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
     campaign = load_log(log, machine, since, until)

@@ -158,7 +158,7 @@ def _shares(lengths: Array) -> Array:
 
 
 def flag_unlike_stretches(log: Log, fit: Result) -> Result:
-    """The result with a flag on each joint whose sessions drove different stretches, unless it has a profile."""
+    """The result with a flag on each joint whose sessions drove different stretches, without a profile."""
     flags = [
         Flag(OTHER_STRETCHES, joint, "", "", (), f"joint {joint}: {OTHER_STRETCHES_TEXT}")
         for joint in find_unlike_stretches(log)

@@ -89,4 +89,4 @@ def test_the_table_of_questions_is_a_data_frame(log_of_readings, readings_of):
         log_of_readings(readings_of({(d, s, 0.0): 2 for d in ("Mon", "Tue") for s in "+-"}))
     )
     assert isinstance(found.table, pd.DataFrame)
-    assert list(found.table["analysis"].unique()) == ["day", "direction", "normal-force"]
+    assert list(found.table["analysis"].unique()) == ["day", "direction", "normal-force", "position"]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
+import re
 
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import stickslip_fit as ssf
 from stickslip_fit.causes.profile import AlongTravel
+from stickslip_fit.cli import app
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.prediction import collect_traverses, control_chart
 from stickslip_fit.estimation.profile import (
@@ -17,6 +23,7 @@ from stickslip_fit.estimation.profile import (
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.profile import profile_pictures
+from stickslip_fit.plotting.residuals import _own_position
 
 MACHINE = '[[joint]]\nkind = "rotary"\nrange_deg = [0, 360]\n'
 DAYS = 9
@@ -87,7 +94,33 @@ def test_the_profile_is_the_one_that_was_put_in(tmp_path):
             of_truth / true_factor(np.degrees(one.position)).mean() - 1, abs=0.02
         )
     (picture,) = profile_pictures(rows, fit)
-    assert "10.6 % rms" in picture.caption or "10.7 % rms" in picture.caption
+    sizes = [float(text) for text in re.findall(r"([\d.]+) % rms", picture.caption)]
+    assert sizes == pytest.approx([100 * 0.15 / np.sqrt(2)] * 2, abs=0.6)
+    places = [float(text) for text in re.findall(r"(\d+)°", picture.caption)]
+    assert places == pytest.approx([90, 270] * 2, abs=15)
+
+
+def test_the_command_and_the_report_say_that_the_profile_is_out(tmp_path):
+    log, fit = write_campaign(tmp_path), CliRunner()
+    done = fit.invoke(app, ["fit", str(tmp_path / "log.csv"), "--machine", str(tmp_path / "machine.toml")])
+    text = " ".join(done.output.split())
+    assert text.startswith(
+        "Session 2012-03-09 lies where the sessions before it lead one to expect. Sessions drove"
+    )
+    assert [flag.joint for flag in ssf.fit(log).flags if flag.flag == "other_stretches"] == [1]
+    page = ssf.report(log, sections=()).html
+    assert "Step size along the travel, joint 1 (rotary)" in page
+    assert "a profile along the travel that all share is taken out first" in page
+
+
+def test_the_figure_of_a_cause_in_position_is_over_each_joints_own(tmp_path):
+    write_campaign(tmp_path)
+    machine = '[[joint]]\nkind = "rotary"\nrange_deg = [0, 360]\n' * 2
+    (tmp_path / "two.toml").write_text(f'name = "two"\n{machine}', "utf-8")
+    rows = pd.DataFrame({"joint": [1, 2, 2], "start": [0.0, 1.0, 2.0], "stop": [1.0, 2.0, 1.5]})
+    label, values = _own_position(rows, np.ones(3, dtype=bool), load_machine(tmp_path / "two.toml"))
+    assert label == "own position (°)"
+    assert values == pytest.approx(np.degrees([0.5, 1.5, 1.75]))
 
 
 def test_without_a_cause_in_position_the_means_alone_are_shown(tmp_path):

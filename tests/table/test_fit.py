@@ -223,6 +223,14 @@ def test_functions_are_handed_over_again(tmp_path):
     assert not (tmp_path / "other.json").exists()
 
 
+@pytest.mark.parametrize(("noise", "words"), [(0.3, "99.0 %"), (0.0001, "more than 99.9 %")])
+def test_a_share_of_the_variance_has_digits_that_say_something(noise, words):
+    x = np.linspace(0.0, 9.5, 200)
+    table = pd.DataFrame({"x": x, "y": 1.0 * x + noise * np.random.default_rng(1).standard_normal(len(x))})
+    fit = ssf.diagnose_table(table, ssf.Law("y ~ k*x"), gain=False).extended_law()
+    assert f"{words} of its variance explained" in " ".join(str(fit).split())
+
+
 def test_a_parameter_on_its_bound_has_no_standard_error():
     law = ssf.Law(LAW.formula, bounds={"Fv": (6.0, 9.0)})
     fit = ssf.fit_table(bench(3, difference=0.0), law)
