@@ -150,7 +150,12 @@ def _candidate_starts(
             continue
         if version.combine_trials:
             share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
-            yield version, version.combine(share, trials), effects @ share, float((effects @ share) @ remaining)
+            yield (
+                version,
+                version.combine(share, trials),
+                effects @ share,
+                float((effects @ share) @ remaining),
+            )
             continue
         absent = version.null_values[0]
         for trial, effect in zip(trials, effects.T, strict=True):
@@ -161,7 +166,7 @@ def _candidate_starts(
 
 
 def _shrink(effects: Array, remaining: Array, df: int) -> tuple[Array, float, float]:
-    """Shares of effects, (n, m) -> (m,), with independent normal priors, their likeliest sd, and its evidence.
+    """Shares of effects, (n, m) -> (m,), with independent normal priors, their likeliest sd, its evidence.
 
     The evidence is the log likelihood over that of noise alone, the noise of unknown size.
     """
