@@ -136,7 +136,7 @@ class Problem:
 
     @property
     def first_weight(self) -> Array:
-        """Weights to begin with, shape (n,): 1; beside a prior, which has a scale, by the scatter at the start."""
+        """Weights to begin with, shape (n,): 1; beside a prior, by the scatter at the start."""
         if not len(self.penalised):
             return np.ones(len(self.y))
         scatter = self.y - self.model(self.start[self.groups.of_row])[0]
