@@ -115,7 +115,8 @@ def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
         return [_size(parameter, entry) for parameter in parameters]
     by_key = {_scope(parameter): parameter for parameter in parameters}
     if not entry.keys() <= by_key.keys():
-        raise fault(f"name joints{' and directions' if parameters[0].direction else ''} as {', '.join(by_key)}")
+        joints = "joints and directions" if parameters[0].direction else "joints"
+        raise fault(f"name {joints} as {', '.join(by_key)}")
     # It is 0 for joints and directions that are left out.
     return [_size(parameter, entry.get(key, 0.0)) for key, parameter in by_key.items()]
 
