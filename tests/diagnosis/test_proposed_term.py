@@ -135,3 +135,20 @@ def test_nothing_unknown_has_nothing_to_explain(tmp_path):
     answer = diagnose(read_log(path), gain=False)
     assert answer.verdict == "nothing wrong"
     assert answer.explain_unknown().empty
+
+
+def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_of_its_causes(found):
+    rows = found.selection.problem.rows
+    hypotheses = build_smooth_alternatives(found.selection.problem.linearize())
+    names = {one.cause.removeprefix("unknown:") for one in hypotheses}
+    columns = ["temperature", "humidity", *(name for name in rows if name.startswith("covariate:"))]
+    history = ["session_seconds", "steps_before", "before_load", "before_direction", "joint before", "pause"]
+    angles = ["q1", "q2", "q3", "theta", "psi"]
+    for name in (*angles, *columns, *history, "length of the traverse before", "product of q1 and load"):
+        assert f"{name}, opposite" in names
+    # Any function of the temperature, the same for all joints, is the cause temperature.
+    assert "temperature" not in names
+    assert "theta" in names
+    without_law = {one.cause for one in hypotheses if one.version is None}
+    assert "unknown:pause" in without_law
+    assert "unknown:theta" not in without_law
