@@ -58,8 +58,8 @@ class Hypothesis:
     length : float
         Norm of the effect at `values`.
     one_sided : bool
-        Whether the cause's bounds leave only the sign that its size has in `values`: the coefficient along its
-        one direction is not negative.
+        Whether the cause's bounds leave only the sign that its size has in `values`: the coefficient along
+        its one direction is not negative.
     """
 
     cause: str
