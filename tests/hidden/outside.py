@@ -20,7 +20,6 @@ from tests.hidden.physics import Array
 from tests.hidden.strength import recalibrations
 from tests.hidden.study import DESIGNS, NOISES
 
-
 ANOTHER_SEED, MAX_TRIES = 100_000, 30
 
 
