@@ -229,8 +229,9 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
+    proposed = any(finding.cause == UNKNOWN and finding.term for finding in diagnosis.findings)
     columns: tuple[Column, ...] = (
-        *words("cause", "parameter"),
+        *words("found" if proposed else "cause", "parameter"),
         *numbers("estimate", "95 % interval"),
         Column("of", text=True),
     )

@@ -20,6 +20,8 @@ from tests.hidden.physics import Array
 from tests.hidden.strength import recalibrations
 from tests.hidden.study import DESIGNS, NOISES
 
+ANOTHER_SEED, MAX_TRIES = 100_000, 30
+
 
 @dataclass(frozen=True)
 class OutsideCase:
@@ -52,7 +54,7 @@ class OutsideCase:
 def cases(strengths: tuple[float, ...], first: int = 0) -> list[OutsideCase]:
     """One for each effect and strength, over designs and noises in turn.
 
-    An effect that a design cannot show takes the next design.
+    An effect that is not plausible at the strength in a design takes the next design, then other seeds.
     """
     found = []
     pairs = [(name, form) for name, forms in OUTSIDE_LIBRARY.items() for form in forms]
@@ -61,9 +63,9 @@ def cases(strengths: tuple[float, ...], first: int = 0) -> list[OutsideCase]:
             tries = (
                 OutsideCase(
                     name, form, DESIGNS[(number + turn) % 3], NOISES[(number // 3) % 3], strength,
-                    first + number,
+                    first + number + ANOTHER_SEED * (turn // 3),
                 )
-                for turn in range(3)
+                for turn in range(MAX_TRIES)
             )  # fmt: skip
             found.append(next(each for each in tries if each.plausible))
     return found
