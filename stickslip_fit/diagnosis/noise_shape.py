@@ -41,7 +41,7 @@ MAX_ROUNDS, EM_STEPS = 3, 40
 MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
 N_STRETCHES = 6  # of each joint's travel
 # Skewed
-MIN_SKEW_LOG_RATIO = 8.0  # nats over symmetric noise
+MIN_SKEW_LOG_RATIO = 6.0  # nats over symmetric noise
 MAX_SKEW = 1.5  # of g; 1 is the log-normal distribution of a standard normal exponent
 MIN_ROWS = 40
 MIN_MEAN_SHIFT = 1.5  # of the mean from the median, times sqrt(n), below which skewness is not looked for
