@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import radians
 from typing import ClassVar
 
@@ -119,7 +119,7 @@ class Q1Gravity(StateCause):
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause.quantities`."""
-        return {"k": replace(sizes["k"], unit="%")}
+        return {"k": sizes["k"].times(1.0, "%")}
 
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""

@@ -72,7 +72,8 @@ class DirectionalCause(FactorCause):
         own = self.own_trials(rows)
         versions: list[tuple[Cause, Array]] = [(replace(self, by_direction=False), own)]
         if rows["direction"].nunique() > 1:
-            versions.append((replace(self, by_direction=True), np.kron(np.eye(2), own)))
+            each = np.asarray(np.kron(np.eye(2), own), dtype=float)
+            versions.append((replace(self, by_direction=True), each))
         return versions
 
     def by_row(self, state: State, values: list[Array]) -> list[Array]:

@@ -113,7 +113,7 @@ def _size_cause(
 def _size_parameters(
     version: Any, cause: str, values: Array, covariance: Array
 ) -> tuple[SizedParameter, ...]:
-    """A cause's parameters with intervals; of a smooth function what it says of itself, not its coefficients."""
+    """A cause's parameters with intervals; of a smooth function its rms, not its coefficients."""
     if hasattr(version, "summarize"):
         return tuple(version.summarize(values, covariance))
     if cause.startswith(COVARIATE_PREFIX):

@@ -136,7 +136,7 @@ class Problem:
 
     @property
     def first_weight(self) -> Array:
-        """Weights to begin with, shape (n,): 1; beside a prior, which is in SI, by the scatter at the start."""
+        """Weights to begin with, shape (n,): 1; beside a prior, by the scatter at the start."""
         if not len(self.penalised):
             return np.ones(len(self.y))
         scatter = self.y - self.model(self.start[self.groups.of_row])[0]
@@ -225,7 +225,8 @@ def single_problem(law: StepLaw, rows: pd.DataFrame, options: FitOptions) -> Joi
 def combined_problem(joints: Sequence[JointProblem], shared: int, prior_sd: Array) -> Problem:
     """One problem of joints whose last `shared` parameters are the same for all, and no others are shared.
 
-    `prior_sd`, shape (shared,), is as of a `Problem`. It has the rows and groups of one joint after the other's, and columns as of `columns_of`.
+    `prior_sd`, shape (shared,), is as of a `Problem`. It has the rows and groups of one joint after the
+    other's, and columns as of `columns_of`.
     """
     width = max(joint.start.shape[1] for joint in joints)
     columns = [np.r_[: joint.start.shape[1] - shared, width - shared : width] for joint in joints]

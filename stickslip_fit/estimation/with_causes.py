@@ -166,7 +166,7 @@ def _candidate_starts(
 
 
 def _shrink(effects: Array, remaining: Array, df: int) -> tuple[Array, float, float]:
-    """Shares of effects, (n, m) -> (m,), with independent normal priors, their likeliest sd, and its evidence.
+    """Shares of effects, (n, m) -> (m,), with independent normal priors, their likeliest sd, its evidence.
 
     The evidence is the log likelihood over that of noise alone, the noise of unknown size.
     """

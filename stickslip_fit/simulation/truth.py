@@ -113,9 +113,10 @@ def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
     """Values of the parameters of one key."""
     if parameters[0].joint is None or not isinstance(entry, dict):
         return [_size(parameter, entry) for parameter in parameters]
-    by_key = {f"{parameter.joint}{parameter.direction}": parameter for parameter in parameters}
+    by_key = {_scope(parameter): parameter for parameter in parameters}
     if not entry.keys() <= by_key.keys():
-        raise fault(f"name joints and directions as {', '.join(by_key)}")
+        joints = "joints and directions" if parameters[0].direction else "joints"
+        raise fault(f"name {joints} as {', '.join(by_key)}")
     # It is 0 for joints and directions that are left out.
     return [_size(parameter, entry.get(key, 0.0)) for key, parameter in by_key.items()]
 
@@ -137,7 +138,13 @@ def _example_entry(parameter: CauseParameter) -> str:
     example = f'"2 {parameter.unit}"'
     if parameter.joint is None:
         return f"a number and its unit as text, e.g. {example}"
-    return f'a number and its unit as text for each joint and direction, e.g. {{"3+" = {example}}}'
+    each = "joint and direction" if parameter.direction else "joint"
+    return f'a number and its unit as text for each {each}, e.g. {{"{_scope(parameter)}" = {example}}}'
+
+
+def _scope(parameter: CauseParameter) -> str:
+    """The key of a joint's or of a joint's and direction's own parameter."""
+    return f"{parameter.joint}{parameter.direction or ''}"
 
 
 def _si(entry: Any) -> float:

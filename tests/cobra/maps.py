@@ -43,7 +43,7 @@ def read_maps(positioner: str) -> dict[tuple[str, str, str], list[tuple[float, f
 
 
 def write_cut(positioner: str, cut: int, path: Path, *, only: str = "", seed: int = 0) -> int:
-    """Write one cut of a positioner's maps, of one joint or of both, as a log without times; number of rows."""
+    """Write one cut of a positioner's maps, of one joint or of both, without times; number of rows."""
     rng, rows = np.random.default_rng([seed, int(positioner)]), []
     for (session, joint, direction), stretches in read_maps(positioner).items():
         edges = np.array([stretches[0][0], *(stretch[1] for stretch in stretches)])

@@ -16,7 +16,7 @@ SIGMA, N = 0.02, 120
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    """A joint with a constant step size in one direction, and short traverses, the profile nearly constant."""
+    """Short traverses of one joint in one direction, along which its profile is nearly constant."""
     folder, rng = tmp_path_factory.mktemp("stage"), np.random.default_rng(5)
     low = rng.uniform(0, 95, N)
     low[:2], middle = (0.0, 95.0), low + 2.5
@@ -32,7 +32,7 @@ def stage(tmp_path_factory):
 
 
 def ridge(log, version):
-    """Level and coefficients, and their covariance, by the normal equations; mean cosines by the trapezoid."""
+    """Level and coefficients, their covariance and the noise, by the normal equations."""
     rows = log.rows
     ends = rows[["start", "stop"]].to_numpy(float)
     ((_, low, high),) = version.travel

@@ -21,7 +21,9 @@ def diagnose_profile(tmp_path, joint, by_direction, seed, rms):
 def learned_profile(diagnosis, joint, share, sign):
     """What the diagnosis takes for the relative step size at shares of the travel."""
     (finding,) = (one for one in diagnosis.findings if one.cause == "along-travel")
-    place = dict(zip((one.cause for one in diagnosis.selection.law_causes), diagnosis.selection.slices, strict=True))
+    place = dict(
+        zip((one.cause for one in diagnosis.selection.law_causes), diagnosis.selection.slices, strict=True)
+    )
     values = diagnosis.selection.fit.values[place["along-travel"]]
     low, high = FULL[joint]
     position = (low + (high - low) * share)[None]

@@ -25,6 +25,17 @@ def test_a_simulated_log_departs_as_the_causes_say(rows_of):
     assert np.all(np.abs(rows["steps"] - (plain["steps"] / warm + 80 * turned)) < 1.5)
 
 
+def test_a_profile_along_the_travel_is_one_of_a_joint_by_its_number(rows_of):
+    profile = '[[cause]]\nname = "along-travel"\nf1 = {"3" = "5 %"}\nf2 = "0 %"\nf3 = {"3" = "-2 %"}\n'
+    plain, rows = rows_of(**QUIET), rows_of(more=profile, **QUIET)
+    share = np.linspace(rows["start"], rows["stop"], 2001) / 12e-3
+    longer = np.trapezoid(1 / (1 + 0.05 * np.cos(np.pi * share) - 0.02 * np.cos(3 * np.pi * share)), axis=0)
+    slides = rows["joint"] == 3
+    expected = plain["steps"] * np.where(slides, longer / 2000, 1.0)
+    assert slides.any()
+    assert np.all(np.abs(rows["steps"] - expected) < 1.5)
+
+
 def test_every_value_is_read_in_its_unit_and_each_drive_has_its_own(law_of):
     law = law_of(more=WARM + BENT + KNOCKED)
     extended = law.laws[3]
