@@ -195,7 +195,7 @@ def run_factor_tests(
     ]
     factor_tests = [result for result in results if isinstance(result, FactorTest)]
     along = [test for analysis in positions for test in analysis.tests]
-    adjusted = iter(adjust_holm([test.p_value for test in (*factor_tests, *along)]))
+    adjusted = iter(adjust_holm([test.p_value for test in factor_tests] + [test.p_value for test in along]))
     return Anova(
         tuple(replace(test, p_holm=float(next(adjusted))) for test in factor_tests),
         tuple(result for result in results if isinstance(result, NotTestable)),

@@ -144,7 +144,7 @@ def analyze_positions(
     results = {term: model.test(term) for term in ASKED if set(term) <= set(model.factors)}
     tests = tuple(result for result in results.values() if isinstance(result, PositionTest))
     if isinstance(results[(POSITION,)], str) and len(tests) < 2:
-        return None, [_refuse(joint, POSITION, _explain_confounded(model))]
+        return None, [_refuse(joint, POSITION, _explain_confounded(named))]
     refused = [_refuse(joint, name_term(term), r) for term, r in results.items() if isinstance(r, str)]
     ordered = tuple(used.sort_values("middle")[POSITION].unique())
     n_left_out = len(rows) - len(used)
@@ -161,8 +161,8 @@ def _explain_few(named: pd.DataFrame) -> str:
     return "no configuration of the other joints was driven over two stretches: repeat one over several"
 
 
-def _explain_confounded(model: PositionModel) -> str:
-    if CONFIGURATION in model.factors:
+def _explain_confounded(named: pd.DataFrame) -> str:
+    if named["setting"].nunique() > 1:
         return (
             "the configuration of the other joints changes with the stretch: drive the same stretches at one "
             "configuration, or ask diagnose, whose law takes the load out"

@@ -64,7 +64,7 @@ def _write_caption(profiles: Sequence[Profile], joint: int, machine: Machine, *,
         )
     return (
         f"The law has no cause in position; along the travel bins differ by {directions}, noise included. "
-        f"{points}; bars: one standard error. Long traverses are left out."
+        f"{points}; bars: one standard error. Traverses of half of the travel or more are left out."
     )
 
 
