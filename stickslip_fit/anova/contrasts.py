@@ -266,7 +266,7 @@ def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDif
     >>> round(result.difference, 3), round(result.low, 3), round(result.high, 3)
     (3.0, 0.733, 5.267)
     """
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     means, factor = level_means(values, comparison)
     df = comparison.df[1]
@@ -276,7 +276,7 @@ def largest_difference(values: Array, comparison: BlockedComparison) -> LevelDif
     error = spread * np.sqrt(difference_factor(factor)[largest, smallest])
     reach = _studentized_range_quantile(comparison.levels, df) * error
     count = np.bincount(comparison.level)
-    half_width = float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df)) * spread / np.sqrt(count)
+    half_width = float(stdtrit(df, (1 + CONFIDENCE_LEVEL) / 2)) * spread / np.sqrt(count)
     return LevelDifference(
         means, half_width, largest, smallest, difference, float(difference - reach), float(difference + reach)
     )
@@ -291,10 +291,12 @@ def difference_factor(factor: Array) -> Array:
 @cache
 def _studentized_range_quantile(levels: int, df: int) -> float:
     """Quantile of the studentized range for a difference in units of its standard error."""
-    from scipy.stats import studentized_range, t
+    from scipy.special import stdtrit
 
     if levels == 2:
-        return float(t.isf((1 - CONFIDENCE_LEVEL) / 2, df))
+        return float(stdtrit(df, (1 + CONFIDENCE_LEVEL) / 2))
+    from scipy.stats import studentized_range
+
     return float(studentized_range.ppf(CONFIDENCE_LEVEL, levels, df) / np.sqrt(2.0))
 
 
@@ -311,9 +313,9 @@ def f_test_power(noncentrality: float, df: tuple[int, int], level: float = SIGNI
     >>> round(f_test_power(0.0, (1, 4)), 6)
     0.05
     """
-    from statsmodels.stats.power import ftest_power_f2
+    from scipy.special import fdtri, ncfdtr
 
-    return float(ftest_power_f2(noncentrality / sum(df), *df, level, ncc=0))
+    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - level)))
 
 
 def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:
