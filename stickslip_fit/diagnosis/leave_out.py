@@ -76,8 +76,8 @@ class LeftOut:
         _, block = connected_components(abs(own) @ abs(own).T, directed=False)
         places, columns, entries, width = [], [], [], 0
         for members in split_positions(block):
-            part = own[members]
-            part = part[:, np.unique(part.indices)].toarray()
+            entries_of = own[members]
+            part = entries_of[:, np.unique(entries_of.indices)].toarray()
             known, vectors = np.linalg.eigh(np.eye(len(members)) - part @ part.T)
             root = vectors[:, known > MIN_KNOWN] / np.sqrt(known[known > MIN_KNOWN])
             places.append(np.repeat(members, root.shape[1]))
