@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
@@ -26,6 +27,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     sum_lags,
 )
+from stickslip_fit.diagnosis.linearized import split_positions
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -38,6 +40,7 @@ from stickslip_fit.diagnosis.misfit import (
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
+SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next
@@ -46,33 +49,68 @@ MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows m
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Rows left out of n, of which h' directions are determined without them.
+    """Rows left out of n.
+
+    The projector on the rows, P, is block by block 1 - B B', less S S' of what all blocks share. Its inverse
+    is R (1 + U e U') R' with R R' the blocks' inverse, so that cost grows linearly with rows.
 
     Attributes
     ----------
     rows : array of int, shape (h,)
-    weights : array, shape (h, h')
-        Combinations of the rows' projected indicators that are orthonormal.
+    own : sparse array, shape (h, h')
+        R; rows without which their block is not determined add no column.
+    shared : array, shape (h, k)
+        R U sqrt(e).
     """
 
     rows: IntArray
-    weights: Array
+    own: csr_array
+    shared: Array
 
     @classmethod
     def of(cls, basis: csr_array, rows: IntArray) -> LeftOut:
         """Rows left out of a fit whose calibration has an orthonormal `basis`, shape (n, p)."""
-        own = basis[rows]
-        known, vectors = np.linalg.eigh(np.eye(len(rows)) - (own @ own.T).toarray())
-        kept = known > MIN_KNOWN
-        return cls(rows, vectors[:, kept] / np.sqrt(known[kept]))
+        is_shared = np.bincount(basis.indices, minlength=basis.shape[1]) > SHARED_FILL * basis.shape[0]
+        inside = csc_array(basis[rows])
+        own, border = csr_array(inside[:, ~is_shared]), inside[:, is_shared].toarray()
+        _, block = connected_components(abs(own) @ abs(own).T, directed=False)
+        places, columns, entries, width = [], [], [], 0
+        for members in split_positions(block):
+            entries_of = own[members]
+            part = entries_of[:, np.unique(entries_of.indices)].toarray()
+            known, vectors = np.linalg.eigh(np.eye(len(members)) - part @ part.T)
+            root = vectors[:, known > MIN_KNOWN] / np.sqrt(known[known > MIN_KNOWN])
+            places.append(np.repeat(members, root.shape[1]))
+            columns.append(np.tile(np.arange(width, width + root.shape[1]), len(members)))
+            entries.append(root.ravel())
+            width += root.shape[1]
+        positions = (np.concatenate(places), np.concatenate(columns))
+        roots = csr_array((np.concatenate(entries), positions), shape=(len(rows), width))
+        left, singular, _ = np.linalg.svd(roots.T @ border, full_matrices=False)
+        size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
+        return cls(rows, roots, roots @ (left * np.sqrt(size)))
 
-    def coordinates(self, columns: Array) -> Array:
-        """Projected columns along the directions left out, (n, m) -> (h', m)."""
-        return np.asarray(self.weights.T @ columns[self.rows])
+    def coordinates(self, columns: Array, inside: IntArray | None = None) -> Array:
+        """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P.
+
+        Of columns that are zero in all rows left out but those `inside`, (h'', m), only coordinates that may
+        differ from zero, which `select` chooses.
+        """
+        if inside is None:
+            return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
+        own = self.own[inside]
+        return np.concatenate([own[:, np.unique(own.indices)].T @ columns, self.shared[inside].T @ columns])
+
+    def select(self, coordinates: Array, inside: IntArray) -> Array:
+        """Of all coordinates, shape (h' + k,), those that `coordinates` gives for the rows `inside`."""
+        n_own = self.own.shape[1]
+        return np.concatenate([coordinates[:n_own][np.unique(self.own[inside].indices)], coordinates[n_own:]])
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
-        combined = self.weights @ self.coordinates(columns)
+        coordinates = self.coordinates(columns[self.rows])
+        n_own = self.own.shape[1]
+        combined = self.own @ coordinates[:n_own] + self.shared @ coordinates[n_own:]
         left = columns + basis @ (basis[self.rows].T @ combined)
         left[self.rows] = 0.0
         return np.asarray(left)
@@ -107,11 +145,12 @@ class _BlockStack:
     def without(self, left_out: LeftOut, lost: Array) -> tuple[Array, Array]:
         """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
 
-        `lost`, shape (h',), are the residual's coordinates among those left out.
+        `lost`, shape (h' + k,), are the residual's coordinates.
         """
         place = self.place[left_out.rows]
-        cross = left_out.weights[place >= 0].T @ self.directions[place[place >= 0]]
-        along = self.along - (lost @ cross).reshape(self.along.shape)
+        inside = np.flatnonzero(place >= 0)
+        cross = left_out.coordinates(self.directions[place[inside]], inside)
+        along = self.along - (left_out.select(lost, inside) @ cross).reshape(self.along.shape)
         k, w = self.along.shape
         if w == 1:
             left = 1.0 - np.sum(cross**2, axis=0)[:, None]
@@ -181,9 +220,9 @@ class Look:
     def without(self, rows: IntArray) -> Misfit:
         """The test without some rows, its residual zero in them; neither p-value nor directions are new."""
         residual, left_out = self.misfit.residual, LeftOut.of(self.basis, rows)
-        lost = left_out.coordinates(residual[:, None])[:, 0]
+        lost = left_out.coordinates(residual[rows, None])[:, 0]
         total = float(residual @ residual - lost @ lost)
-        df = len(residual) - self.basis.shape[1] - left_out.weights.shape[1]
+        df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
         number = len(self.misfit.hypotheses)
         spectra = [(stack.owner, *stack.without(left_out, lost)) for stack in self._stacks]
         owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])

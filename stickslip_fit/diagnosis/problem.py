@@ -30,9 +30,9 @@ from stickslip_fit.diagnosis.linearized import (
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
-from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.laws import Laws
+from stickslip_fit.estimation.least_squares import fit_joint
+from stickslip_fit.laws import Laws, choose_laws
 from stickslip_fit.logs import Log
 
 MISFIRE = "end-stop-misfire"
@@ -289,8 +289,9 @@ def problem_from_log(
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)
     backwards = (rows["direction"] == "-").to_numpy()
-    for number, (joint, fit) in enumerate(fit_least_squares(log, laws=laws).joints.items()):
+    for number, (joint, law) in enumerate(choose_laws(rows, log.machine, laws).items()):
         places = np.flatnonzero((rows["joint"] == joint).to_numpy())
+        fit, _, _ = fit_joint(law, rows.iloc[places], log.machine)
         block = fit.group_index(rows.iloc[places])
         responses[places], rounding[places] = fit.law.response(rows.iloc[places])
         drive[places] = 2 * number + backwards[places]

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.sparse import csr_array
 
 from stickslip_fit.causes import library
 from stickslip_fit.diagnosis.cross_validation import compute_held_out_errors, confirm_held_out_errors
@@ -20,7 +21,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     split_sessions,
 )
-from stickslip_fit.diagnosis.leave_out import Look, prepare_looks
+from stickslip_fit.diagnosis.leave_out import LeftOut, Look, prepare_looks
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
@@ -53,6 +54,25 @@ def alternatives(study):
         *build_per_session_hypotheses([name], len(rows), sessions, waves[:, None]),
         AR1("unknown:memory", previous_rows(session).astype(np.intp), 0.4),
     ]
+
+
+def test_products_are_those_under_the_inverse_of_the_projector():
+    rng, n = np.random.default_rng(2), 40
+    blocks = np.kron(np.eye(8), np.ones((5, 2))) * rng.standard_normal((n, 16))
+    basis = np.linalg.qr(np.concatenate([np.linalg.qr(blocks)[0], rng.standard_normal((n, 3))], axis=1))[0]
+    basis[np.abs(basis) < 1e-12] = 0.0
+    rows, columns = np.array([0, 1, 7, 12, 13, 30]), rng.standard_normal((n, 4))
+    columns -= basis @ (basis.T @ columns)
+    left_out = LeftOut.of(csr_array(basis), rows)
+    coordinates = left_out.coordinates(columns[rows])
+    inverse = np.linalg.inv(np.eye(len(rows)) - basis[rows] @ basis[rows].T)
+    np.testing.assert_allclose(
+        coordinates.T @ coordinates, columns[rows].T @ inverse @ columns[rows], atol=1e-10
+    )
+    kept = np.setdiff1d(np.arange(n), rows)
+    fitted = basis[kept] @ np.linalg.lstsq(basis[kept], columns[kept])[0]
+    left = left_out.remove(columns, csr_array(basis))
+    np.testing.assert_allclose(left[kept], columns[kept] - fitted, atol=1e-10)
 
 
 @pytest.mark.parametrize("out", ["a tenth", "a third", "a session"])
