@@ -8,9 +8,9 @@ at exactly one of these stages; `ExtendedLaw` is a published law with causes in 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -349,16 +349,13 @@ class Composition(StepLaw):
         gamma_by_kind: dict[type[Any], Callable[[Array], Array]] = {
             StateCause: lambda shifted: self.gamma(state, shifted),
             TermCause: lambda shifted: self._before_factors(true, shifted) * factor,
-            FactorCause: lambda shifted: before * self._factor(true, shifted),
         }
         for kind, function in gamma_by_kind.items():
-            for cause, columns in self.by_stage[kind]:
-                own = self._factor_slopes(cause, true, values, columns) if kind is FactorCause else None
-                for place, k in enumerate(columns):
-                    if own is None:
-                        slopes[k] = self.difference(function, values, k)
-                    else:
-                        slopes[k] = before * own[..., place]
+            for _, columns in self.by_stage[kind]:
+                for k in columns:
+                    slopes[k] = self.difference(function, values, k)
+        for columns, by_factor in self._factor_slopes(true, values):
+            slopes[columns.start : columns.stop] = before * by_factor
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
@@ -387,16 +384,23 @@ class Composition(StepLaw):
             factor = factor * cause.factor(true, _split(values, columns))
         return factor
 
-    def _factor_slopes(self, cause: FactorCause, true: State, values: Array, columns: range) -> Array | None:
-        """Derivatives of all factors together by the parameters of one, None where it has none."""
-        slopes = cause.factor_slopes(true, _split(values, columns))
-        if slopes is None:
-            return None
-        others = np.ones((len(values), 1))
-        for other, its_columns in self.by_stage[FactorCause]:
-            if other is not cause:
-                others = others * other.factor(true, _split(values, its_columns))
-        return others[..., None] * slopes
+    def _factor_slopes(self, true: State, values: Array) -> Iterator[tuple[range, Array]]:
+        """Derivatives of all factors together by the parameters of each, shape (q, n, k) or (q, n, 1)."""
+        active = self.by_stage[FactorCause]
+        factors = [cause.factor(true, _split(values, columns)) for cause, columns in active]
+        for place, (cause, columns) in enumerate(active):
+
+            def factor(shifted: Array, cause: FactorCause = cause, columns: range = columns) -> Array:
+                return cause.factor(true, _split(shifted, columns))
+
+            own = cause.factor_slopes(true, _split(values, columns))
+            by_own = (
+                np.stack([self.difference(factor, values, k) for k in columns])
+                if own is None
+                else np.moveaxis(own, -1, 0)
+            )
+            others = [one for k, one in enumerate(factors) if k != place]
+            yield columns, reduce(np.multiply, others, by_own)
 
     def _law_slopes(self, true: State, values: Array) -> Array:
         """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
