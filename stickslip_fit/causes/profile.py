@@ -65,6 +65,7 @@ class AlongTravel(LinearFactor):
     shows_best = "a joint over short stretches, one after the other or overlapping, along its travel"
     remedy = "calibrating over the stretch that is used"
     varies_along_traverse = True
+    max_trial_factor = LARGEST_SIZE / TRIAL_SIZE
 
     @cached_property
     def groups(self) -> tuple[tuple[int, str | None], ...]:

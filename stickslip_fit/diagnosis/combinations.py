@@ -24,9 +24,7 @@ from stickslip_fit.diagnosis.extension import (
     law_causes,
     make_selected,
 )
-from stickslip_fit.diagnosis.hypotheses import (
-    Hypothesis,
-)
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.linearized import ExtendedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -36,8 +34,6 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
-
-
 DOUBTFUL_LOG_ODDS = 0.5  # nats between causes on which likelihood and plain least squares disagree
 
 
@@ -110,9 +106,11 @@ def find_exchange(
     """
     *others, current = selected
     assert current.misfit is not None
-    rivals = _close_rivals(current, last, problem)
     left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
-    margin = float(np.log(max(len(rivals) * len(last.log_evidence_by_cause), 1) / level))
+    margin = float(np.log(max(problem.n_refits * len(last.log_evidence_by_cause), 1) / level))
+    rivals = _close_rivals(current, left_over + margin, problem)
+    if not rivals:
+        return None
     to_beat = penalised_likelihood(*extension[:2]) + left_over + margin
     best = None
     for rival in rivals:
@@ -121,15 +119,20 @@ def find_exchange(
         left, second, unknown = _next_cause(extension, [*others, one], [current.cause])
         if second == UNKNOWN or left.log_evidence_by_cause[second] < max(unknown, PAIR_MIN_LOG_BAYES_FACTOR):
             continue
+        likely = penalised_likelihood(*extension[:2]) + left.log_evidence_by_cause[second]
+        if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
+            continue  # where the noise stays, a fit adds little to what the linearized effect says
         two = make_selected(left, form_cause_set(left, second))
+        if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
+            continue  # a function of implausible size that only makes up for the rival
         trial, fit, _ = extend_problem(problem, [*others, one, two])
         if (likelihood := penalised_likelihood(trial, fit)) > to_beat:
             best, to_beat = Combination(one, (second,)), likelihood
     return best
 
 
-def _close_rivals(current: SelectedCause, last: Misfit, problem: DiagnosisProblem) -> list[str]:
-    """Causes that might be likelier than a selected one, if another cause were added to them.
+def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProblem) -> list[str]:
+    """Causes that might be likelier than a selected one by `ahead` nats, if another cause were added to them.
 
     Where the noise does not depend on the causes, the linearized effects already say whether they might be.
     """
@@ -141,8 +144,7 @@ def _close_rivals(current: SelectedCause, last: Misfit, problem: DiagnosisProble
     close = sorted(close, key=lambda cause: -evidence[cause])[: problem.n_refits]
     if problem.autocorrelation is not None or not close:
         return close
-    left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
-    to_beat = evidence[current.cause] + left_over
+    to_beat = evidence[current.cause] + ahead
     without = np.stack([_without(misfit, cause) for cause in close], axis=1)
     shapes = [one for one in misfit.hypotheses if classify_cause(one) not in (UNKNOWN, current.cause)]
     added = batch_hypotheses(shapes, problem.linearize().df).log_evidence(without)
