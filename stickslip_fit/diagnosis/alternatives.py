@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +84,28 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
 
 def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     return [replace(one, version=version) for one in hypotheses]
+
+
+def attribute_to_causes(
+    alternatives: Sequence[Hypothesis | AR1], problem_causes: Sequence[Any], without: Sequence[str]
+) -> list[Hypothesis | AR1]:
+    """Alternatives in the name of the causes whose columns they follow.
+
+    What a cause is a function of is its own, whatever the form of the function: one for all joints of a
+    cause's only column is a more flexible form of that cause. Those of the causes `without` are left out.
+    """
+    owner: dict[str, Any] = {}
+    for cause in problem_causes:
+        for name in getattr(cause, "columns", ()):
+            owner[name] = None if name in owner or len(cause.columns) > 1 else cause
+    attributed: list[Hypothesis | AR1] = []
+    for one in alternatives:
+        cause = owner.get(one.cause.removeprefix("unknown:"))
+        if cause is None or not isinstance(one, Hypothesis):
+            attributed.append(one)
+        elif cause.name not in without:
+            attributed.append(replace(one, cause=cause.name, version=cause, values=None))
+    return attributed
 
 
 def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:

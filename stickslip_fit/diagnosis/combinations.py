@@ -255,7 +255,10 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             continue
         left = float((after.residual @ after.residual) / (before.residual @ before.residual))
         gain = _refit_gain(misfit, cause, left, before.df)
-        if left > 0 and not hasattr(one.version, "with_amplitude"):
+        shape = misfit.best_hypothesis(cause)
+        assert isinstance(shape, Hypothesis)
+        has_more_forms = len(shape.prior_share) > len(one.start)
+        if left > 0 and not has_more_forms and not hasattr(one.version, "with_amplitude"):
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.
             evidence[cause] = min(evidence[cause], max(-0.5 * before.df * float(np.log(left)), 0.0))
         if gain > 0:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
@@ -84,7 +85,8 @@ def assess_residuals(
         causes = [cause for cause in problem.causes if cause.name not in without]
         effects = compute_finite_effects(linearized, causes)
     factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
-    hypotheses = [*build_candidates(linearized, effects), *problem.alternatives(linearized)]
+    alternatives = attribute_to_causes(problem.alternatives(linearized), problem.causes, without)
+    hypotheses = [*build_candidates(linearized, effects), *alternatives]
     return compute_misfit(
         linearized,
         hypotheses,

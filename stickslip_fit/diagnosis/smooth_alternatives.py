@@ -36,7 +36,6 @@ from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, p
 LENGTH = 0.25  # correlation length, of the carrier's range
 # What follows from the order of the rows: no column of a log, so that a law cannot depend on it.
 FOLLOWING = ("length of the traverse before", "joint before", "pause")
-OF_CAUSES = (*CONDITIONS, "steps_before", "before_load")  # with one function for all joints
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
@@ -196,9 +195,7 @@ class _Builder:
         """The ways in which joints and directions may share the functions in some columns."""
         opposite = replace(term, mode="opposite")
         found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
-        # What a cause is a function of is the cause's own, whatever the form of the function.
-        if name not in OF_CAUSES and not name.startswith(COVARIATE_PREFIX):
-            found.append(self.make(name, term, [self.subspace(place)]))
+        found.append(self.make(name, term, [self.subspace(place)]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
