@@ -217,6 +217,12 @@ class Look:
     def _log_weight(self) -> Array:
         return weigh_hypotheses(self.misfit.hypotheses, self._causes)
 
+    @cached_property
+    def _refit_evidence(self) -> dict[str, float]:
+        """What refits have added to the evidence of each cause that was not dropped, in nats."""
+        linear = average_by_cause(self._causes, self._log_weight, self.misfit.log_evidence)
+        return {cause: own - linear[cause] for cause, own in self.misfit.log_evidence_by_cause.items()}
+
     def without(self, rows: IntArray) -> Misfit:
         """The test without some rows, its residual zero in them; neither p-value nor directions are new."""
         residual, left_out = self.misfit.residual, LeftOut.of(self.basis, rows)
@@ -240,7 +246,11 @@ class Look:
         evidence = logsumexp(np.stack(at_strength), axis=0) - np.log(len(STRENGTHS))
         left = left_out.remove(residual[:, None], self.basis)[:, 0]
         evidence = self._with_memory(evidence, rows, left, df)
-        by_cause = average_by_cause(self._causes, self._log_weight, evidence)
+        share = (len(residual) - len(rows)) / len(residual)
+        linear = average_by_cause(self._causes, self._log_weight, evidence)
+        by_cause = {
+            cause: linear[cause] + share * by_refit for cause, by_refit in self._refit_evidence.items()
+        }
         return replace(self.misfit, residual=left, log_evidence=evidence, log_evidence_by_cause=by_cause)
 
     def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
@@ -327,8 +337,8 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
         one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
         for one in selection.selected
     )
-    plain = selection.problem.autocorrelation is None and not selection.problem.n_refits
-    return Looks(selection, alpha) if possible and plain and not forced else None
+    independent = selection.problem.autocorrelation is None
+    return Looks(selection, alpha) if possible and independent and not forced else None
 
 
 def _best_cause(misfit: Misfit) -> str:

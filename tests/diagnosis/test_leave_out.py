@@ -29,7 +29,7 @@ from stickslip_fit.logs import read_log
 from stickslip_fit.logs.history import previous_rows
 from tests.hidden.generate import hide
 
-FEW = ("drift", "thermal-warm-up", "theta-offset", "cable-torque", "q2-offset", "side-load")
+FEW = ("drift", "theta-offset", "cable-torque", "q2-offset", "side-load")
 ALPHA = 0.01
 
 
