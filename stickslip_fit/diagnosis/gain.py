@@ -44,6 +44,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, select_causes
 from stickslip_fit.machine import Machine
 
+MIN_SQUARE = 1e-300
 N_REPLICATE_SPLITS = 4  # random splits into folds of a simulated replicate
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
@@ -260,6 +261,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         compute_changes(linearized, one.version, fit.values[None, place])
         for one, place in zip(selected, places, strict=True)
     ]
+    effects = linearized.whiten(np.concatenate(changes, axis=1))
     slopes = linearized.whiten(_cause_jacobian(selection))
     critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
@@ -272,11 +274,14 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         linearized.scale,
         selection.linearized.residual
         / np.sqrt(1.0 - np.minimum(selection.linearized.leverage, MAX_LEVERAGE)),
-        linearized.whiten(np.concatenate(changes, axis=1)),
+        effects,
         tuple(slopes[:, place] for place in places),
         tuple(1.0 / fit.prior_sd[place] for place in places),
         np.array(thresholds),
-        tuple(_collect_competitors(one, linearized.df) for one in selected),
+        tuple(
+            _collect_competitors(one, effect, linearized.df)
+            for one, effect in zip(selected, linearized.project(effects).T, strict=True)
+        ),
     )
 
 
@@ -289,7 +294,8 @@ def _cause_jacobian(selection: Selection) -> Array:
     return slopes
 
 
-def _collect_competitors(selected: SelectedCause, df: int) -> CompetingCauses:
+def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:
+    """Rivals of a selected cause, whose fitted effect is given, whitened and projected, shape (n,)."""
     misfit = selected.misfit
     assert misfit is not None
     others = [
@@ -297,19 +303,17 @@ def _collect_competitors(selected: SelectedCause, df: int) -> CompetingCauses:
         for cause in misfit.log_evidence_by_cause
         if cause != selected.cause and isinstance(misfit.best_hypothesis(cause), Hypothesis)
     ]
-    _, own = _explained_shape(misfit, selected.cause, df)
-    explained = [_explained_shape(misfit, cause, df) for cause in others]
-    shapes = [np.zeros((len(misfit.residual), 0)), *(shape[:, None] for shape, _ in explained)]
+    shapes = [effect, *(_explained_shape(misfit, cause) for cause in others)]
+    columns, residual = np.stack(shapes, axis=1), misfit.residual
+    squares = (residual @ columns) ** 2 / np.maximum(np.sum(columns**2, axis=0), MIN_SQUARE)
+    evidence = np.array([misfit.log_evidence_by_cause[cause] for cause in (selected.cause, *others)])
+    ahead = evidence - log_likelihood_ratio(squares / (residual @ residual), df)
     return CompetingCauses(
-        np.concatenate(shapes, axis=1),
-        np.array([ahead - own for _, ahead in explained]),
-        np.array([cause != UNKNOWN for cause in others], dtype=bool),
+        columns[:, 1:], ahead[1:] - ahead[0], np.array([cause != UNKNOWN for cause in others], dtype=bool)
     )
 
 
-def _explained_shape(misfit: Misfit, cause: str, df: int) -> tuple[Array, float]:
-    """The part of the residuals that a cause explains, (n,), and its log evidence less its log likelihood."""
+def _explained_shape(misfit: Misfit, cause: str) -> Array:
+    """What a cause explains of the residuals, (n,)."""
     best = misfit.best_subspace(cause)
-    along = best.coefficients(misfit.residual)
-    share = float(along @ along) / float(misfit.residual @ misfit.residual)
-    return best.combine(along), misfit.log_evidence_by_cause[cause] - float(log_likelihood_ratio(share, df))
+    return best.combine(best.coefficients(misfit.residual))
