@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import extend
+from stickslip_fit.causes import Temperature, extend
 from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, group_directions
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses
@@ -147,8 +148,12 @@ def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_
     for name in (*angles, *columns, *history, "length of the traverse before", "product of q1 and load"):
         assert f"{name}, opposite" in names
     # Any function of the temperature, the same for all joints, is the cause temperature.
-    assert "temperature" not in names
-    assert "theta" in names
+    temperature = Temperature(mean=294.0)
+    attributed = attribute_to_causes(hypotheses, [temperature], ())
+    assert [one.cause for one in attributed if one.version is temperature] == ["temperature"]
+    left_out = {one.cause for one in attribute_to_causes(hypotheses, [temperature], ["temperature"])}
+    assert not {"temperature", "unknown:temperature"} & left_out
+    assert {"unknown:theta", "unknown:temperature, opposite"} <= left_out
     without_law = {one.cause for one in hypotheses if one.version is None}
     assert "unknown:pause" in without_law
     assert "unknown:theta" not in without_law
