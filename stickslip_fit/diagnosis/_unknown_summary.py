@@ -128,9 +128,10 @@ def _describe_proposal(finding: Finding) -> str:
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
+        each = " for each session" if getattr(finding.version, "sessions", ()) else ""
         return (
             f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; "
-            f"a smooth function of {what} is proposed; {worth}"
+            f"a smooth function of {what}{each} is proposed; {worth}"
         )
     sizes = [
         f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
@@ -147,7 +148,7 @@ def name_carriers(finding: Finding) -> str:
     words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
     opposite = getattr(finding.version, "mode", "same") == "opposite"
     ways = ", with opposite signs in the two directions," if opposite else ""
-    in_sessions = ", in each session in its own way," if getattr(finding.version, "sessions", ()) else ""
+    in_sessions = ", differently in each session," if getattr(finding.version, "sessions", ()) else ""
     return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
 
 
@@ -194,6 +195,8 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
     if diagnosis.table is not None or not carriers:
         return ""
+    if getattr(finding.version, "sessions", ()):
+        return "Another session will have another one, so that this one predicts within its session only."
     change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.

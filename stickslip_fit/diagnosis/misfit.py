@@ -59,6 +59,8 @@ TAIL_DF = (MIN_TAIL_DF, 8.0, 15.0, 200.0)  # of which one is simulated as well
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
 SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
+# Of few samples a single one would decide: with so few of them above the statistic, there are more.
+MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
 BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and residuals in them
 
@@ -319,7 +321,12 @@ def compute_misfit(
     if n_bootstrap:
         left = remove_structure(linearized.residual, hypotheses, own)
         wild = _make_wild_sampler(linearized, left, rng)
-        null, share = simulate(wild or _make_student_sampler(linearized, rng), n_bootstrap)
+        sampler = wild or _make_student_sampler(linearized, rng)
+        null, share = simulate(sampler, n_bootstrap)
+        if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
+            more, _ = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap)
+            null = np.concatenate([null, more])
+            share = (1 + int(np.sum(null >= statistic))) / (1 + len(null))
         doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)

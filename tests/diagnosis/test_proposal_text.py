@@ -75,7 +75,7 @@ def test_without_a_formula_it_is_a_smooth_function_and_its_coefficients_are_not_
 def test_a_product_is_named_with_both_of_its_columns_in_words():
     version = SmoothTerm(("load", "session_seconds"), sessions=("a",))
     assert name_carriers(Finding("unknown", version, (), 0.001, (3,), SIZE, ())) == (
-        "the load and the time in the session together, in each session in its own way,"
+        "the load and the time in the session together, differently in each session,"
     )
     opposite = SmoothTerm(("covariate:lamp",), mode="opposite")
     assert name_carriers(Finding("unknown", opposite, (), 0.001, (3,), SIZE, ())) == (
