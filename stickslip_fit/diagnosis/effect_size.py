@@ -98,9 +98,7 @@ def _size_cause(
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals
-        # In a sampled signal their likelihoods were compared, each with the noise that it leaves.
-        if selection.problem.autocorrelation is not None
-        or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength.estimate)
+        if not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength.estimate)
     )
     return Finding(
         selected.cause,
