@@ -18,10 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.simulate_campaign import REFERENCE, enlarged
-from stickslip_fit.logs.plan_reader import read_plan
-from stickslip_fit.machine import load_machine
-from stickslip_fit.simulation import read_law_values, simulate
+from benchmarks.report import make_log
+from benchmarks.simulate_campaign import REFERENCE
 
 NEWER = Path(__file__).parents[1]
 TRAVERSES = 10_000
@@ -58,7 +56,7 @@ def main() -> None:
                 commands[f"report {log.name}"] = [*verb, "report", log, "-o", page]
         if options.decide:
             log = Path(folder) / "log.csv"
-            number = make_log(log)
+            number = make_log(log, TRAVERSES)
             commands[f"decide {number:,} traverses"] = [sys.executable, "-c", DECIDE, log]
         for tree in (options.older.resolve(), NEWER):
             cpu_seconds(
@@ -77,15 +75,6 @@ def main() -> None:
                 f"{ratios.max():.1f} |",
                 flush=True,
             )
-
-
-def make_log(path: Path) -> int:
-    """A log of the reference campaign's law on as many days as it takes; how many traverses that makes."""
-    machine = load_machine()
-    plan = enlarged(read_plan(REFERENCE / "plan.toml", machine), TRAVERSES)
-    log = simulate(plan, read_law_values(REFERENCE / "law.toml", machine), machine)
-    log.to_csv(path)
-    return len(log)
 
 
 def cpu_seconds(command: Sequence[str | Path], tree: Path, folder: str) -> float:

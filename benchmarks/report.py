@@ -31,7 +31,7 @@ def main() -> None:
         del kinds["whole"]
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.csv"
-        rows = make_log(log)
+        rows = make_log(log, TRAVERSES)
         for name, options in kinds.items():
             page = log.with_suffix(".html")
             seconds = made(log, page, options)
@@ -43,10 +43,10 @@ def main() -> None:
             )
 
 
-def make_log(path: Path) -> int:
+def make_log(path: Path, traverses: int) -> int:
     """The reference campaign's plan, repeated on as many days as it takes; how many traverses that makes."""
     machine = load_machine()
-    plan = enlarged(read_plan(REFERENCE / "plan.toml", machine), TRAVERSES)
+    plan = enlarged(read_plan(REFERENCE / "plan.toml", machine), traverses)
     log = simulate(plan, read_law_values(REFERENCE / "law.toml", machine), machine)
     log.to_csv(path)
     return len(log)

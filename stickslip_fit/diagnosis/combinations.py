@@ -21,7 +21,6 @@ from stickslip_fit.diagnosis.extension import (
     compute_evidence,
     extend_problem,
     fit_causes,
-    law_causes,
     make_selected,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis
@@ -34,7 +33,6 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
-DOUBTFUL_LOG_ODDS = 0.5  # nats between causes on which likelihood and plain least squares disagree
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,13 +229,11 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
     price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the
     likelihoods decide between causes that are refitted, each under the autocorrelation of the noise that it
-    leaves. Where plain least squares say the opposite, the answer rests on the noise, and neither is ruled
-    out.
+    leaves.
     """
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     extensions: dict[str, Extension] = {}
     failed: list[str] = []
-    plain: dict[str, float] = {}
     least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
     known = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least]
     known.sort(key=lambda cause: -evidence[cause])
@@ -268,30 +264,11 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             one = replace(one, start=starts.get(cause, one.start))
             extensions[cause] = trial, fit, _ = extend_problem(problem, [*selected, one])
             likelihoods[cause] = penalised_likelihood(trial, fit)
-            plain[cause] = _plain_likelihood(problem, fit, [*selected, one])
     if likelihoods:
-        highest, best = (
-            max(evidence[cause] for cause in likelihoods),
-            max(likelihoods, key=likelihoods.__getitem__),
-        )
-        for cause in likelihoods:
-            doubtful = cause != best and plain[cause] > plain[best]
-            below = DOUBTFUL_LOG_ODDS if doubtful else likelihoods[best] - likelihoods[cause]
-            evidence[cause] = highest - min(below, likelihoods[best] - likelihoods[cause])
+        highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
+        evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
     return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
-
-
-def _plain_likelihood(
-    problem: DiagnosisProblem, fit: ExtendedFit, selected: Sequence[SelectedCause]
-) -> float:
-    """Penalised log likelihood of plain least squares, with as many rows as there are independent values."""
-    assert problem.autocorrelation is not None
-    versions = [one.version for one in law_causes(selected)]
-    independent = replace(problem, autocorrelation=None)
-    squares = float(np.sum((independent.fit_extended(versions, fit.values).residual / problem.scale) ** 2))
-    number = len(problem) / problem.autocorrelation.correlation_rows
-    return -0.5 * number * float(np.log(squares)) - 0.5 * len(fit.values) * float(np.log(max(number, 2.0)))
 
 
 def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
