@@ -7,7 +7,7 @@ angle, the load, a column of the log, the traverse before. `carrier_values` says
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
@@ -22,6 +22,7 @@ from stickslip_fit.laws import State, StepLaw
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
+PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]
 
@@ -42,7 +43,8 @@ def carrier_values(state: State, carrier: str) -> Array:
     if carrier == BEFORE_DIRECTION:
         before = np.asarray(state.row[carrier], dtype=object)[:, None]
         return np.asarray((before == "+") * 1.0 - (before == "-"))
-    return state.column(carrier)
+    values = state.column(carrier)
+    return np.log1p(np.maximum(values, 0.0)) if carrier in PAUSES else values
 
 
 def carrier_columns(carrier: str) -> tuple[str, ...]:
@@ -72,6 +74,8 @@ class SmoothTerm(LinearFactor):
         Whether each of `on` has a function of its own.
     sessions : tuple of str
         Sessions with a function of their own; empty for the same in all.
+    common : float
+        Share of the prior variance that is in a function which all sessions have in common.
     """
 
     carriers: tuple[str, ...] = (POSITION,)
@@ -82,6 +86,7 @@ class SmoothTerm(LinearFactor):
     mode: Mode = "same"
     each: bool = False
     sessions: tuple[str, ...] = ()
+    common: float = 0.0
 
     name = "smooth-term"
     phrase = "steps follow something smoothly that no cause describes"
@@ -110,12 +115,20 @@ class SmoothTerm(LinearFactor):
                 joint=joint,
                 direction=direction,
                 session=session,
-                prior_sd=sd,
+                prior_sd=float(np.sqrt(share)) * sd,
             )
-            for session in self.sessions or (None,)
+            for session, share in self._functions_of
             for joint, direction in (self.on if self.each else ((None, None),))
             for number, sd in enumerate(self.sds, 1)
         )
+
+    @property
+    def _functions_of(self) -> tuple[tuple[str | None, float], ...]:
+        """Each session with a function of its own, or None for all, and its share of the prior variance."""
+        if not self.sessions:
+            return ((None, 1.0),)
+        own = tuple((session, 1.0 - self.common) for session in self.sessions)
+        return ((None, self.common), *own) if self.common else own
 
     @property
     def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -142,10 +155,7 @@ class SmoothTerm(LinearFactor):
     def functions(self, state: State) -> Array:
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
-        waves = [
-            cosines(one, low, high, max(order[place] for order in self.orders))
-            for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
-        ]
+        waves = self.waves(values)
         functions = np.stack(
             [
                 np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
@@ -160,8 +170,42 @@ class SmoothTerm(LinearFactor):
             functions = (functions[:, :, None, :] * acts).reshape(*functions.shape[:2], -1)
         if self.sessions:
             names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
-            functions = (names[:, None, :, None] * functions[:, :, None, :]).reshape(*functions.shape[:2], -1)
+            own = (names[:, None, :, None] * functions[:, :, None, :]).reshape(*functions.shape[:2], -1)
+            functions = np.concatenate([functions, own], axis=-1) if self.common else own
         return np.asarray(functions)
+
+    def waves(self, values: Sequence[Array]) -> list[Array]:
+        """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order)."""
+        return [
+            cosines(one, low, high, max(order[place] for order in self.orders))
+            for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
+        ]
+
+
+@dataclass(frozen=True)
+class PeriodicTerm(SmoothTerm):
+    """gamma times 1 + a wave in time or in the number of traverses.
+
+    Attributes
+    ----------
+    period : float
+        In the unit of the carrier.
+    """
+
+    orders: tuple[tuple[int, ...], ...] = ((1,), (2,))
+    sds: tuple[float, ...] = (SMOOTH_SCALE, SMOOTH_SCALE)
+    period: float = 1.0
+
+    name = "periodic-term"
+    phrase = "steps come and go with a period that no cause describes"
+    physics = "Whatever has this period: the log alone shows that the step size follows it."
+    shows_best = "one configuration again and again, at most a quarter of the period apart"
+
+    def waves(self, values: Sequence[Array]) -> list[Array]:
+        """See `SmoothTerm.waves`: cosine and sine."""
+        (clock,) = values
+        angle = 2.0 * np.pi * clock / self.period
+        return [np.stack([np.cos(angle), np.sin(angle)], axis=-1)]
 
 
 def _sign(state: State, mode: Mode) -> Array:

@@ -24,6 +24,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
@@ -40,6 +41,7 @@ POSITION, LOAD = "position", "load"
 ANGLES = ("q1", "q2", "q3", "theta", "psi")
 Z_95 = 1.959964
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
+OPPOSITE = ", with opposite signs in the two directions"
 CARRIER_PHRASES = {
     "time": "changes slowly with time, in each session in its own way",
     "time, the same in each session": "changes slowly with time, in all sessions alike",
@@ -49,7 +51,13 @@ CARRIER_PHRASES = {
 COLUMN_WORDS = {
     "before_direction": "the direction of the traverse before",
     "before_load": "the load of the traverse before",
+    "before_length": "the length of the joint's traverse before, as a share of its travel",
+    "before_gap": "the distance from where the joint last stopped, as a share of its travel",
+    "before_joint": "the joint that moved before",
+    "pause": "the pause since the traverse before",
+    "joint_pause": "the pause since the joint's traverse before",
     "session_seconds": "the time in the session",
+    "session_order": "the number of traverses in the session",
     "steps_before": "the joint's own steps so far",
     "step_period": "the step period",
     POSITION: "the joint's own position",
@@ -68,7 +76,7 @@ def describe_carrier(carrier: str) -> str:
     'follows the product of the load and the time in the session, joint 3'
     """
     if carrier.startswith("period"):
-        return f"comes and goes with a {carrier}"
+        return f"comes and goes with a {carrier.replace(', opposite', OPPOSITE)}"
     if carrier.startswith("memory"):
         joint = carrier.removeprefix("memory").strip() or "of any joint"
         return f"carries over from one traverse {joint} to the next"
@@ -87,7 +95,7 @@ def name_carrier(carrier: str) -> str:
     """
     names, text = "|".join(COLUMN_WORDS), carrier.replace(COVARIATE_PREFIX, "")
     text = re.sub(rf"\b({names})\b", lambda match: COLUMN_WORDS[match[1]], text)
-    text = text.replace(", opposite", ", with opposite signs in the two directions")
+    text = text.replace(", opposite", OPPOSITE).replace(", in part", ", around what they have in common")
     return re.sub(r"^product of", "the product of", text)
 
 
@@ -126,6 +134,11 @@ def describe_shape(finding: Finding) -> str:
 
 def _describe_proposal(finding: Finding) -> str:
     steps, worth = _name_steps(finding), _describe_worth(finding)
+    if not finding.term and hasattr(finding.version, "period"):
+        return (
+            f"{steps} {_describe_period(finding)}, which no known cause does; a wave for each session is "
+            f"proposed; {worth}"
+        )
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
         each = " for each session" if getattr(finding.version, "sessions", ()) else ""
@@ -141,14 +154,22 @@ def _describe_proposal(finding: Finding) -> str:
     return f"{steps} follow something that no known cause describes; {what}; {worth}"
 
 
+def _describe_period(finding: Finding) -> str:
+    """How steps come and go, for their plural."""
+    return describe_carrier(finding.carrier).replace("comes and goes", "come and go")
+
+
 def name_carriers(finding: Finding) -> str:
     """What a proposal follows, in words."""
     carriers = getattr(finding.version, "carriers", ())
     together = " together" if len(carriers) > 1 else ""
     words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
     opposite = getattr(finding.version, "mode", "same") == "opposite"
-    ways = ", with opposite signs in the two directions," if opposite else ""
-    in_sessions = ", differently in each session," if getattr(finding.version, "sessions", ()) else ""
+    ways = f"{OPPOSITE}," if opposite else ""
+    partly = "in part " if getattr(finding.version, "common", 0.0) else ""
+    in_sessions = (
+        f", {partly}differently in each session," if getattr(finding.version, "sessions", ()) else ""
+    )
     return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
 
 
@@ -195,6 +216,10 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
     if diagnosis.table is not None or not carriers:
         return ""
+    if getattr(finding.version, "common", 0.0):
+        return (
+            "What the sessions have in common predicts another session, too; the rest predicts its own only."
+        )
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
     change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
@@ -238,6 +263,8 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     value, unit = float(row[name]), ""
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
+    elif name in PAUSES:
+        value, unit = from_si(value, "min"), " min"
     elif name in CONDITIONS:
         value, unit = from_si(value, CONDITIONS[name].unit), f" {CONDITIONS[name].unit}"
     return f"{label} {format_significant(float(value), 3)}{unit}"

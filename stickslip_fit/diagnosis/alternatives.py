@@ -11,10 +11,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import SmoothTerm
+from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
+    SessionFit,
     build_per_session_hypotheses,
     make_hypothesis,
     split_sessions,
@@ -71,15 +72,32 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
             [f"unknown:time, joint {joint}"], n, sessions, inside[:, None]
         )
         hypotheses += _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
-    # Of a Series: grouping a DataFrame by an array formats the array for a message that nobody sees.
-    order = pd.Series(session).groupby(session).cumcount().to_numpy(float)
-    for clock, unit, label in ((seconds, 60.0, "min"), (order, 1.0, "traverses")):
-        periods = choose_periods(clock, session)
-        angles = 2 * np.pi * clock[:, None] / periods
-        pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / scale[:, None]
-        names = [f"unknown:period of {period / unit:.1f} {label}" for period in periods]
-        hypotheses += build_per_session_hypotheses(names, n, sessions, pairs)
+    for clock, unit, label in (("session_seconds", 60.0, "min"), ("session_order", 1.0, "traverses")):
+        hypotheses += _periodic_alternatives(linearized, sessions, clock, unit, label)
     return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
+
+
+def _periodic_alternatives(
+    linearized: LinearizedFit, sessions: Sequence[SessionFit], clock: str, unit: float, label: str
+) -> list[Hypothesis]:
+    """Waves in time or in the number of traverses, each session's its own, alike or opposite by direction."""
+    rows = linearized.rows
+    session, names = pd.factorize(rows["session"].astype(object))
+    values = rows[clock].to_numpy(float)
+    periods = choose_periods(values, session)
+    angles = 2 * np.pi * values[:, None] / periods
+    pairs = SMOOTH_SCALE * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    pairs /= linearized.scale[:, None, None]
+    sign = np.where((rows["direction"] == "+").to_numpy(), 1.0, -1.0)[:, None, None]
+    plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
+    hypotheses: list[Hypothesis] = []
+    numbers = [str(number) for number in range(len(periods))]
+    for mode, waves, ending in (("same", pairs, ""), ("opposite", pairs * sign, ", opposite")):
+        for one in build_per_session_hypotheses(numbers, len(rows), sessions, waves):
+            period = float(periods[int(one.cause)])
+            name = f"unknown:period of {period / unit:.1f} {label}{ending}"
+            hypotheses.append(replace(one, cause=name, version=replace(plain, mode=mode, period=period)))
+    return hypotheses
 
 
 def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

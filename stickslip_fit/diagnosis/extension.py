@@ -22,7 +22,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, drop_single_rows
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -86,7 +86,7 @@ def assess_residuals(
         effects = compute_finite_effects(linearized, causes)
     factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
     alternatives = attribute_to_causes(problem.alternatives(linearized), problem.causes, without)
-    hypotheses = [*build_candidates(linearized, effects), *alternatives]
+    hypotheses = drop_single_rows([*build_candidates(linearized, effects), *alternatives])
     return compute_misfit(
         linearized,
         hypotheses,

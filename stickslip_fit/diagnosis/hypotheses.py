@@ -80,6 +80,15 @@ class Hypothesis:
             first += block.shape[1]
         return directions
 
+    @property
+    def largest_row_share(self) -> float:
+        """The largest share of the effect's prior variance that a single row has."""
+        variance, first = np.zeros(self.n), 0
+        for rows, block in self.blocks:
+            variance[rows] += block**2 @ self.prior_share[first : first + block.shape[1]]
+            first += block.shape[1]
+        return float(variance.max(initial=0.0))
+
     def coefficients(self, residual: Array) -> Array:
         """Coefficient of a residual, shape (n,), along each direction; shape (m,)."""
         along = np.concatenate([block.T @ residual[rows] for rows, block in self.blocks])

@@ -10,9 +10,10 @@ calibration parameters projected out again (J. L. Horowitz, Annu. Rev. Econ. 11:
 would inflate it, so the best hypothesis is subtracted first; residuals are divided by sqrt(1 - leverage)
 as in the jackknife (J. G. MacKinnon and H. White, J. Econometrics 29:305, 1985). A wild bootstrap keeps
 the largest residuals where they are; in small logs with heavy tails their places look like structure about
-twice as often as the p-value says. So where it comes out small, Student t noise with tails as heavy as the
-residuals' is simulated, too, and the larger p-value counts. Where the noise is clearly skewed, residuals
-drawn with replacement take its place; where counts are coarsely rounded, so are the simulated ones.
+twice as often as the p-value says. So where it comes out small, Student t noise is simulated, too, its
+degrees of freedom drawn from their posterior distribution, and the larger p-value counts. Where the noise is
+clearly skewed, residuals drawn with replacement take its place; where counts are coarsely rounded, so are
+the simulated ones.
 
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
@@ -34,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
-from scipy.special import logsumexp, poch
+from scipy.special import logsumexp, poch, softmax
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
@@ -52,9 +53,9 @@ UNKNOWN = "unknown"
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
+MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
-MIN_TAIL_DF = 5.0  # of the Student t noise that is simulated instead
-TAIL_DF = (MIN_TAIL_DF, 8.0, 15.0, 200.0)  # of which one is simulated as well
+TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
 # Student t noise cannot change the answer where the bootstrap's p-value is above this, or where the statistic
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
@@ -282,6 +283,18 @@ def classify_cause(hypothesis: Hypothesis | AR1) -> str:
     return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
 
 
+def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis | AR1]:
+    """The hypotheses whose effect is in several rows, and all those of causes that have no such shape.
+
+    What is mostly in one row cannot be told from an outlier there.
+    """
+    shared = [
+        one for one in hypotheses if not isinstance(one, Hypothesis) or one.largest_row_share <= MAX_ROW_SHARE
+    ]
+    known = {classify_cause(one) for one in shared} | {UNKNOWN}
+    return [one for one in hypotheses if classify_cause(one) not in known] + shared
+
+
 def compute_misfit(
     linearized: LinearizedFit,
     hypotheses: Sequence[Hypothesis | AR1],
@@ -320,8 +333,10 @@ def compute_misfit(
 
     if n_bootstrap:
         left = remove_structure(linearized.residual, hypotheses, own)
+        standardized = left.residual / np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
         wild = _make_wild_sampler(linearized, left, rng)
-        sampler = wild or _make_student_sampler(linearized, rng)
+        student = _make_student_sampler(standardized, rng)
+        sampler = wild or student
         null, share = simulate(sampler, n_bootstrap)
         if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
             more, _ = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap)
@@ -330,13 +345,7 @@ def compute_misfit(
         doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
-            kept = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
-            standardized = left.residual / kept
-            sampler = (
-                _make_resampler(standardized, rng)
-                if skewed
-                else _make_student_sampler(linearized, rng, _estimate_tail_df(standardized))
-            )
+            sampler = _make_resampler(standardized, rng) if skewed else student
             if quantization is not None:
                 sampler = _make_rounding_sampler(sampler, quantization)
             heavy_tailed, its_share = simulate(sampler, number)
@@ -371,11 +380,15 @@ def _make_wild_sampler(
     return lambda number: rng.choice([-1.0, 1.0], (len(linearized), number)) * sizes
 
 
-def _make_student_sampler(
-    linearized: LinearizedFit, rng: np.random.Generator, df: float = MIN_TAIL_DF
-) -> NoiseSampler:
-    unit = np.sqrt((df - 2.0) / df)
-    return lambda number: unit * rng.standard_t(df, (len(linearized), number))
+def _make_student_sampler(residual: Array, rng: np.random.Generator) -> NoiseSampler:
+    """Student t noise, its df in each sample drawn from those that residuals, shape (n,), may come from."""
+    df, weight = np.array(TAIL_DF), _tail_probabilities(residual)
+
+    def draw(number: int) -> Array:
+        own = rng.choice(df, number, p=weight)
+        return np.sqrt((own - 2.0) / own) * rng.standard_t(own, (len(residual), number))
+
+    return draw
 
 
 def _make_resampler(residual: Array, rng: np.random.Generator) -> NoiseSampler:
@@ -394,16 +407,13 @@ def _make_rounding_sampler(sampler: NoiseSampler, quantization: Quantization) ->
     return lambda number: quantization.round(sampler(number))
 
 
-def _estimate_tail_df(residual: Array) -> float:
-    """Which of `TAIL_DF` residuals, shape (n,), are likeliest under."""
-    z = residual / np.sqrt(np.mean(residual**2))
-
-    def log_likelihood(df: float) -> float:
-        scale = np.sqrt((df - 2.0) / df)
-        constant = float(np.log(poch(0.5 * df, 0.5)) - 0.5 * np.log(np.pi * df)) - np.log(scale)
-        return len(z) * constant - 0.5 * (df + 1.0) * float(np.sum(np.log1p((z / scale) ** 2 / df)))
-
-    return max(TAIL_DF, key=log_likelihood)
+def _tail_probabilities(residual: Array) -> Array:
+    """Probability of each of `TAIL_DF`, given residuals of shape (n,); all alike before."""
+    z, df = residual / np.sqrt(np.mean(residual**2)), np.array(TAIL_DF)
+    scale = np.sqrt((df - 2.0) / df)
+    constant = np.log(poch(0.5 * df, 0.5)) - 0.5 * np.log(np.pi * df) - np.log(scale)
+    spread = np.sum(np.log1p((z[:, None] / scale) ** 2 / df), axis=0)
+    return np.asarray(softmax(len(z) * constant - 0.5 * (df + 1.0) * spread))
 
 
 def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Array) -> dict[str, float]:

@@ -1,9 +1,9 @@
 """A law for unknown structure: a short expression where one does, else a smooth function.
 
 `propose_term` searches a dictionary of short expressions (one direction of effects each) over the carriers of
-`smooth_alternatives`. The best is proposed where the log cannot tell it from the best smooth function, and it
-explains more than the best expression of noise alone does; otherwise the smooth function takes its place. It
-is part of `select_causes`, so that each fold searches anew.
+`smooth_alternatives`. The best is proposed where it would gain nearly as much on a replicate as the best
+smooth function, and explains more than the best expression of noise alone does; otherwise the smooth function
+takes its place. It is part of `select_causes`, so that each fold searches anew.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import logsumexp
-
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import (
     ANGLES,
@@ -25,27 +23,25 @@ from stickslip_fit.causes.proposed import (
     Mode,
     ProposedTerm,
 )
-from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import (
-    MAX_EXPLAINED,
-    STRENGTHS,
     UNKNOWN,
     Misfit,
     classify_cause,
     remove_structure,
 )
 from stickslip_fit.diagnosis.smooth_alternatives import (
-    FOLLOWING,
     MIN_SHARE,
     Carrier,
     find_carriers,
     traverse_average,
 )
+from stickslip_fit.logs.history import LATER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
+MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
 
@@ -67,11 +63,11 @@ def propose_term(
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
     term = _find_term(linearized, misfit, rng)
-    if term is not None and term.log_evidence >= evidence - CAUSE_SET_LOG_BAYES_FACTOR:
+    assert isinstance(shape, Hypothesis)
+    if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
     if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
         return list(selected)
-    assert isinstance(shape, Hypothesis)
     amplitude = estimate_strength(shape, misfit.residual) / shape.length
     version = shape.version.with_amplitude(amplitude)
     return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
@@ -79,11 +75,22 @@ def propose_term(
 
 @dataclass(frozen=True, eq=False)
 class _Term:
-    """A short expression, its estimated size, and its log evidence."""
+    """A short expression, its estimated size, and what it would gain on a replicate.
+
+    The gain is that of the squared whitened residuals: what is explained less twice the number of parameters
+    (Mallows' C_p).
+    """
 
     version: ProposedTerm
     size: float
-    log_evidence: float
+    expected_gain: float
+
+
+def _expected_gain(shape: Hypothesis, residual: Array) -> float:
+    """The same of a smooth function, whose parameters are shrunk."""
+    signal = estimate_strength(shape, residual) ** 2 * shape.prior_share
+    kept = signal / (1.0 + signal)
+    return float(np.sum(kept * (2.0 - kept) * shape.coefficients(residual) ** 2) - 2.0 * np.sum(kept))
 
 
 def _find_term(linearized: LinearizedFit, misfit: Misfit, rng: np.random.Generator) -> _Term | None:
@@ -103,15 +110,7 @@ def _find_term(linearized: LinearizedFit, misfit: Misfit, rng: np.random.Generat
     on, mode = dictionary.places[place]
     version = ProposedTerm(tuple(astuple(factor) for factor in products[best]), on, mode)
     size = -float(along[place, best] / dictionary.squares[place, best])  # a larger step makes fewer
-    log_evidence = _log_evidence(float(squares[place, best]), misfit.residual, linearized.df)
-    return _Term(version, size, log_evidence)
-
-
-def _log_evidence(explained: float, residual: Array, df: int) -> float:
-    """Log Bayes factor of one direction that explains so much of the squared residuals."""
-    signal = STRENGTHS**2
-    share = np.minimum(explained / float(residual @ residual) * signal / (1.0 + signal), MAX_EXPLAINED)
-    return float(logsumexp(-0.5 * np.log1p(signal) - 0.5 * df * np.log1p(-share)) - np.log(len(signal)))
+    return _Term(version, size, float(squares[place, best]) - 2.0)
 
 
 def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunction, ...]], Array]:
@@ -119,7 +118,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunc
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
-        if carrier.name not in FOLLOWING
+        if carrier.name not in LATER_HISTORY
         for factor in _functions(carrier)
     ]
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]

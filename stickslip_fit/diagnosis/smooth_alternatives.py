@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -22,7 +21,6 @@ from stickslip_fit.causes.proposed import (
     LOAD,
     POSITION,
     SMOOTH_SCALE,
-    Mode,
     SmoothTerm,
     carrier_values,
 )
@@ -30,16 +28,17 @@ from stickslip_fit.causes.smooth import cosines, prior_sds
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
-from stickslip_fit.logs.history import previous_rows
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
+from stickslip_fit.logs.history import LATER_HISTORY
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
-LENGTH = 0.25  # correlation length, of the carrier's range
-# What follows from the order of the rows: no column of a log, so that a law cannot depend on it.
-FOLLOWING = ("length of the traverse before", "joint before", "pause")
+LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
+LATER_OF_TRAVERSE = tuple(name for name in LATER_HISTORY if name != "session_order")
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
+COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
+MAX_NESTED = 400  # coefficients of such functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +78,7 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
+    history += [name for name in LATER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
     # A machine without the published geometry has no gravity load.
     load = (LOAD,) if rows["before_load"].notna().any() else ()
     names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, *columns, *history))
@@ -91,23 +91,8 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
         state = state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
         for name, array in values.items():
             array[part.rows] = carrier_values(state, name)
-    following = _follow(rows) if has_times(rows) else {}
-    carriers = [_make_carrier(name, array) for name, array in (values | following).items()]
+    carriers = [_make_carrier(name, array) for name, array in values.items()]
     return [carrier for carrier in carriers if carrier is not None]
-
-
-def _follow(rows: pd.DataFrame) -> dict[str, Array]:
-    """`FOLLOWING` of each traverse, shape (n, 1); lengths over the joint's longest, NaN for the first."""
-    session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
-    joint, seconds = (rows[name].to_numpy(float) for name in ("joint", "session_seconds"))
-    length = (rows["stop"] - rows["start"]).abs().groupby(rows["joint"]).transform(lambda x: x / x.max())
-    same, last = previous_rows(session * 64 + rows["joint"].to_numpy(np.int64)), previous_rows(session)
-    values = (
-        np.where(same >= 0, length.to_numpy()[same], np.nan),
-        np.where(last >= 0, joint[last], np.nan),
-        np.where(last >= 0, np.log1p(np.maximum(seconds - seconds[last], 0.0)), np.nan),
-    )
-    return {name: column[:, None] for name, column in zip(FOLLOWING, values, strict=True)}
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:
@@ -127,12 +112,17 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     carriers = find_carriers(linearized)
     shapes = [
         # A function of the load, different in each joint and direction, is nonlinearity of the load.
-        *((carrier.name, *_smooth_functions(carrier)) for carrier in carriers if carrier.name != LOAD),
+        *(
+            (carrier.name, *_smooth_functions(carrier, length))
+            for carrier in carriers
+            if carrier.name != LOAD
+            for length in _lengths(carrier)
+        ),
         *(
             (f"product of {one.name} and {other.name}", *_product(one, other))
             for one, other in combinations(carriers, 2)
-            if other.name not in FOLLOWING
-            and ({one.name, other.name} & {LOAD, POSITION} or {one.name, other.name} <= {*ANGLES})
+            if not {one.name, other.name} & {*LATER_HISTORY}
+            and {one.name, other.name} & {LOAD, POSITION, *ANGLES}
         ),
     ]
     columns = [np.zeros((len(linearized), 0)), *(own for _, _, own in shapes)]
@@ -140,14 +130,21 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     hypotheses: list[Hypothesis] = []
     for name, term, own in shapes:
         place = slice(last, last := last + own.shape[1])
-        found = (builder.by_session if name == POSITION else builder.shapes)(name, term, place)
-        hypotheses += [replace(one, version=None) for one in found] if name in FOLLOWING else found
+        if name != POSITION:
+            hypotheses += builder.shapes(name, term, place)
+        if name in (POSITION, *ANGLES):
+            hypotheses += builder.by_session(name, term, place)
     return hypotheses
 
 
-def _smooth_functions(carrier: Carrier) -> tuple[SmoothTerm, Array]:
+def _lengths(carrier: Carrier) -> tuple[float, ...]:
+    """Correlation lengths of functions of a carrier; the longest where it has few values."""
+    return LENGTHS if carrier.distinct - 1 > len(prior_sds(LENGTHS[0])) else LENGTHS[:1]
+
+
+def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Array]:
     """A Gaussian process over a carrier, and its columns, shape (n, m)."""
-    sds = SMOOTH_SCALE * prior_sds(LENGTH)[: carrier.distinct - 1]
+    sds = SMOOTH_SCALE * prior_sds(length)[: carrier.distinct - 1]
     orders = tuple((k,) for k in range(1, len(sds) + 1))
     term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(map(float, sds)))
     return term, traverse_average(carrier.waves(len(sds))) * sds
@@ -196,6 +193,10 @@ class _Builder:
         opposite = replace(term, mode="opposite")
         found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
         found.append(self.make(name, term, [self.subspace(place)]))
+        for way, sign in (("+", 1.0), ("-", -1.0)):
+            on = tuple((joint, way) for joint in self.rows_of)
+            one_way = self.subspace(place, None, np.flatnonzero(self.sign == sign))
+            found.append(self.make(f"{name}, {way} only", replace(term, on=on), [one_way]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
@@ -216,21 +217,50 @@ class _Builder:
         return [one for one in found if one is not None]
 
     def by_session(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
-        """Functions that differ from session to session, by joint."""
+        """Functions that differ from session to session, by joint; also around one in common."""
         found = []
         for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
-            modes: tuple[tuple[Mode, Array | None], ...] = (("same", None), ("opposite", self.sign))
-            for mode, sign in modes:
+            on, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}, in each session"
+            forward = self.sign[rows] > 0
+            ways: tuple[tuple[str, SmoothTerm, list[IntArray], Array | None], ...] = (
+                ("", replace(term, on=on), [rows], None),
+                (", opposite", replace(term, on=on, mode="opposite"), [rows], self.sign),
+                (", each direction", replace(term, on=on, each=True), [rows[forward], rows[~forward]], None),
+            )
+            for ending, version, groups, sign in ways:
                 own = {
-                    session: subspace
+                    session: parts
                     for session, inside in self.session_of.items()
-                    if (subspace := self.subspace(place, sign, rows[inside[rows]])) is not None
+                    if (parts := [self.subspace(place, sign, group[inside[group]]) for group in groups])
+                    and any(parts)
                 }
-                on, sessions = ((joint, "+"), (joint, "-")), tuple(own)
-                version = replace(term, on=on, mode=mode, sessions=sessions)
-                label = f"{name}, joint {joint}, in each session" + ", opposite" * (sign is not None)
-                found.append(self.make(label, version, list(own.values())))
+                version = replace(version, sessions=tuple(own))
+                parts = [part for some in own.values() for part in some]
+                found.append(self.make(label + ending, version, parts))
+                nested = self.nested(place, sign, groups, version)
+                found.append(self.make(f"{label}{ending}, in part", *nested) if nested else None)
         return [one for one in found if one is not None]
+
+    def nested(
+        self, place: slice, sign: Array | None, groups: Sequence[IntArray], version: SmoothTerm
+    ) -> tuple[SmoothTerm, list[_Subspace]] | None:
+        """Functions of sessions around one that they have in common; None where there are too many."""
+        number = len(groups) * (place.stop - place.start) * (1 + len(version.sessions))
+        if not version.sessions or number > MAX_NESTED:
+            return None
+        columns = []
+        for group in groups:
+            effects = np.zeros((len(self.whitened), place.stop - place.start))
+            effects[group] = self.whitened[group, place] * (1.0 if sign is None else sign[group, None])
+            own = [effects * self.session_of[name][:, None] for name in version.sessions]
+            columns += [np.sqrt(COMMON) * effects, *(np.sqrt(1.0 - COMMON) * one for one in own)]
+        effects = self.linearized.project(np.concatenate(columns, axis=1))
+        variance, right = np.linalg.eigh(effects.T @ effects)
+        kept = variance > MIN_VARIANCE * max(float(variance.sum()), EFFECT_TOL**2)
+        if not kept.any():
+            return None
+        directions = effects @ (right[:, kept] / np.sqrt(variance[kept]))
+        return replace(version, common=COMMON), [_Subspace(slice(None), directions, variance[kept])]
 
     def subspace(
         self, place: slice, sign: Array | None = None, rows: IntArray | None = None

@@ -9,7 +9,10 @@ import pandas as pd
 
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
-from stickslip_fit.machine import Machine, mean_load
+from stickslip_fit.machine import Machine, load_machine, mean_load
+
+# History on which no published cause depends.
+LATER_HISTORY = ("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order")
 
 
 def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFrame:
@@ -39,9 +42,13 @@ def add_session_history(
 ) -> pd.DataFrame:
     """Add the history within sessions, which `session`, shape (n,), numbers; rows of whole sessions only.
 
-    ``before_direction`` ('+', '-', or '' for a joint's first in its session), ``before_load`` (the published
-    load of that traverse, averaged over its positions; 0 for the first, NaN on a machine without the
-    published geometry) and ``session_seconds`` (since the session's first traverse of any joint).
+    Of the same joint's traverse before: ``before_direction`` ('+', '-', or '' for a joint's first in its
+    session), ``before_load`` (its published load, averaged over its positions; 0 for the first, NaN on a
+    machine without the published geometry), ``before_length`` and ``before_gap`` (how long it was, and how
+    far from its stop this one starts, as shares of the joint's travel), ``joint_pause`` (s from its start).
+    Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start). All but the first
+    two are NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and
+    traverses since its first one.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -65,10 +72,22 @@ def add_session_history(
     began = np.zeros(session.max(initial=0) + 1, np.int64)
     # Rows are in the order of time: assigned from last to first, each session keeps its first time.
     began[session[::-1]] = time[::-1]
+    number = pd.Series(session).groupby(session).cumcount().to_numpy()
+    seconds = np.asarray(time - began[session], np.float64) / 1e9
+    start, stop = (rows[name].to_numpy(float) for name in ("start", "stop"))
+    span = np.array([(machine or load_machine()).span(int(one)) for one in np.unique(joint)])
+    travel = span[np.searchsorted(np.unique(joint), joint)]
+    own, last = previous_rows(session * (joint.max(initial=0) + 1) + joint), previous_rows(session)
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
-        session_seconds=np.asarray(time - began[session], np.float64) / 1e9,
+        before_length=np.where(own >= 0, (np.abs(stop - start) / travel)[own], np.nan),
+        before_gap=np.where(own >= 0, np.abs(start - stop[own]) / travel, np.nan),
+        before_joint=np.where(last >= 0, joint[last], np.nan),
+        pause=np.where(last >= 0, seconds - seconds[last], np.nan),
+        joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
+        session_seconds=seconds,
+        session_order=number.astype(float),
     )
 
 
@@ -80,9 +99,8 @@ def add_unknown_history(rows: pd.DataFrame) -> pd.DataFrame:
     content = ["session", "joint", "direction", "start", "stop", "steps"]
     return rows.sort_values(content, ignore_index=True, kind="stable").assign(
         before_direction=pd.Series(pd.NA, rows.index, dtype="str"),
-        before_load=np.nan,
-        session_seconds=np.nan,
         steps_before=np.nan,
+        **dict.fromkeys(("before_load", "session_seconds", *LATER_HISTORY), np.nan),
     )
 
 

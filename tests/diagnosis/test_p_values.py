@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 from scipy.stats import t as student_t
 
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.misfit import (
     TAIL_DF,
-    _estimate_tail_df,
+    _tail_probabilities,
     batch_hypotheses,
     compute_misfit,
 )
@@ -42,17 +42,18 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
 
 
 @pytest.mark.parametrize("df", [4.0, 8.0, 15.0, 1e6])
-def test_the_tails_of_residuals_are_those_they_are_likeliest_under(df):
+@pytest.mark.parametrize("number", [60, 5000])
+def test_the_tails_of_residuals_have_the_probabilities_of_their_likelihoods(df, number):
     """By scipy's density of Student t noise of the residuals' own variance."""
-    residual = 0.02 * np.random.default_rng(3).standard_t(df, 5000)
+    residual = 0.02 * np.random.default_rng(3).standard_t(df, number)
     sd = np.sqrt(np.mean(residual**2))
-
-    def likelihood(tail):
-        return student_t.logpdf(residual, tail, scale=sd * np.sqrt((tail - 2) / tail)).sum()
-
-    found = _estimate_tail_df(residual)
-    assert found == max(TAIL_DF, key=likelihood)
-    assert found == (5.0 if df < 5 else min(df, 200.0))
+    likelihoods = [
+        student_t.logpdf(residual, tail, scale=sd * np.sqrt((tail - 2) / tail)).sum() for tail in TAIL_DF
+    ]
+    probability = _tail_probabilities(residual)
+    assert probability == pytest.approx(softmax(likelihoods), abs=1e-9)
+    if number == 5000:
+        assert TAIL_DF[np.argmax(probability)] == (5.0 if df < 5 else min(df, 200.0))
 
 
 def test_a_log_from_which_rows_were_set_aside_needs_twice_the_evidence(drifting):

@@ -16,6 +16,8 @@ from stickslip_fit.logs.history import previous_rows
 
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
+OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "session_order"]
+TRAVEL = {1: math.radians(240), 2: math.radians(240), 3: 0.012}
 
 
 def load(row: dict[str, float], position: float) -> float:
@@ -43,6 +45,25 @@ def slow_history(rows: list[dict]) -> list[tuple[str, float, int, float]]:
         began = min(other["time"] for other in rows if other["session"] == row["session"])
         steps = sum(other["steps"] for other in earlier)
         found.append((direction, before_load, steps, (row["time"] - began).total_seconds()))
+    return found
+
+
+def slow_other_history(rows: list[dict]) -> list[tuple[float, ...]]:
+    """The rest of what stands beside each row; NaN where there was none before in the session."""
+    found = []
+    for row in rows:
+        earlier = [one for one in rows if one["time"] < row["time"] and one["session"] == row["session"]]
+        last = max(earlier, key=lambda one: one["time"], default=None)
+        own = max((one for one in earlier if one["joint"] == row["joint"]), key=lambda one: one["time"],
+                  default=None)  # fmt: skip
+        travel, values = TRAVEL[row["joint"]], [math.nan] * 5
+        if own is not None:
+            values[0] = abs(own["stop"] - own["start"]) / travel
+            values[1] = abs(row["start"] - own["stop"]) / travel
+            values[2] = (row["time"] - own["time"]).total_seconds()
+        if last is not None:
+            values[3:] = last["joint"], (row["time"] - last["time"]).total_seconds()
+        found.append((*values, len(earlier)))
     return found
 
 
@@ -85,6 +106,8 @@ def assert_history(rows: pd.DataFrame) -> None:
     assert list(rows["steps_before"]) == list(slow["steps_before"])
     np.testing.assert_allclose(rows["before_load"], slow["before_load"], atol=1e-9)
     np.testing.assert_allclose(rows["session_seconds"], slow["session_seconds"], rtol=0, atol=1e-6)
+    other = slow_other_history(rows.to_dict("records"))
+    np.testing.assert_allclose(rows[OTHER_HISTORY], np.array(other), rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -117,7 +140,7 @@ def test_selecting_rows_keeps_the_history_of_the_whole_log(read):
 
 def test_history_can_be_added_to_rows_made_elsewhere(read):
     rows = read(campaign(6).to_csv(index=False)).rows
-    again = add_history(rows.drop(columns=HISTORY))
+    again = add_history(rows.drop(columns=[*HISTORY, *OTHER_HISTORY]))
     pd.testing.assert_frame_equal(again[rows.columns], rows)
 
 
