@@ -24,6 +24,7 @@ ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which i
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
+N_HARMONICS = 4  # of a periodic term: in them a square wave has 0.90 of its variance, a saw-tooth 0.87
 Mode = Literal["same", "opposite"]
 
 
@@ -192,7 +193,7 @@ class PeriodicTerm(SmoothTerm):
         In the unit of the carrier.
     """
 
-    orders: tuple[tuple[int, ...], ...] = ((1,), (2,))
+    orders: tuple[tuple[int, ...], ...] = ((1,), (2,))  # the cosine and the sine of each harmonic
     sds: tuple[float, ...] = (SMOOTH_SCALE, SMOOTH_SCALE)
     period: float = 1.0
 
@@ -202,10 +203,16 @@ class PeriodicTerm(SmoothTerm):
     shows_best = "one configuration again and again, at most a quarter of the period apart"
 
     def waves(self, values: Sequence[Array]) -> list[Array]:
-        """See `SmoothTerm.waves`: cosine and sine."""
+        """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
-        angle = 2.0 * np.pi * clock / self.period
-        return [np.stack([np.cos(angle), np.sin(angle)], axis=-1)]
+        angles = 2.0 * np.pi * clock[..., None] / self.period * np.arange(1, len(self.orders) // 2 + 1)
+        waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        return [waves.reshape(*clock.shape, -1)]
+
+    def with_harmonics(self) -> Self:
+        """The same with harmonics, each expected to be smaller in proportion to its order."""
+        sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
+        return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
 
 
 def _sign(state: State, mode: Mode) -> Array:

@@ -54,7 +54,12 @@ def first_of_pair(
     causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
     best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
     pairs: list[tuple[float, list[SelectedCause]]] = []
-    for cause in sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]:
+    causes = sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]
+    if problem.autocorrelation is None and causes:
+        # Linearized: the third of three causes adds no more than the second.
+        added = _evidence_added(misfit, causes, problem.linearize().df)
+        causes = [cause for cause in causes if evidence[cause] + 2.0 * added[cause] > highest]
+    for cause in causes:
         first = make_selected(misfit, form_cause_set(misfit, cause))
         left, second, unknown = _next_cause(extend_problem(problem, [*selected, first]), [*selected, first])
         pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
@@ -142,13 +147,19 @@ def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProble
     close = sorted(close, key=lambda cause: -evidence[cause])[: problem.n_refits]
     if problem.autocorrelation is not None or not close:
         return close
-    to_beat = evidence[current.cause] + ahead
-    without = np.stack([_without(misfit, cause) for cause in close], axis=1)
-    shapes = [one for one in misfit.hypotheses if classify_cause(one) not in (UNKNOWN, current.cause)]
-    added = batch_hypotheses(shapes, problem.linearize().df).log_evidence(without)
-    own = np.array([[one.cause == cause for cause in close] for one in shapes])
-    second = np.where(own, -np.inf, added).max(axis=0)
-    return [cause for cause, more in zip(close, second, strict=True) if evidence[cause] + more > to_beat]
+    added = _evidence_added(misfit, close, problem.linearize().df, [current.cause])
+    return [cause for cause in close if evidence[cause] + added[cause] > evidence[current.cause] + ahead]
+
+
+def _evidence_added(
+    misfit: Misfit, causes: Sequence[str], df: int, without: Sequence[str] = ()
+) -> dict[str, float]:
+    """Of each cause the largest evidence that another one has beside it, in nats; linearized."""
+    left = np.stack([_without(misfit, cause) for cause in causes], axis=1)
+    shapes = [one for one in misfit.hypotheses if classify_cause(one) not in (UNKNOWN, *without)]
+    added = batch_hypotheses(shapes, df).log_evidence(left)
+    own = np.array([[one.cause == cause for cause in causes] for one in shapes])
+    return dict(zip(causes, np.where(own, -np.inf, added).max(axis=0).tolist(), strict=True))
 
 
 def _without(misfit: Misfit, cause: str) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 
 import numpy as np
+
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import (
     ANGLES,
@@ -21,10 +22,11 @@ from stickslip_fit.causes.proposed import (
     POSITION,
     CarrierFunction,
     Mode,
+    PeriodicTerm,
     ProposedTerm,
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import AR1, EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
@@ -41,6 +43,7 @@ from stickslip_fit.diagnosis.smooth_alternatives import (
 from stickslip_fit.logs.history import LATER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
+MIN_MEMORY_SHARE = 0.5  # of the evidence of memory, below which a smooth function is not put in its place
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
@@ -54,11 +57,8 @@ def propose_term(
     misfit = unknown.misfit
     if unknown.cause != UNKNOWN or unknown.version is not None or misfit is None:
         return list(selected)
-    smooth = [
-        (float(evidence), one)
-        for evidence, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
-        if classify_cause(one) == UNKNOWN and one.version is not None
-    ]
+    known = list(zip(misfit.log_evidence.tolist(), misfit.hypotheses, strict=True))
+    smooth = [(own, one) for own, one in known if classify_cause(one) == UNKNOWN and one.version is not None]
     if not smooth:
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
@@ -66,10 +66,14 @@ def propose_term(
     assert isinstance(shape, Hypothesis)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
-    if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
+    # The noise's memory is no law of the step size, and looks somewhat like many a function.
+    memory = max((own for own, one in known if isinstance(one, AR1)), default=0.0)
+    if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, MIN_MEMORY_SHARE * memory):
         return list(selected)
     amplitude = estimate_strength(shape, misfit.residual) / shape.length
     version = shape.version.with_amplitude(amplitude)
+    if isinstance(version, PeriodicTerm):
+        version = version.with_harmonics()
     return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
 
 
