@@ -19,6 +19,7 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.smooth import LinearFactor, cosines
 from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.units import from_si
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
@@ -201,6 +202,15 @@ class PeriodicTerm(SmoothTerm):
     phrase = "steps come and go with a period that no cause describes"
     physics = "Whatever has this period: the log alone shows that the step size follows it."
     shows_best = "one configuration again and again, at most a quarter of the period apart"
+
+    def __str__(self) -> str:
+        """Its period in words."""
+        (clock,) = self.carriers
+        if clock == "session_seconds":
+            text = f"period of {from_si(self.period, 'min'):.1f} min"
+        else:
+            text = f"period of {self.period:.1f} traverses"
+        return text + ", opposite" * (self.mode == "opposite")
 
     def waves(self, values: Sequence[Array]) -> list[Array]:
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""

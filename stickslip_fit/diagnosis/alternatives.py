@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.proposed import SMOOTH_SCALE, Mode, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -72,13 +72,13 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
             [f"unknown:time, joint {joint}"], n, sessions, inside[:, None]
         )
         hypotheses += _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
-    for clock, unit, label in (("session_seconds", 60.0, "min"), ("session_order", 1.0, "traverses")):
-        hypotheses += _periodic_alternatives(linearized, sessions, clock, unit, label)
+    for clock in ("session_seconds", "session_order"):
+        hypotheses += _periodic_alternatives(linearized, sessions, clock)
     return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
 
 
 def _periodic_alternatives(
-    linearized: LinearizedFit, sessions: Sequence[SessionFit], clock: str, unit: float, label: str
+    linearized: LinearizedFit, sessions: Sequence[SessionFit], clock: str
 ) -> list[Hypothesis]:
     """Waves in time or in the number of traverses, each session's its own, alike or opposite by direction."""
     rows = linearized.rows
@@ -92,11 +92,11 @@ def _periodic_alternatives(
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
     hypotheses: list[Hypothesis] = []
     numbers = [str(number) for number in range(len(periods))]
-    for mode, waves, ending in (("same", pairs, ""), ("opposite", pairs * sign, ", opposite")):
+    modes: tuple[tuple[Mode, Array], ...] = (("same", pairs), ("opposite", pairs * sign))
+    for mode, waves in modes:
         for one in build_per_session_hypotheses(numbers, len(rows), sessions, waves):
-            period = float(periods[int(one.cause)])
-            name = f"unknown:period of {period / unit:.1f} {label}{ending}"
-            hypotheses.append(replace(one, cause=name, version=replace(plain, mode=mode, period=period)))
+            version = replace(plain, mode=mode, period=float(periods[int(one.cause)]))
+            hypotheses.append(replace(one, cause=f"unknown:{version}", version=version))
     return hypotheses
 
 

@@ -20,6 +20,7 @@ from scipy.special import betaincinv, chdtrc, gammaln
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes.proposed import PeriodicTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, acts_on, compute_changes
@@ -141,6 +142,7 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause) -
     version, place = selected.version, selection.slices[-1]  # it is the last of the causes
     formula = getattr(version, "formula", "")
     carrier = " and ".join(version.carriers) if formula else finding.carrier
+    carrier = str(version) if isinstance(version, PeriodicTerm) else carrier
     values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
     parameters = _size_parameters(version, UNKNOWN, values, covariance) if formula else ()
     return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)

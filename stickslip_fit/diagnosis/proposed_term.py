@@ -26,11 +26,12 @@ from stickslip_fit.causes.proposed import (
     ProposedTerm,
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.hypotheses import AR1, EFFECT_TOL, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
+    batch_hypotheses,
     classify_cause,
     remove_structure,
 )
@@ -43,7 +44,7 @@ from stickslip_fit.diagnosis.smooth_alternatives import (
 from stickslip_fit.logs.history import LATER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
-MIN_MEMORY_SHARE = 0.5  # of the evidence of memory, below which a smooth function is not put in its place
+N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
@@ -57,8 +58,11 @@ def propose_term(
     misfit = unknown.misfit
     if unknown.cause != UNKNOWN or unknown.version is not None or misfit is None:
         return list(selected)
-    known = list(zip(misfit.log_evidence.tolist(), misfit.hypotheses, strict=True))
-    smooth = [(own, one) for own, one in known if classify_cause(one) == UNKNOWN and one.version is not None]
+    smooth = [
+        (float(evidence), one)
+        for evidence, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
+        if classify_cause(one) == UNKNOWN and one.version is not None
+    ]
     if not smooth:
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
@@ -66,15 +70,25 @@ def propose_term(
     assert isinstance(shape, Hypothesis)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
-    # The noise's memory is no law of the step size, and looks somewhat like many a function.
-    memory = max((own for own, one in known if isinstance(one, AR1)), default=0.0)
-    if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, MIN_MEMORY_SHARE * memory):
+    if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
         return list(selected)
-    amplitude = estimate_strength(shape, misfit.residual) / shape.length
-    version = shape.version.with_amplitude(amplitude)
-    if isinstance(version, PeriodicTerm):
-        version = version.with_harmonics()
+    if isinstance(shape.version, PeriodicTerm):
+        shape = _with_harmonics(shape, linearized, misfit.residual)
+    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
     return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
+
+
+def _with_harmonics(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
+    """A wave with its harmonics, at the period under which residuals, shape (n,), are likeliest."""
+    term, longest = shape.version, shape.version.limits[0][1]
+    shapes = [shape]
+    for rate in 1.0 / term.period + np.linspace(-0.5, 0.5, N_PERIODS) / longest:
+        version = replace(term, period=float(1.0 / rate)).with_harmonics()
+        sizes = np.diag([parameter.prior_sd for parameter in version.parameters])
+        effects = compute_effects(linearized, version, sizes)
+        shapes += [one for one in [make_hypothesis(shape.cause, version, None, effects)] if one is not None]
+    evidence = batch_hypotheses(shapes, linearized.df).log_evidence(residual[:, None])[:, 0]
+    return shapes[int(np.argmax(evidence[1:])) + 1] if len(shapes) > 1 else shape
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,8 +103,12 @@ def test_what_cannot_be_told_apart_is_named_together(named):
 def test_what_has_no_name_is_shown_as_it_is(unnamed):
     assert unnamed.verdict == "unknown cause"
     first, second = write_headline(unnamed)
+    assert re.search(r"come and go with a period of 5\d\.\d min, which no known cause does; a wave", first)
+    assert "The function is a proposal, no cause" in second
+    (finding,) = unnamed.findings
+    first, second = write_headline(replace(unnamed, findings=(replace(finding, version=None),)))
     assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
-    assert re.search(rf"the closest, {unnamed.findings[0].closest}, explains \d+ % of it\.$", first)
+    assert first.endswith(f"the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it.")
     assert "extended law" not in first + second
 
 
