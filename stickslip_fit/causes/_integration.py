@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.laws import State, state_at
 from stickslip_fit.laws.integration import harmonic_counts
 
@@ -25,7 +25,7 @@ TAIL_COEFFICIENTS = np.arange(GAUSS_ORDER - 2, GAUSS_ORDER) + 0.5
 TAIL_COEFFICIENTS = TAIL_COEFFICIENTS * np.polynomial.legendre.legvander(GAUSS_NODES, GAUSS_ORDER - 1)[:, -2:]
 TAIL_COEFFICIENTS *= GAUSS_WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
-TAIL_TOL = 3e-6
+TAIL_TOL = 3e-7
 
 
 class StepCounter(ABC):
@@ -177,21 +177,27 @@ class CountableLaw(Protocol):
 class AdaptiveCounter:
     """Traverses of one joint, counted in the simplest counter that is right.
 
+    Traverses that need more panels than the others get them alone: a step size that is nearly 0 in one place
+    would otherwise cost as much in all.
+
     Parameters
     ----------
     law : Stepping
     row_values : dict of str to array, shape (n,)
         start, stop and the columns that the law needs.
+    halvings : int
+        Of the panels; 0 also tries the simple counters.
     """
 
-    def __init__(self, law: CountableLaw, row_values: dict[str, Any]) -> None:
+    def __init__(self, law: CountableLaw, row_values: dict[str, Any], halvings: int = 0) -> None:
         self.law = law
         self.row_values = row_values
+        self.halvings = halvings
         self._prepared: dict[tuple[Any, ...], tuple[StepCounter, State]] = {}
-        self._simple_counters: list[type[StepCounter]] = [UniformCounter]
-        if not law.prismatic and not law.varies_along_traverse:
+        self._simple_counters: list[type[StepCounter]] = [] if halvings else [UniformCounter]
+        if not halvings and not law.prismatic and not law.varies_along_traverse:
             self._simple_counters.append(SinusoidalCounter)
-        self._n_halvings = 0
+        self._finer: tuple[IntArray, AdaptiveCounter] | None = None
 
     @cached_property
     def start_state(self) -> State:
@@ -201,7 +207,10 @@ class AdaptiveCounter:
     def counts(self, values: Array) -> Array:
         """Steps over each traverse, shape (n, p) -> (n,); NaN where the step size is not above 0."""
         counter, _, gamma, exact = self._select_counter(values)
-        return np.where(exact, counter.counts(gamma), np.nan)
+        counts = np.where(exact, counter.counts(gamma), np.nan)
+        if len(rows := np.flatnonzero(~exact)) and self.halvings + 1 < MAX_PANEL_HALVINGS:
+            counts[rows] = self._refine(rows).counts(values[rows])
+        return counts
 
     def counts_and_slopes(self, values: Array) -> tuple[Array, Array]:
         """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
@@ -209,10 +218,20 @@ class AdaptiveCounter:
         by_place, by_value = counter.derivatives(gamma), self.law.gamma_slopes(state, values)
         by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
         slopes = np.einsum("nk,nkp->np", by_place, by_value)
-        return np.where(exact, counter.counts(gamma), np.nan), slopes
+        counts = np.where(exact, counter.counts(gamma), np.nan)
+        if len(rows := np.flatnonzero(~exact)) and self.halvings + 1 < MAX_PANEL_HALVINGS:
+            counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows])
+        return counts, slopes
+
+    def _refine(self, rows: IntArray) -> AdaptiveCounter:
+        """Some rows with panels of half the width."""
+        if self._finer is None or not np.array_equal(self._finer[0], rows):
+            own = {name: column[rows] for name, column in self.row_values.items()}
+            self._finer = rows, AdaptiveCounter(self.law, own, self.halvings + 1)
+        return self._finer[1]
 
     def _select_counter(self, values: Array) -> tuple[StepCounter, State, Array, BoolArray]:
-        """An accurate method, its nodes and step sizes there, and the rows for which it is accurate."""
+        """A counter, its nodes and step sizes there, and the rows for which it is accurate."""
         while self._simple_counters:
             counted = self._try_counter(values, self._simple_counters[0])
             if counted[-1].all():
@@ -220,12 +239,7 @@ class AdaptiveCounter:
             self._simple_counters.pop(0)  # Other values are likely to need more, too.
         longest = np.abs(self.row_values["stop"] - self.row_values["start"]).max(initial=0.0)
         doublings = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
-        for halvings in range(self._n_halvings, MAX_PANEL_HALVINGS):
-            counted = self._try_counter(values, PanelCounter, 2 ** (doublings + halvings))
-            if counted[-1].all():
-                self._n_halvings = halvings
-                break
-        return counted
+        return self._try_counter(values, PanelCounter, 2 ** (doublings + self.halvings))
 
     def _try_counter(
         self, values: Array, kind: Any, *arguments: int
