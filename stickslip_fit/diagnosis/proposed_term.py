@@ -44,6 +44,7 @@ from stickslip_fit.diagnosis.smooth_alternatives import (
 from stickslip_fit.logs.history import LATER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
+COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -75,6 +76,9 @@ def propose_term(
     if isinstance(shape.version, PeriodicTerm):
         shape = _with_harmonics(shape, linearized, misfit.residual)
     version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
+    if version.sessions and not version.common and not isinstance(version, PeriodicTerm):
+        # Where a session has no traverse of its own nearby, the others say more than nothing.
+        version = replace(version, common=COMMON_IN_LAW)
     return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
 
 
