@@ -32,6 +32,7 @@ from stickslip_fit.logs.history import LATER_HISTORY
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
+BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 LATER_OF_TRAVERSE = tuple(name for name in LATER_HISTORY if name != "session_order")
@@ -144,7 +145,11 @@ def _lengths(carrier: Carrier) -> tuple[float, ...]:
 
 def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Array]:
     """A Gaussian process over a carrier, and its columns, shape (n, m)."""
-    sds = SMOOTH_SCALE * prior_sds(length)[: carrier.distinct - 1]
+    # Cosines are level at the ends of their range, which a step size along a travel need not be.
+    beyond = BEYOND * (carrier.high - carrier.low) if carrier.name == POSITION else 0.0
+    carrier = replace(carrier, low=carrier.low - beyond, high=carrier.high + beyond)
+    share = length / (1.0 + 2.0 * BEYOND) if beyond else length
+    sds = SMOOTH_SCALE * prior_sds(share)[: carrier.distinct - 1]
     orders = tuple((k,) for k in range(1, len(sds) + 1))
     term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(map(float, sds)))
     return term, traverse_average(carrier.waves(len(sds))) * sds
