@@ -84,6 +84,8 @@ class Cause(ABC):
         Whether it concerns the detection of the stop, not the motion before it.
     max_panel : float
         Widest integration panel that resolves it along a traverse, rad or m.
+    search_note : str
+        What the search for it leaves out, as a sentence; empty where it leaves out nothing.
     """
 
     name: ClassVar[str]
@@ -108,6 +110,7 @@ class Cause(ABC):
     affects_stop_only: ClassVar[bool] = False
     max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
+    search_note: ClassVar[str] = ""
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """Shapes of the effect to look for in a log, of sizes that a lab may meet.
