@@ -53,7 +53,9 @@ def remember[Result](function: Callable[..., Result], apart: str = "") -> Callab
     def call(*arguments: Any, **options: Any) -> Result:
         given = signature(function).bind(*arguments, **options)
         given.apply_defaults()
-        compared = {name: value for name, value in given.arguments.items() if name not in (*NO_DIFFERENCE, apart)}
+        compared = {
+            name: value for name, value in given.arguments.items() if name not in (*NO_DIFFERENCE, apart)
+        }
         try:
             key = joblib.hash(compared)
         except PicklingError:  # a page's own class

@@ -168,8 +168,7 @@ def test_no_usable_traverse(fit, campaign):
         fit(campaign(DAYS[:1], CALIBRATION_3).assign(status="interrupted"))
 
 
-@pytest.mark.parametrize("factor", [0.1, 10.0])
-@pytest.mark.parametrize(("joint", "place"), [(3, 1), (2, 4)])
+@pytest.mark.parametrize(("joint", "place", "factor"), [(3, 1, 0.1), (2, 4, 10.0), (3, 1, 10.0), (2, 4, 0.1)])
 class TestACountWildlyOff:
     """The second of the calibration traverses, or one that calibrates nothing."""
 
