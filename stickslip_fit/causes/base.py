@@ -597,5 +597,4 @@ def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
 
 def _append(law_columns: Array, cause_columns: Array) -> Array:
     """The law's columns, (g, p), followed by those of the causes, (q,), equal for every group."""
-    shape = len(law_columns), len(cause_columns)
-    return np.concatenate([law_columns, np.broadcast_to(cause_columns, shape)], axis=1)
+    return np.concatenate([law_columns, np.tile(cause_columns, (len(law_columns), 1))], axis=1)
