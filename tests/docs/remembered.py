@@ -54,7 +54,9 @@ def remember[Result](function: Callable[..., Result], apart: str = "") -> Callab
         given = signature(function).bind(*arguments, **options)
         given.apply_defaults()
         compared = {
-            name: value for name, value in given.arguments.items() if name not in (*NO_DIFFERENCE, apart)
+            name: _plain(value)
+            for name, value in given.arguments.items()
+            if name not in (*NO_DIFFERENCE, apart)
         }
         try:
             key = joblib.hash(compared)
@@ -65,6 +67,13 @@ def remember[Result](function: Callable[..., Result], apart: str = "") -> Callab
         return known[key]
 
     return call
+
+
+def _plain(value: Any) -> Any:
+    """An argument as others may give it: a list for a tuple, none for an empty one."""
+    if not isinstance(value, list | tuple | dict):
+        return value
+    return None if not value else value if isinstance(value, dict) else tuple(value)
 
 
 def _files() -> dict[str, tuple[int, str]]:
