@@ -85,6 +85,8 @@ class Cause(ABC):
         Whether it concerns the detection of the stop, not the motion before it.
     max_panel : float
         Widest integration panel that resolves it along a traverse, rad or m.
+    search_note : str
+        What the search for it leaves out, as a sentence; empty where it leaves out nothing.
     """
 
     name: ClassVar[str]
@@ -109,6 +111,7 @@ class Cause(ABC):
     affects_stop_only: ClassVar[bool] = False
     max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
+    search_note: ClassVar[str] = ""
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """Shapes of the effect to look for in a log, of sizes that a lab may meet.
@@ -595,5 +598,4 @@ def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
 
 def _append(law_columns: Array, cause_columns: Array) -> Array:
     """The law's columns, (g, p), followed by those of the causes, (q,), equal for every group."""
-    shape = len(law_columns), len(cause_columns)
-    return np.concatenate([law_columns, np.broadcast_to(cause_columns, shape)], axis=1)
+    return np.concatenate([law_columns, np.tile(cause_columns, (len(law_columns), 1))], axis=1)

@@ -1,7 +1,8 @@
 """FormulaTrials: a cause given as a formula, bound to rows; the sizes that are tried are chosen from these.
 
 Parameters in which the effect is linear, and without which there is none, are its amplitudes: they come first
-and are tried at a size that shows. The others are tried on a grid within their bounds.
+and are tried at a size that shows. The others are tried on a grid within their bounds, fine enough for
+neighbours on it to resemble each other.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from math import isfinite
+from math import isfinite, prod
 from typing import Any, Self
 
 import numpy as np
@@ -25,7 +26,11 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.laws.table import is_linear, spread
 from stickslip_fit.units import to_si
 
-NUMBER_OF_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}  # along each of so many parameters that are no amplitudes
+# Along each of so many parameters that are no amplitudes, to begin with; and of all places together.
+NUMBER_OF_PLACES, MAX_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}, 150
+MIN_SHARED = (
+    0.25  # of an effect's square by its neighbour's: one halfway then shares three quarters with both
+)
 MAX_LEVELS = 100  # values of a column with parameters of their own
 STATE_FACTORS = (1.0, 10.0, -10.0)
 NULL_TOL = 1e-9
@@ -53,6 +58,8 @@ class FormulaTrials(Cause):
         Values of the column `source.by`, for each of which there is one set of parameters; else None alone.
     sizes : tuple of (tuple of float, tuple of float)
         Of each place that is tried, the values there of what is no amplitude, and the amplitudes' sizes.
+    unresolved : tuple of str
+        Parameters with which the effect changes too fast for the places that are tried.
     """
 
     source: CauseFormula
@@ -63,6 +70,19 @@ class FormulaTrials(Cause):
     scale: tuple[float, ...]
     columns: tuple[str, ...]  # type: ignore[misc]
     sizes: tuple[tuple[Place, Place], ...] = ()
+    unresolved: tuple[str, ...] = ()
+
+    @property
+    def search_note(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        if not self.unresolved:
+            return ""
+        number = len({place for place, _ in self.sizes})
+        return (
+            f"The search for {self.name} has gaps: its effect changes so fast with "
+            f"{' and '.join(self.unresolved)} that it can be missed between two of the {number} places that "
+            "are tried; give narrower bounds."
+        )
 
     @property
     def max_trial_factor(self) -> float:  # type: ignore[override]
@@ -197,13 +217,14 @@ class TrialSearch(ABC):
             most = max(NUMBER_OF_PLACES)
             raise self.error(f"it is not linear in {', '.join(others)}; at most {most} can be searched")
         bound = self._with_order(make, (*amplitudes, *others), len(amplitudes))
-        places = self._places(others)
+        places, unresolved = self._choose_places(amplitudes, others)
         if amplitudes:
             sizes = tuple(pair for place in places for pair in self._pairs(bound, place, amplitudes))
         else:
             sizes = tuple((place[1:], place[:1]) for place in self.moderate(others, places))
         middle = self._own_sizes(bound, places[len(places) // 2], amplitudes) if amplitudes else sizes[0][1]
-        return replace(bound, sizes=sizes, scale=(*middle, *bound.scale[len(middle) :]))
+        scale = (*middle, *bound.scale[len(middle) :])
+        return replace(bound, sizes=sizes, scale=scale, unresolved=unresolved)
 
     def error(self, reason: str) -> InputError:
         """The InputError for a fault of the cause."""
@@ -259,10 +280,53 @@ class TrialSearch(ABC):
             null_values=tuple(null), scale=tuple(scale),
         )  # fmt: skip
 
-    def _places(self, others: Sequence[str]) -> list[Place]:
-        number = NUMBER_OF_PLACES[len(others)]
-        along = [spread(self.declared[name].lower, self.declared[name].upper, number) for name in others]
-        return [tuple(map(float, place)) for place in product(*along)]
+    def _choose_places(
+        self, amplitudes: Sequence[str], others: Sequence[str]
+    ) -> tuple[list[Place], tuple[str, ...]]:
+        """Places on a grid, and the parameters along which it is too coarse with as many as it may have."""
+        numbers = dict.fromkeys(others, NUMBER_OF_PLACES[len(others)])
+        while True:
+            along = [
+                spread(self.declared[name].lower, self.declared[name].upper, numbers[name]) for name in others
+            ]
+            places = [tuple(map(float, place)) for place in product(*along)]
+            coarse = self._find_coarse(amplitudes, others, places, tuple(numbers.values()))
+            finer = numbers | {name: 2 * numbers[name] for name in coarse}
+            if not coarse or prod(finer.values()) > MAX_PLACES:
+                return places, coarse
+            numbers = finer
+
+    def _find_coarse(
+        self,
+        amplitudes: Sequence[str],
+        others: Sequence[str],
+        places: Sequence[Place],
+        shape: tuple[int, ...],
+    ) -> tuple[str, ...]:
+        """The parameters along which neighbours on a grid of some shape have too little in common."""
+        bases = [self._shape_at(amplitudes, others, place) for place in places]
+        number = np.arange(len(places)).reshape(shape)
+        coarse = []
+        for axis, name in enumerate(others):
+            ordered = np.moveaxis(number, axis, 0)
+            pairs = zip(ordered[:-1].ravel().tolist(), ordered[1:].ravel().tolist(), strict=True)
+            shared = [
+                np.sum((bases[one].T @ bases[other]) ** 2) / rank
+                for one, other in pairs
+                if (rank := min(bases[one].shape[1], bases[other].shape[1]))
+            ]
+            if min(shared, default=1.0) < MIN_SHARED:
+                coarse.append(name)
+        return tuple(coarse)
+
+    def _shape_at(self, amplitudes: Sequence[str], others: Sequence[str], place: Place) -> Array:
+        """Orthonormal directions of the effect at a place, without its mean; none where it is no number."""
+        value, slopes = self.evaluate((*amplitudes, *others), np.array([*np.zeros(len(amplitudes)), *place]))
+        effects = slopes[:, : len(amplitudes)] if amplitudes else (value - self.absent()[0])[:, None]
+        if not np.isfinite(effects).all():
+            return np.zeros((len(effects), 0))
+        left, singular, _ = np.linalg.svd(effects - effects.mean(axis=0), full_matrices=False)
+        return np.asarray(left[:, singular > NULL_TOL * np.abs(effects).max(initial=0.0)])
 
     def _pairs(
         self, bound: FormulaTrials, place: Place, amplitudes: Sequence[str]

@@ -59,6 +59,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding_to_json(finding, percent, joints) for finding in diagnosis.findings],
         "inclusion": dict(diagnosis.inclusion),
         "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
+        "notes": list(diagnosis.notes),
         "alike": [list(pair) for pair in diagnosis.aliased_causes],
         "gain": gain and {"metric": metric, **gain},
         "gain_new_session": percent.of_gain(diagnosis.gain_new_session),

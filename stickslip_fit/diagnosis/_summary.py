@@ -82,13 +82,14 @@ def write_headline(diagnosis: Diagnosis) -> list[str]:
     """Sentences: what is wrong, what to do about it, then what else is wrong."""
     if not diagnosis.findings:
         noise = describe_noise(diagnosis)
-        return [_describe_no_misfit(diagnosis), *noise, describe_untestable(diagnosis)]
+        return [_describe_no_misfit(diagnosis), *noise, describe_untestable(diagnosis), *diagnosis.notes]
     first, *others = diagnosis.findings
     return [
         f"{_describe_finding(first, diagnosis)}.",
         _describe_gain(first, diagnosis),
         *(_describe_side_effects(finding) for finding in others),
         *describe_noise(diagnosis),
+        *diagnosis.notes,
     ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -86,10 +86,10 @@ def assess_residuals(
         effects = compute_finite_effects(linearized, causes)
     factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
     alternatives = attribute_to_causes(problem.alternatives(linearized), problem.causes, without)
-    hypotheses = drop_single_rows([*build_candidates(linearized, effects), *alternatives])
-    return compute_misfit(
+    candidates = build_candidates(linearized, effects)
+    misfit = compute_misfit(
         linearized,
-        hypotheses,
+        drop_single_rows([*candidates.hypotheses, *alternatives]),
         factor * n_bootstrap,
         rng,
         max_exceedances,
@@ -97,6 +97,7 @@ def assess_residuals(
         skewed=problem.skewness is not None,
         quantization=problem.quantization(linearized),
     )
+    return replace(misfit, failed=candidates.failed)
 
 
 Extension = tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csr_array
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import (
     LawBlock,
     LinearizedFit,
@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.linearized import (
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
+ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
@@ -346,15 +347,31 @@ def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials
     """Change of every response; trials (m, q) -> (n, m).
 
     Where a law has no finite response (a joint would stall), the change at a smaller size, scaled up; 0 if
-    that is not finite either.
+    that is not finite either (`find_failed`).
     """
+    changes = _scale_stalled(linearized, version, trials)
+    changes[:, find_failed(changes)] = 0.0
+    return changes
+
+
+def find_failed(changes: Array) -> BoolArray:
+    """Trials that change a response by what is no number; (n, m) -> (m,)."""
+    return ~np.isfinite(changes).all(axis=0)
+
+
+def count_failed(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> int:
+    """Number of trials whose effect is no number, at a smaller size either; trials (m, q)."""
+    return int(find_failed(_scale_stalled(linearized, version, trials)).sum())
+
+
+def _scale_stalled(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
+    """As `compute_changes`, but not finite where the smaller size is not."""
     changes = _compute_changes(linearized, version, trials)
-    if (stalled := ~np.isfinite(changes).all(axis=0)).any():
+    if (stalled := find_failed(changes)).any():
         smaller, absent = trials[stalled].copy(), np.array(version.null_values)
         sizes = slice(None) if version.combine_trials else slice(0, 1)
         smaller[:, sizes] = absent[sizes] + (smaller[:, sizes] - absent[sizes]) / SHRINK_FACTOR
-        scaled = SHRINK_FACTOR * _compute_changes(linearized, version, smaller)
-        changes[:, stalled] = np.where(np.isfinite(scaled).all(axis=0), scaled, 0.0)
+        changes[:, stalled] = SHRINK_FACTOR * _compute_changes(linearized, version, smaller)
     return changes
 
 
@@ -384,13 +401,17 @@ class FiniteEffects:
         The bound cause.
     trials : array, shape (m, q)
     changes : array, shape (n, m)
-        Of every response; of a version that acts in one session only, of that session's rows.
+        Of every response; of a version that acts in one session only, of that session's rows. 0 at a trial
+        that has failed.
+    failed : array of bool, shape (m,)
+        Trials whose effect is no number.
     """
 
     cause: str
     version: Any
     trials: Array
     changes: Array
+    failed: BoolArray
 
 
 def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> list[FiniteEffects]:
@@ -399,31 +420,56 @@ def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> 
     for cause in causes:
         for version, trials in cause.trials(linearized.rows):
             where = sessions[version.session] if version.session else linearized
-            changes = compute_changes(where, version, trials)
-            effects.append(FiniteEffects(cause.name, version, trials, changes))
+            changes = _scale_stalled(where, version, trials)
+            failed = find_failed(changes)
+            changes[:, failed] = 0.0
+            effects.append(FiniteEffects(cause.name, version, trials, changes, failed))
     return effects
 
 
-def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]) -> list[Hypothesis]:
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The hypotheses of causes, and how many of their trials there were and failed.
+
+    Attributes
+    ----------
+    hypotheses : list of Hypothesis
+    failed : dict of str to (int, int)
+        Of each cause with trials that failed their number, and that of all its trials.
+    """
+
+    hypotheses: list[Hypothesis]
+    failed: dict[str, tuple[int, int]]
+
+
+def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]) -> Candidates:
     """A hypothesis of every shape of every cause."""
-    candidates: list[Hypothesis | None] = []
+    hypotheses: list[Hypothesis] = []
+    tried, failed = Counter[str](), Counter[str]()
     n, sessions = len(linearized), split_sessions(linearized)
     for one in effects:
         cause, version, trials = one.cause, one.version, one.trials
+        tried[cause] += len(trials)
         if version.session:
             session = sessions[version.session]
             whitened = session.project(session.whiten(one.changes))
-            candidates += build_session_hypotheses(cause, version, trials, n, session, whitened)
-            continue
-        whitened = linearized.project(linearized.whiten(one.changes))
-        if version.combine_trials:
-            candidates.append(make_hypothesis(cause, version, None, whitened))
+            lost = ~np.isfinite(whitened).all(axis=0)
+            hypotheses += build_session_hypotheses(cause, version, trials, n, session, whitened)
         else:
-            candidates += [
-                make_hypothesis(cause, version, trial, effect[:, None])
-                for trial, effect in zip(trials, whitened.T, strict=True)
-            ]
-    return [hypothesis for hypothesis in candidates if hypothesis is not None]
+            whitened = linearized.project(linearized.whiten(one.changes))
+            each = [slice(None)] if version.combine_trials else [slice(k, k + 1) for k in range(len(trials))]
+            lost = np.zeros(len(trials), dtype=bool)
+            for own in each:
+                values = None if version.combine_trials else trials[own.start]
+                hypothesis = make_hypothesis(cause, version, values, whitened[:, own])
+                if hypothesis is not None:
+                    hypotheses.append(hypothesis)
+                else:
+                    lost[own] = not np.abs(whitened[:, own]).max(initial=0.0) < ABSORBED
+        failed[cause] += int(np.sum(one.failed | lost))
+    return Candidates(
+        hypotheses, {cause: (number, tried[cause]) for cause, number in failed.items() if number}
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ tests in this order.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -235,6 +235,8 @@ class Misfit:
         Factor on the p-value, for heteroscedasticity chosen by the same residuals.
     basis : sparse array, shape (n, number of parameters), or None
         Of the calibration that is projected out; None for residuals of no fit.
+    failed : dict of str to (int, int)
+        Causes of which trials were left out, with their number and that of all its trials.
     """
 
     residual: Array
@@ -245,6 +247,7 @@ class Misfit:
     null_log_evidence: Array
     p_value_factor: float = 1.0
     basis: csr_array | None = None
+    failed: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""

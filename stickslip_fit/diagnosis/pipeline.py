@@ -42,12 +42,12 @@ from stickslip_fit.diagnosis.gross_errors import (
     with_gross_errors,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import Selection, empty_selection, select_causes, settle_noise
 from stickslip_fit.diagnosis.separability import find_aliased_causes
-from stickslip_fit.diagnosis.testability import explain_too_small, find_untestable
+from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable
 from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
@@ -166,6 +166,7 @@ def diagnose_problem(
         selection=selection,
         aliased_causes=find_aliased_causes(selection.first_misfit),
         noise_properties=_noise_properties(selection, findings),
+        notes=_search_notes(search.problem, selection.first_misfit),
     )
 
 
@@ -180,6 +181,18 @@ def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tu
         "uneven": len(problem.uneven) > 0,
     }
     return tuple(name for name, is_present in present.items() if is_present)
+
+
+def _search_notes(problem: DiagnosisProblem, misfit: Misfit) -> tuple[str, ...]:
+    """What the search left out of the causes that it could look for."""
+    lost = [
+        f"{number:,} of the {tried:,} trials of {cause} are left out: their effects are no numbers, or their "
+        "equations have no solution."
+        for cause, (number, tried) in misfit.failed.items()
+        if number < tried
+    ]
+    gaps = [str(getattr(cause, "search_note", "")) for cause in problem.causes]
+    return (*lost, *filter(None, gaps))
 
 
 NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"
@@ -220,6 +233,8 @@ def _search(
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
     failed = dict.fromkeys(selection.failed, "it could not be fitted: with it the equations have no solution")
+    trials = selection.first_misfit.failed
+    failed |= {cause: NO_TRIALS for cause, (number, tried) in trials.items() if number == tried}
     return _Search(selection, testable, linearized, {**untestable, **failed}, too_small)
 
 

@@ -71,6 +71,8 @@ class Diagnosis(Summarized):
         The table, where the data were one; sizes are then in the unit of its response.
     noise_properties : tuple of str
         In which the noise is not as assumed: memory, skewed, rounded, gross errors, uneven.
+    notes : tuple of str
+        Sentences on what the search for a cause had to leave out.
     """
 
     verdict: Verdict
@@ -91,6 +93,7 @@ class Diagnosis(Summarized):
     log: Log | None = None
     table: TableInfo | None = None
     noise_properties: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def log_file(self) -> str:

@@ -219,7 +219,7 @@ def assess_design(
     linearized = problem.linearize()
     critical = assess_residuals(linearized, problem, n_bootstrap, rng).critical_value(allocate_alpha(alpha))
     shapes = {
-        cause: build_candidates(linearized, compute_finite_effects(linearized, [cause]))
+        cause: build_candidates(linearized, compute_finite_effects(linearized, [cause])).hypotheses
         for cause in problem.causes
     }
     scatter_only = tuple(cause.name for cause, own in shapes.items() if not own)

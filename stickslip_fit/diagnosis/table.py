@@ -354,6 +354,10 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:
         missing["offset-by-direction"] = NO_DIRECTION
+    if law.n_shared and (sessions := rows["session"].nunique()) > generic.MAX_SESSIONS:
+        missing[generic.SessionOffset.base_name] = (
+            f"the table has {sessions:,} sessions, and at most {generic.MAX_SESSIONS} can have an offset each"
+        )
     used = {
         *law.columns,
         *response_columns(law),

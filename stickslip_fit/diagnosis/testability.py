@@ -12,6 +12,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     SessionFit,
     compute_effects,
     compute_session_effects,
+    count_failed,
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -21,6 +22,9 @@ MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausi
 MIN_DF = 10
 
 
+NO_TRIALS = (
+    "none of its trials could be computed: the effect of each is no number, or its equations have no solution"
+)
 EXACT_TOL = 1e-3  # standard deviations
 
 
@@ -30,7 +34,9 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
         strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
-        if strength < EFFECT_TOL:
+        if strength < EFFECT_TOL and _always_fails(cause, linearized, sessions):
+            untestable[cause.name] = NO_TRIALS
+        elif strength < EFFECT_TOL:
             untestable[cause.name] = (
                 "this log's traverses show nothing of it, once each session is recalibrated"
                 if is_log(linearized)
@@ -61,6 +67,15 @@ def largest_strength(
             effects = compute_effects(linearized, version, sizes)
         strengths.append(float(np.linalg.norm(effects, axis=0).max()))
     return max(strengths)
+
+
+def _always_fails(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> bool:
+    """Whether the effect of a cause is no number at any of its trials."""
+    return all(
+        count_failed(sessions[version.session] if version.session else linearized, version, trials)
+        == len(trials)
+        for version, trials in cause.trials(linearized.rows)
+    )
 
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:

@@ -42,8 +42,11 @@ def read_maps(positioner: str) -> dict[tuple[str, str, str], list[tuple[float, f
     return dict(maps)
 
 
-def write_cut(positioner: str, cut: int, path: Path, *, only: str = "", seed: int = 0) -> int:
-    """Write one cut of a positioner's maps, of one joint or of both, without times; number of rows."""
+def write_cut(positioner: str, cut: int, path: Path, *, only: str = "", seed: int = 0, every: int = 1) -> int:
+    """Write one cut of a positioner's maps, of one joint or of both, without times; number of rows.
+
+    Of its traverses `every` second, third ... one.
+    """
     rng, rows = np.random.default_rng([seed, int(positioner)]), []
     for (session, joint, direction), stretches in read_maps(positioner).items():
         edges = np.array([stretches[0][0], *(stretch[1] for stretch in stretches)])
@@ -66,5 +69,5 @@ def write_cut(positioner: str, cut: int, path: Path, *, only: str = "", seed: in
         writer.writerow(
             "session joint direction steps check_every q1_deg q2_deg from_deg to_deg".split()  # noqa: SIM905
         )
-        writer.writerows(rows)
-    return len(rows)
+        writer.writerows(rows[::every])
+    return len(rows[::every])

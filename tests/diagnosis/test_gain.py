@@ -223,14 +223,15 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found = size_findings(selection, own_problem, ALPHA)
-    whole, own = estimate_gain(selection, found, splits_of(selection), SELECT, alpha=ALPHA, workers=1)
+    splits = splits_of(selection)[:4]
+    whole, own = estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, workers=1)
     assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
     assert own[0].gain.baseline == whole.baseline
     assert own[-1].gain.extended == whole.extended
     for one, following in pairwise(own):
         assert following.gain.baseline == one.gain.extended
         assert one.gain.low < gained(one.gain) < one.gain.high
-    assert whole.by_session["traverses"].sum() > 0.85 * len(own_problem)
+    assert whole.by_session["traverses"].sum() == sum(len(split.held_out) for split in splits)
 
 
 def oracle(hidden, selection):
@@ -314,7 +315,7 @@ def above_zero(problem, seeds):
 
 
 def test_held_out_gain_is_nearly_that_of_knowing_the_effect(problem):
-    assert share_of_the_oracle(problem, range(2), 12) > 0.9
+    assert share_of_the_oracle(problem, range(1), 12) > 0.9
 
 
 def test_a_fit_that_fails_is_begun_again_nearer_to_no_effect(problem):

@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.diagnosis import combinations
+from stickslip_fit.causes import CauseParameter, FactorCause
+from stickslip_fit.diagnosis import combinations, hypotheses
+from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 
 N, SD = 240, 0.05
@@ -69,6 +71,71 @@ def test_a_shift_of_a_column_is_found_whatever_size_is_tried(factor):
     assert found.findings[0].parameters[0].size.low < 0.4 < found.findings[0].parameters[0].size.high
 
 
+RIPPLE = "+ A*sin(2*pi*f*x)"
+
+
+def rippled(f, n=300):
+    """A straight line with a ripple of frequency f."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 10, n)
+    y = 1 + 0.3 * x + 0.1 * np.sin(2 * np.pi * f * x) + 0.05 * rng.standard_normal(n)
+    return pd.DataFrame({"x": x, "y": y})
+
+
+def search_ripple(f, highest):
+    cause = ssf.Cause("ripple", RIPPLE, "A, f", bounds={"f": (2.0, highest)})
+    return ssf.diagnose_table(rippled(f), "y ~ a + b*x", causes=[cause], gain=False, generic_causes=())
+
+
+@pytest.mark.parametrize("f", [2.3, 3.1, 3.9])
+def test_a_grid_is_as_fine_as_the_effect_asks_for(f):
+    """With the 9 places that a grid begins with, none of these is found."""
+    found = search_ripple(f, 4.0)
+    assert [finding.cause for finding in found.findings] == ["ripple"]
+    assert found.notes == ()
+
+
+def test_a_cause_that_asks_for_more_trials_than_there_may_be_says_so():
+    """What is looked for lies between two of the places, so that it would look absent."""
+    found = search_ripple(4.3, 1000.0)
+    assert found.findings == ()
+    (note,) = found.notes
+    assert "ripple has gaps" in note
+    assert "narrower bounds" in note
+    assert note in " ".join(found.summary().headline)
+    assert diagnosis_to_json(found)["notes"] == [note]
+
+
+class Root(FactorCause):
+    """A factor that is no number for rows whose theta is below its second parameter."""
+
+    name = "root"
+    phrase = "a root"
+    parameters = (CauseParameter("k", "%", "size"), CauseParameter("begin", "deg", "where it begins"))
+    null_values = (0.0, 0.0)
+    scale = (0.01, 1.0)
+    trial_values = ((0.01, -2.0), (0.01, -0.5), (0.01, 0.5))
+
+    def factor(self, state, values):
+        with np.errstate(invalid="ignore"):
+            return 1.0 + values[0] * np.sqrt(state.theta - values[1])
+
+
+class NoRoot(Root):
+    name = "no-root"
+    trial_values = ((0.01, 0.5),)
+
+
+def test_trials_whose_effects_are_no_numbers_are_told(table, read):
+    found = ssf.diagnose(read(table, "root.csv"), causes=[Root(), NoRoot()], gain=False)
+    (note,) = found.notes
+    assert note.startswith("2 of the 3 trials of root are left out")
+    assert note in found.summary().headline
+    assert "none of its trials" in found.untestable["no-root"]
+    assert found.inclusion["no-root"] is None
+    assert "root" not in found.untestable
+
+
 def failing(*arguments, **options):
     """What numpy does with a matrix now and then, and with one that is no number always."""
     raise np.linalg.LinAlgError("Eigenvalues did not converge")
@@ -79,6 +146,21 @@ def test_eigenvalues_that_do_not_converge_drop_a_trial(monkeypatch):
     assert make_hypothesis("cause", None, None, effects) is not None
     monkeypatch.setattr(np.linalg, "eigh", failing)
     assert make_hypothesis("cause", None, None, effects) is None
+
+
+def test_a_cause_whose_eigenvalues_do_not_converge_is_dropped_with_a_note(monkeypatch):
+    bases = ssf.Cause("two", "+ a*sin(x) + b*cos(x)", "a, b")
+    assert diagnose(stribeck(0.3), bases).untestable == {}
+    real = hypotheses.make_hypothesis
+
+    def failing_for_causes(cause, *arguments):
+        with monkeypatch.context() as patch:
+            if not cause.startswith("unknown"):
+                patch.setattr(np.linalg, "eigh", failing)
+            return real(cause, *arguments)
+
+    monkeypatch.setattr(hypotheses, "make_hypothesis", failing_for_causes)
+    assert "none of its trials" in diagnose(stribeck(0.3), bases).untestable["two"]
 
 
 def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):

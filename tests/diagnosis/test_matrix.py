@@ -141,8 +141,8 @@ def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
     found, problem = of_plan(GUIDE_CALIBRATION, ONE, 6)
     study = problem.linearize()
     by_name = {cause.name: cause for cause in problem.causes}
-    (one,) = build_candidates(study, compute_finite_effects(study, [by_name["drift"]]))
-    others = build_candidates(study, compute_finite_effects(study, [by_name["wear"]]))
+    (one,) = build_candidates(study, compute_finite_effects(study, [by_name["drift"]])).hypotheses
+    others = build_candidates(study, compute_finite_effects(study, [by_name["wear"]])).hypotheses
     rivals = np.concatenate([each.directions for each in others], axis=1)
     nearest = rivals[:, [np.argmax(np.abs(one.directions[:, 0] @ rivals))]]
     nearest *= np.sign(nearest.T @ one.directions)
@@ -170,7 +170,7 @@ def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     study = problem.linearize()
     shape = build_candidates(
         study, compute_finite_effects(study, [cause for cause in problem.causes if cause.name == "side-load"])
-    )[0]
+    ).hypotheses[0]
     rng = np.random.default_rng(5)
     seen = shape.directions[:, 0] * found.detectability("side-load").detection_strength
     first = assess_residuals(study, problem, N_BOOTSTRAP, rng)

@@ -42,15 +42,22 @@ class Remembered:
 NO_DIFFERENCE = ("progress", "command")  # to the numbers
 
 
-def remember[Result](function: Callable[..., Result]) -> Callable[..., Result]:
-    """The function, which gives for equal arguments the result that it gave first."""
+def remember[Result](function: Callable[..., Result], apart: str = "") -> Callable[..., Result]:
+    """The function, which gives for equal arguments the result that it gave first.
+
+    Not compared is the argument `apart`, which the function would make itself of the others.
+    """
     known: dict[str, Result] = {}
 
     @wraps(function)
     def call(*arguments: Any, **options: Any) -> Result:
         given = signature(function).bind(*arguments, **options)
         given.apply_defaults()
-        compared = {name: value for name, value in given.arguments.items() if name not in NO_DIFFERENCE}
+        compared = {
+            name: _plain(value)
+            for name, value in given.arguments.items()
+            if name not in (*NO_DIFFERENCE, apart)
+        }
         try:
             key = joblib.hash(compared)
         except PicklingError:  # a page's own class
@@ -60,6 +67,13 @@ def remember[Result](function: Callable[..., Result]) -> Callable[..., Result]:
         return known[key]
 
     return call
+
+
+def _plain(value: Any) -> Any:
+    """An argument as others may give it: a list for a tuple, none for an empty one."""
+    if not isinstance(value, list | tuple | dict):
+        return value
+    return None if not value else value if isinstance(value, dict) else tuple(value)
 
 
 def _files() -> dict[str, tuple[int, str]]:

@@ -16,7 +16,7 @@ ESTIMATORS = {
     "closed-form": fit_closed_form,
     "least-squares": fit_least_squares,
     "heavy-tailed": lambda log: fit_least_squares(log, likelihood=StudentT()),
-    "bayes": lambda log: fit_bayes(log, progress=False).result,
+    "bayes": lambda log: fit_bayes(log, target_ess=200, progress=False).result,
 }
 NUMBERS = ["estimate", "standard_error", "low", "high"]
 DAYS = ("2012-03-05", "2012-03-06")
@@ -168,8 +168,15 @@ def test_no_usable_traverse(fit, campaign):
         fit(campaign(DAYS[:1], CALIBRATION_3).assign(status="interrupted"))
 
 
-@pytest.mark.parametrize("factor", [0.1, 10.0])
-@pytest.mark.parametrize(("joint", "place"), [(3, 1), (2, 4)])
+@pytest.mark.parametrize(
+    ("joint", "place", "factor"),
+    [
+        (3, 1, 0.1),
+        (2, 4, 10.0),
+        pytest.param(3, 1, 10.0, marks=pytest.mark.nightly),
+        pytest.param(2, 4, 0.1, marks=pytest.mark.nightly),
+    ],
+)
 class TestACountWildlyOff:
     """The second of the calibration traverses, or one that calibrates nothing."""
 

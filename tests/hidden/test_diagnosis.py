@@ -30,8 +30,8 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
         ("q2-offset", "thesis"),
         ("recoil-axis", "session"),
         ("load-nonlinearity", "thesis"),
-        ("guide-gradient", "many"),
-        ("end-stop-latency", "many"),
+        pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),
+        ("end-stop-latency", "session"),
     ],
 )
 def test_a_hidden_cause_is_named(cause, design):
