@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from scipy.special import poch
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
 
 CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likelihoods: gross errors
@@ -151,7 +151,7 @@ class Residuals:
 def residuals_of(
     linearized: LinearizedFit, values: Array, scale: Array, drive: IntArray, share: Array
 ) -> Residuals:
-    """The residuals of a linearized fit, `values`, shape (n,), in units of `scale` as they are to be looked at.
+    """Residuals of a linearized fit: `values`, shape (n,), in units of another `scale`.
 
     `share` is as of `Residuals`; what all blocks of the fit have in common adds to it.
     """
@@ -230,7 +230,7 @@ def _part_of_session(session: npt.NDArray[np.integer]) -> npt.NDArray[np.integer
 
 
 def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
-    """Group of each row by ranges of a coordinate in each joint, with about as many rows in each, shape (n,)."""
+    """Group of each row by ranges of a coordinate in each joint, about as many rows in each; shape (n,)."""
     label = np.full(len(values), N_BINS)
     for number in np.unique(joint):
         own = (joint == number) & np.isfinite(values)
@@ -264,11 +264,12 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
         likely = [name for name, fit in fits.items() if fit.log_ratio > MIN_TRIAL_LOG_RATIO]
         likely.sort(key=lambda name: -fits[name].log_ratio)
         tests = {name: _refine(residuals, ratio, remaining[name], fits[name]) for name in likely[:MAX_TRIALS]}
-        best = max(tests, key=lambda name: tests[name][0], default=None)
-        if best is None or tests[best][0] < least:
+        clear = [name for name, test in tests.items() if test.log_ratio > least]
+        if not clear:
             break
+        best = max(clear, key=lambda name: tests[name].log_likelihood)
         del remaining[best]
-        sds = tests[best][1]
+        sds = tests[best].sds
         ratio = ratio * sds
         if sds.max() > MIN_RATIO * sds.min():
             carriers.append(best)
@@ -277,7 +278,7 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
 
 @dataclass(frozen=True, eq=False)
 class _SdFit:
-    """Standard deviations of m groups, free and as assumed: log likelihood at each of `TAIL_DF`, and estimates.
+    """Standard deviations of m groups, free and as assumed: log likelihood at each df, and estimates.
 
     The likelihoods are averages over the distributions of standard deviations.
     """
@@ -290,10 +291,19 @@ class _SdFit:
         return float(np.max(self.log_likelihood[0]) - np.max(self.log_likelihood[1]))
 
 
-def _refine(residuals: Residuals, ratio: Array, grouping: Grouping, fit: _SdFit) -> tuple[float, Array]:
-    """Log likelihood ratio of free standard deviations to ones as assumed, and each row's own.
+@dataclass(frozen=True, eq=False)
+class _Test:
+    """Free standard deviations against ones as assumed; likelihood and estimates are those of the former."""
 
-    Either weighs the rows by its own estimates. `ratio` is what the rows' noise is otherwise.
+    log_ratio: float
+    log_likelihood: float
+    sds: Array
+
+
+def _refine(residuals: Residuals, ratio: Array, grouping: Grouping, fit: _SdFit) -> _Test:
+    """Test standard deviations of groups in rows weighted by either hypothesis's own estimates.
+
+    `ratio`, shape (n,), is what the rows' noise is otherwise; the sds are for each row, too.
     """
     log_likelihood, sds = [], []
     for which in (0, 1):
@@ -302,16 +312,16 @@ def _refine(residuals: Residuals, ratio: Array, grouping: Grouping, fit: _SdFit)
             used = own.sds[which][grouping.labels]
             weighted = residuals.reweight(ratio * used)
             own = _fit_sds(_tabulate(weighted.standardized * used, weighted.free), grouping)
-        # The restricted likelihood of the estimates, as an average over the standard deviations that the rows allow.
+        # The restricted likelihood of the estimates, averaged over the standard deviations that rows allow.
         estimates = _log_densities(weighted.standardized) @ weighted.free - np.log(used) @ weighted.free
         restricted = _log_densities(weighted.left).sum(axis=1) + weighted.log_volume
         log_likelihood.append(np.max(restricted + own.log_likelihood[which] - estimates))
         sds.append(own.sds[which][grouping.labels])
-    return float(log_likelihood[0] - log_likelihood[1]), sds[0]
+    return _Test(float(log_likelihood[0] - log_likelihood[1]), float(log_likelihood[0]), sds[0])
 
 
 def _log_densities(z: Array) -> Array:
-    """Of noise with variance 1 and a few gross errors, at each of `TAIL_DF`; shape (len(TAIL_DF), *z.shape)."""
+    """Of noise with variance 1 and a few gross errors, one array for each of `TAIL_DF`."""
     scale = np.sqrt((np.array(TAIL_DF) - 2.0) / TAIL_DF)
     noise = [log_student_t(z / one, df) - np.log(one) for one, df in zip(scale, TAIL_DF, strict=True)]
     return contaminate(np.stack(noise), z)
@@ -339,7 +349,7 @@ def log_student_t(x: Array, df: float) -> Array:
 
 def _fit_sds(log_density: Array, grouping: Grouping) -> _SdFit:
     """Fit the distributions of standard deviations to a table of densities as of `_tabulate`, by EM."""
-    m, (n_tails, n, n_sds) = len(grouping.stratum), log_density.shape
+    m, (n_tails, n, _) = len(grouping.stratum), log_density.shape
     sums = csr_array((np.ones(n), (grouping.labels, np.arange(n))), shape=(m, n))
     log = np.stack([sums @ one for one in log_density])
     highest = log.max(axis=2, keepdims=True)
@@ -362,10 +372,10 @@ def _fit_sds(log_density: Array, grouping: Grouping) -> _SdFit:
 
 
 def _likely_windows(log: Array, steps: int) -> Array:
-    """Standard deviations that a distribution may have, shape (df, K, W): first all, then those within `steps`.
+    """Standard deviations that a distribution may have, shape (df, K, W): all, then those in some window.
 
-    `log`, shape (df, m, K), is the log likelihood of each group. With each at its best in a window, the likeliest
-    windows are taken.
+    `log`, shape (df, m, K), is the log likelihood of each group. Windows span `steps`; the likeliest are
+    taken, each group at its best in them.
     """
     reach = np.lib.stride_tricks.sliding_window_view(log, steps + 1, axis=2).max(axis=3).sum(axis=1)
     first, place = np.argsort(-reach, axis=1)[:, None, :MAX_WINDOWS], np.arange(log.shape[2])[:, None]
