@@ -15,6 +15,7 @@ NOISY = 2.0  # times the noise of the quietest session
 COMMON = {
     "configuration": "in some configurations",
     "range": "in some ranges of the travel",
+    "position": "in some places of the travel",
     "part of a session": "in some parts of the sessions",
 }
 

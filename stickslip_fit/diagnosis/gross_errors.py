@@ -55,7 +55,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     z, parts = fit_robustly(problem)
     same = np.zeros(len(problem), dtype=np.intp)
     residuals = Residuals(z, same, np.zeros((len(problem), 1)), same)
-    uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration))
+    uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration, residuals))
     ratio = np.maximum(uneven.ratio, 1.0)
     skewness = fit_skewness(z / ratio)
 

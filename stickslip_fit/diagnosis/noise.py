@@ -186,8 +186,8 @@ def _estimate_unevenness(
     error = np.sqrt(np.maximum((mean_square - mean**2) * rows / np.maximum(rows - 1, 1), 1.0) / rows)
     clear = (rows >= MIN_CELL_ROWS) & (np.abs(mean) > CLEAR_MEAN * error)
     within = (residuals.values - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
-    values = np.where(clear[cell], within, residuals.values)
-    return estimate_unevenness(replace(residuals, values=values), group_rows(linearized, kind))
+    residuals = replace(residuals, values=np.where(clear[cell], within, residuals.values))
+    return estimate_unevenness(residuals, group_rows(linearized, kind, residuals))
 
 
 def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:

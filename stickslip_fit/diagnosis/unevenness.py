@@ -14,7 +14,7 @@ with 5 degrees of freedom, with a few gross errors, under either hypothesis.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from scipy.sparse import csr_array
 from scipy.special import poch
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.proposed import POSITION
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
 
@@ -32,14 +33,15 @@ TAIL_DF = (5.0, 200.0)  # of Student t noise
 STEP = 0.125  # of the grid of standard deviations, in octaves
 RELATIVE_SDS = 2.0 ** np.arange(-3.0, 4.0 + STEP, STEP)
 STEPS_AS_ASSUMED = round(1.0 / STEP) + 1  # of this grid: a factor of two, wherever it lies
-MIN_RATIO = 2.0  # of the largest to the smallest standard deviation, for noise to be called uneven
 MIN_LOG_RATIO = 3.0  # nats over standard deviations as assumed, beside the log of the number of groupings
 MIN_TRIAL_LOG_RATIO, MAX_TRIALS, N_REWEIGHTS = 0.3, 3, 3  # of groupings that are looked at closely
 MAX_ROUNDS, EM_STEPS, MAX_WINDOWS = 3, 30, 2
 MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
-N_BINS, N_PARTS = 6, 3  # of a coordinate in each joint; of a session
+N_BINS, N_PARTS, N_STRETCHES = 6, 3, 8  # of a coordinate in each joint; of a session; of the travel
+PRIOR_ROWS, MIN_VARIANCE, MIN_LENGTH = 2.0, 1e-3, 1e-12
 MIN_GROUP_ROWS = 4  # on average; single rows that are far off are heavy tails
 MIN_FREE = 0.02  # of a row's information
+N_PROJECTIONS, MAX_PULL = 3, 3.0
 MAX_MEDIANS = 10.0  # of the absolute residuals, at which larger ones are clipped in standard deviations
 
 
@@ -106,30 +108,33 @@ class Residuals:
     def reweight(self, ratio: Array) -> WeightedResiduals:
         """What is left with weights for noise that is `ratio` times the usual, shape (n,).
 
-        Each drive's standard deviation is estimated anew.
+        Each drive's standard deviation is estimated anew. Gross errors draw the fit to themselves by no more
+        than `MAX_PULL` standard deviations would (P. J. Huber, Ann. Math. Stat. 35:73, 1964).
         """
         values, slopes = self.values / ratio, self.slopes / ratio[:, None]
-        sd = self._drive_sd(values)
-        for _ in range(2):
-            left, leverage, log_determinant = self._project(values / sd, slopes / sd[:, None])
+        sd, weight = self._drive_sd(values), np.ones(len(values))
+        for _ in range(N_PROJECTIONS):
+            left, leverage, log_determinant = self._project(values / sd, slopes / sd[:, None], weight)
             free = np.maximum(1.0 - leverage - self.share, MIN_FREE)
             sd = sd * (change := self._drive_sd(left / np.sqrt(free)))
+            weight = np.minimum(1.0, MAX_PULL / np.maximum(np.abs(left / change), MAX_PULL))
         left = left / change
         log_determinant -= float(np.log(change) @ leverage)
         return WeightedResiduals(
             ratio, left, left / np.sqrt(free), free, -float(np.sum(np.log(ratio * sd))) - log_determinant
         )
 
-    def _project(self, values: Array, slopes: Array) -> tuple[Array, Array, float]:
-        """Values without their least-squares fit in each block, leverages, and half the log determinant."""
+    def _project(self, values: Array, slopes: Array, weight: Array) -> tuple[Array, Array, float]:
+        """Values without their weighted fit in each block, leverages, and half the log determinant."""
         n, width = slopes.shape
-        products = (slopes[:, :, None] * slopes[:, None, :]).reshape(n, -1)
+        weighted = slopes * weight[:, None]
+        products = (weighted[:, :, None] * slopes[:, None, :]).reshape(n, -1)
         gram = (self._sums @ products).reshape(-1, width, width)
         places = np.arange(width)
         gram[:, places, places] += gram[:, places, places] == 0  # of blocks with fewer parameters
         inverse = np.linalg.inv(gram)
-        fitted = np.einsum("bij,bj->bi", inverse, self._sums @ (slopes * values[:, None]))
-        leverage = np.einsum("ni,nij,nj->n", slopes, inverse[self.block], slopes)
+        fitted = np.einsum("bij,bj->bi", inverse, self._sums @ (weighted * values[:, None]))
+        leverage = np.einsum("ni,nij,nj->n", weighted, inverse[self.block], slopes)
         left = values - np.sum(slopes * fitted[self.block], axis=1)
         return left, leverage, 0.5 * float(np.sum(np.linalg.slogdet(gram)[1]))
 
@@ -189,7 +194,9 @@ class WeightedResiduals:
     log_volume: float
 
 
-def group_rows(linearized: LinearizedFit, configuration: IntArray) -> dict[str, Grouping]:
+def group_rows(
+    linearized: LinearizedFit, configuration: IntArray, residuals: Residuals
+) -> dict[str, Grouping]:
     """Groupings of rows within which the noise may be larger, by what the rows of a group have in common."""
     rows, n = linearized.rows, len(linearized)
     session = pd.factorize(rows["session"].astype(object))[0]
@@ -201,6 +208,7 @@ def group_rows(linearized: LinearizedFit, configuration: IntArray) -> dict[str, 
         labels["range"] = np.unique(np.column_stack([joint, ends]), axis=0, return_inverse=True)[1].ravel()
         for carrier in find_carriers(linearized):
             labels[carrier.name] = _bin(traverse_average(carrier.values[:, :, None])[:, 0], joint)
+        labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)
     groupings = {
         "session": _make_grouping(session, everywhere, 0),
         "part of a session": _make_grouping(session * N_PARTS + _part_of_session(session), everywhere),
@@ -242,6 +250,28 @@ def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.intege
     return label + (N_BINS + 1) * joint
 
 
+def _estimate_local_sds(ends: Array, joint: npt.NDArray[np.integer], residuals: Residuals) -> Array:
+    """Standard deviation of each row, (n,): its variance is the average of local ones between its ends, (n, 2).
+
+    The local ones are the likeliest under Student's t (the iteration is that of A. Fevotte, N. Bertin and
+    J.-L. Durrieu, Neural Comput. 21:793, 2009), drawn towards 1 as by `PRIOR_ROWS` rows.
+    """
+    weighted, sds, df = residuals.reweight(np.ones(len(residuals))), np.ones(len(residuals)), TAIL_DF[0]
+    for number in np.unique(joint):
+        own = joint == number
+        edges = np.linspace(ends[own].min(), ends[own].max(), N_STRETCHES + 1)
+        inside = np.minimum(ends[own][:, 1:], edges[1:]) - np.maximum(ends[own][:, :1], edges[:-1])
+        share = np.maximum(inside, 0.0) / np.maximum(np.ptp(ends[own], axis=1), MIN_LENGTH)[:, None]
+        squares, free, local = weighted.standardized[own] ** 2, weighted.free[own], np.ones(N_STRETCHES)
+        for _ in range(EM_STEPS):
+            variance = np.maximum(share @ local, MIN_VARIANCE)
+            usual = (df + 1.0) / (df - 2.0 + squares / variance) * squares / variance
+            above = share.T @ (free * usual / variance) + PRIOR_ROWS / local**2
+            local = local * above / (share.T @ (free / variance) + PRIOR_ROWS / local)
+        sds[own] = np.sqrt(share @ local)
+    return sds
+
+
 def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping]) -> Unevenness:
     """Estimate by how much noise differs between groups, where that is clearly more than assumed.
 
@@ -268,11 +298,12 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
         if not clear:
             break
         best = max(clear, key=lambda name: tests[name].log_likelihood)
-        del remaining[best]
-        sds = tests[best].sds
-        ratio = ratio * sds
-        if sds.max() > MIN_RATIO * sds.min():
+        test, grouping = tests[best], remaining.pop(best)
+        if grouping.steps != STEPS_AS_ASSUMED:
+            test = _refine(residuals, ratio, replace(grouping, steps=STEPS_AS_ASSUMED), fits[best])
+        if test.log_ratio > least:
             carriers.append(best)
+        ratio = ratio * test.sds
     return Unevenness(ratio / np.exp(np.mean(np.log(ratio))), tuple(carriers))
 
 
