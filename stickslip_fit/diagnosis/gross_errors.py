@@ -54,7 +54,9 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
         return nothing
     z, parts = fit_robustly(problem)
     same = np.zeros(len(problem), dtype=np.intp)
-    residuals = Residuals(z, same, np.zeros((len(problem), 1)), same)
+    skewness = fit_skewness(z)
+    symmetric = z if skewness is None else skewness.symmetrize(z)
+    residuals = Residuals(symmetric, same, np.zeros((len(problem), 1)), same)
     uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration, residuals))
     ratio = np.maximum(uneven.ratio, 1.0)
     skewness = fit_skewness(z / ratio)

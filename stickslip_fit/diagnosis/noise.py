@@ -20,6 +20,7 @@ from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
+    Residuals,
     Unevenness,
     estimate_unevenness,
     group_rows,
@@ -163,7 +164,11 @@ def estimate_noise(
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
-        uneven = _estimate_unevenness(linearized, left, scale, drive, kind)
+        residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
+        if skewness := fit_skewness(standardized):
+            symmetric = skewness.symmetrize(standardized) * np.sqrt(free)
+            residuals = replace(residuals, values=symmetric)
+        uneven = _estimate_unevenness(linearized, residuals, cell, kind)
         skewness = fit_skewness(standardized / uneven.ratio)
     noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
     ratio = uneven.ratio * noisy.ratio
@@ -176,11 +181,10 @@ def estimate_noise(
 
 
 def _estimate_unevenness(
-    linearized: LinearizedFit, left: StructureRemoved, scale: Array, drive: IntArray, kind: IntArray
+    linearized: LinearizedFit, residuals: Residuals, cell: IntArray, kind: IntArray
 ) -> Unevenness:
     """From residuals without the means of replicates that are beyond chance: effects, not noise."""
-    residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
-    cell, size = kind * (drive.max() + 1) + drive, np.clip(residuals.values, -CLIP_SD, CLIP_SD)
+    size = np.clip(residuals.values, -CLIP_SD, CLIP_SD)
     rows = np.maximum(np.bincount(cell), 1)
     mean, mean_square = np.bincount(cell, size) / rows, np.bincount(cell, size**2) / rows
     error = np.sqrt(np.maximum((mean_square - mean**2) * rows / np.maximum(rows - 1, 1), 1.0) / rows)

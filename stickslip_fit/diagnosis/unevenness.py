@@ -62,6 +62,20 @@ class Grouping:
     stratum: IntArray
     steps: int = STEPS_AS_ASSUMED
 
+    def sum(self, table: Array) -> Array:
+        """Sums over the rows of each group, (D, n, K) -> (D, m, K)."""
+        return np.stack([self._sums @ one for one in table])
+
+    @cached_property
+    def strata(self) -> list[IntArray]:
+        """The groups of each stratum."""
+        return [np.flatnonzero(self.stratum == one) for one in np.unique(self.stratum)]
+
+    @cached_property
+    def _sums(self) -> csr_array:
+        n = len(self.labels)
+        return csr_array((np.ones(n), (self.labels, np.arange(n))), shape=(len(self.stratum), n))
+
 
 @dataclass(frozen=True, eq=False)
 class Unevenness:
@@ -251,7 +265,7 @@ def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.intege
 
 
 def _estimate_local_sds(ends: Array, joint: npt.NDArray[np.integer], residuals: Residuals) -> Array:
-    """Standard deviation of each row, (n,): its variance is the average of local ones between its ends, (n, 2).
+    """Standard deviation of each row, (n,): its variance averages local ones between its ends, (n, 2).
 
     The local ones are the likeliest under Student's t (the iteration is that of A. Fevotte, N. Bertin and
     J.-L. Durrieu, Neural Comput. 21:793, 2009), drawn towards 1 as by `PRIOR_ROWS` rows.
@@ -290,7 +304,12 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
     for _ in range(MAX_ROUNDS):
         weighted = residuals.reweight(ratio)
         log_density = _tabulate(weighted.standardized, weighted.free)
-        fits = {name: _fit_sds(log_density, grouping) for name, grouping in remaining.items()}
+        tables = {name: grouping.sum(log_density) for name, grouping in remaining.items()}
+        fits = {
+            name: _fit_sds(table, remaining[name])
+            for name, table in tables.items()
+            if _largest_gain(table, remaining[name]) > MIN_TRIAL_LOG_RATIO
+        }
         likely = [name for name, fit in fits.items() if fit.log_ratio > MIN_TRIAL_LOG_RATIO]
         likely.sort(key=lambda name: -fits[name].log_ratio)
         tests = {name: _refine(residuals, ratio, remaining[name], fits[name]) for name in likely[:MAX_TRIALS]}
@@ -342,7 +361,8 @@ def _refine(residuals: Residuals, ratio: Array, grouping: Grouping, fit: _SdFit)
         for _ in range(N_REWEIGHTS):
             used = own.sds[which][grouping.labels]
             weighted = residuals.reweight(ratio * used)
-            own = _fit_sds(_tabulate(weighted.standardized * used, weighted.free), grouping)
+            table = grouping.sum(_tabulate(weighted.standardized * used, weighted.free))
+            own = _fit_sds(table, grouping)
         # The restricted likelihood of the estimates, averaged over the standard deviations that rows allow.
         estimates = _log_densities(weighted.standardized) @ weighted.free - np.log(used) @ weighted.free
         restricted = _log_densities(weighted.left).sum(axis=1) + weighted.log_volume
@@ -378,25 +398,35 @@ def log_student_t(x: Array, df: float) -> Array:
     return constant - (df + 1.0) / 2.0 * np.log1p(x**2 / df)
 
 
-def _fit_sds(log_density: Array, grouping: Grouping) -> _SdFit:
-    """Fit the distributions of standard deviations to a table of densities as of `_tabulate`, by EM."""
-    m, (n_tails, n, _) = len(grouping.stratum), log_density.shape
-    sums = csr_array((np.ones(n), (grouping.labels, np.arange(n))), shape=(m, n))
-    log = np.stack([sums @ one for one in log_density])
+def _largest_gain(log: Array, grouping: Grouping) -> float:
+    """Log likelihood ratio of free standard deviations to ones as assumed, each group at its best."""
+    free = log.max(axis=2).sum(axis=1)
+    limited = sum(_reach(log[:, groups], grouping.steps).max(axis=1) for groups in grouping.strata)
+    return float(np.max(free) - np.max(limited))
+
+
+def _reach(log: Array, steps: int) -> Array:
+    """Log likelihood of all groups, each at its best in a window of so many steps, shape (D, windows)."""
+    windows = np.lib.stride_tricks.sliding_window_view(log, steps + 1, axis=2)
+    return np.asarray(windows.max(axis=3).sum(axis=1))
+
+
+def _fit_sds(log: Array, grouping: Grouping) -> _SdFit:
+    """Fit the distributions of standard deviations to the groups' log likelihood, (D, m, K), by EM."""
+    n_tails = len(log)
     highest = log.max(axis=2, keepdims=True)
     likelihood = np.maximum(np.exp(log - highest), MIN_LIKELIHOOD)
     total, posterior = np.zeros((2, n_tails)) + highest.sum(axis=(1, 2)), np.empty((2, *log.shape))
-    for stratum in np.unique(grouping.stratum):
-        rows = np.flatnonzero(grouping.stratum == stratum)
-        allowed = _likely_windows(log[:, rows], grouping.steps)
-        weight, own = allowed / allowed.sum(axis=1, keepdims=True), likelihood[:, rows]
+    for groups in grouping.strata:
+        allowed = _likely_windows(log[:, groups], grouping.steps)
+        weight, own = allowed / allowed.sum(axis=1, keepdims=True), likelihood[:, groups]
         turned = own.transpose(0, 2, 1)
         for _ in range(EM_STEPS):
-            weight = weight * (turned @ (1.0 / (own @ weight))) / len(rows)
+            weight = weight * (turned @ (1.0 / (own @ weight))) / len(groups)
         value = np.log(own @ weight).sum(axis=1)
         for which, window in enumerate((np.zeros(n_tails, dtype=np.intp), 1 + value[:, 1:].argmax(axis=1))):
             total[which] += value[np.arange(n_tails), window]
-            posterior[which][:, rows] = own * weight[np.arange(n_tails), :, window][:, None]
+            posterior[which][:, groups] = own * weight[np.arange(n_tails), :, window][:, None]
     best = [each[np.argmax(value)] for each, value in zip(posterior, total, strict=True)]
     sds = [1.0 / np.sqrt(each @ RELATIVE_SDS**-2.0 / each.sum(axis=1)) for each in best]
     return _SdFit((total[0], total[1]), (sds[0], sds[1]))
@@ -408,7 +438,9 @@ def _likely_windows(log: Array, steps: int) -> Array:
     `log`, shape (df, m, K), is the log likelihood of each group. Windows span `steps`; the likeliest are
     taken, each group at its best in them.
     """
-    reach = np.lib.stride_tricks.sliding_window_view(log, steps + 1, axis=2).max(axis=3).sum(axis=1)
-    first, place = np.argsort(-reach, axis=1)[:, None, :MAX_WINDOWS], np.arange(log.shape[2])[:, None]
+    first, place = (
+        np.argsort(-_reach(log, steps), axis=1)[:, None, :MAX_WINDOWS],
+        np.arange(log.shape[2])[:, None],
+    )
     inside = (place >= first) & (place <= first + steps)
     return np.concatenate([np.ones((len(log), len(place), 1)), inside], axis=2)
