@@ -34,6 +34,7 @@ STEP = 0.125  # of the grid of standard deviations, in octaves
 RELATIVE_SDS = 2.0 ** np.arange(-3.0, 4.0 + STEP, STEP)
 STEPS_AS_ASSUMED = round(1.0 / STEP) + 1  # of this grid: a factor of two, wherever it lies
 MIN_LOG_RATIO = 3.0  # nats over standard deviations as assumed, beside the log of the number of groupings
+MIN_TWICE_LOG_RATIO = 1.0  # the same where it is clear that sessions differ, but not that by a factor of two
 MIN_TRIAL_LOG_RATIO, MAX_TRIALS, N_REWEIGHTS = 0.3, 3, 3  # of groupings that are looked at closely
 MAX_ROUNDS, EM_STEPS, MAX_WINDOWS = 3, 30, 2
 MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
@@ -320,7 +321,7 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
         test, grouping = tests[best], remaining.pop(best)
         if grouping.steps != STEPS_AS_ASSUMED:
             test = _refine(residuals, ratio, replace(grouping, steps=STEPS_AS_ASSUMED), fits[best])
-        if test.log_ratio > least:
+        if test.log_ratio > MIN_TWICE_LOG_RATIO:
             carriers.append(best)
         ratio = ratio * test.sds
     return Unevenness(ratio / np.exp(np.mean(np.log(ratio))), tuple(carriers))
