@@ -193,10 +193,13 @@ class StructureRemoved:
     residual : array, shape (n,)
     leverage : array, shape (n,)
         Share of each row's noise that was subtracted with the structure.
+    log_evidence : float
+        Log Bayes factor of what was subtracted.
     """
 
     residual: Array
     leverage: Array
+    log_evidence: float = 0.0
 
 
 def remove_structure(
@@ -208,11 +211,12 @@ def remove_structure(
     if log_evidence[best] < MIN_LOG_BAYES_FACTOR:
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
-        return StructureRemoved(residual - shape.shape(residual), zeros)
+        return StructureRemoved(residual - shape.shape(residual), zeros, float(log_evidence[best]))
     along = shape.coefficients(residual)
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
     kept = strength**2 * shape.prior_share / (1.0 + strength**2 * shape.prior_share)
-    return StructureRemoved(residual - shape.combine(kept * along), shape.leverage(kept))
+    left = residual - shape.combine(kept * along)
+    return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
 
 
 @dataclass(frozen=True, eq=False)

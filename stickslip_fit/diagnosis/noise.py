@@ -20,7 +20,6 @@ from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
-    Residuals,
     Unevenness,
     estimate_unevenness,
     group_rows,
@@ -164,11 +163,12 @@ def estimate_noise(
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
-        residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
-        if skewness := fit_skewness(standardized):
-            symmetric = skewness.symmetrize(standardized) * np.sqrt(free)
-            residuals = replace(residuals, values=symmetric)
-        uneven = _estimate_unevenness(linearized, residuals, cell, kind)
+        uneven = _estimate_unevenness(linearized, left, scale, drive, kind)
+        if left.log_evidence > 0:  # what looks like structure may be where the noise is large
+            whole = StructureRemoved(linearized.residual, np.zeros(len(deviation)))
+            alone = _estimate_unevenness(linearized, whole, scale, drive, kind)
+            if alone.log_ratio > uneven.log_ratio + left.log_evidence:
+                uneven = alone
         skewness = fit_skewness(standardized / uneven.ratio)
     noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
     ratio = uneven.ratio * noisy.ratio
@@ -181,10 +181,14 @@ def estimate_noise(
 
 
 def _estimate_unevenness(
-    linearized: LinearizedFit, residuals: Residuals, cell: IntArray, kind: IntArray
+    linearized: LinearizedFit, left: StructureRemoved, scale: Array, drive: IntArray, kind: IntArray
 ) -> Unevenness:
-    """From residuals without the means of replicates that are beyond chance: effects, not noise."""
-    size = np.clip(residuals.values, -CLIP_SD, CLIP_SD)
+    """From symmetrized residuals without means of replicates that are beyond chance: effects, not noise."""
+    residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
+    free = np.sqrt(np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE))
+    if skewness := fit_skewness(residuals.values / free):
+        residuals = replace(residuals, values=free * skewness.symmetrize(residuals.values / free))
+    cell, size = kind * (drive.max() + 1) + drive, np.clip(residuals.values, -CLIP_SD, CLIP_SD)
     rows = np.maximum(np.bincount(cell), 1)
     mean, mean_square = np.bincount(cell, size) / rows, np.bincount(cell, size**2) / rows
     error = np.sqrt(np.maximum((mean_square - mean**2) * rows / np.maximum(rows - 1, 1), 1.0) / rows)

@@ -88,10 +88,13 @@ class Unevenness:
         Of each row's standard deviation to that of all rows; 1 where the noise is as assumed.
     carriers : tuple of str
         What rows with more than twice the noise of others have in common, by the name of the grouping.
+    log_ratio : float
+        Log likelihood ratio to noise as assumed.
     """
 
     ratio: Array
     carriers: tuple[str, ...] = ()
+    log_ratio: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +304,7 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
     (('session',), 5)
     """
     ratio, carriers, remaining = np.ones(len(residuals)), [], dict(groupings)
-    least = MIN_LOG_RATIO + np.log(max(len(groupings), 1))
+    log_ratio, least = 0.0, MIN_LOG_RATIO + np.log(max(len(groupings), 1))
     for _ in range(MAX_ROUNDS):
         weighted = residuals.reweight(ratio)
         log_density = _tabulate(weighted.standardized, weighted.free)
@@ -319,12 +322,13 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
             break
         best = max(clear, key=lambda name: tests[name].log_likelihood)
         test, grouping = tests[best], remaining.pop(best)
+        log_ratio += test.log_ratio
         if grouping.steps != STEPS_AS_ASSUMED:
             test = _refine(residuals, ratio, replace(grouping, steps=STEPS_AS_ASSUMED), fits[best])
         if test.log_ratio > MIN_TWICE_LOG_RATIO:
             carriers.append(best)
         ratio = ratio * test.sds
-    return Unevenness(ratio / np.exp(np.mean(np.log(ratio))), tuple(carriers))
+    return Unevenness(ratio / np.exp(np.mean(np.log(ratio))), tuple(carriers), log_ratio)
 
 
 @dataclass(frozen=True, eq=False)
