@@ -41,6 +41,7 @@ MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
+MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
 CLEAR_MEAN = 3.0  # standard errors of a mean that is no noise
 # Outliers
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
@@ -167,7 +168,7 @@ def estimate_noise(
         if left.log_evidence > 0:  # what looks like structure may be where the noise is large
             whole = StructureRemoved(linearized.residual, np.zeros(len(deviation)))
             alone = _estimate_unevenness(linearized, whole, scale, drive, kind)
-            if alone.log_ratio > uneven.log_ratio + left.log_evidence:
+            if alone.log_ratio > uneven.log_ratio + left.log_evidence + MIN_UNEVEN_LOG_ODDS:
                 uneven = alone
         skewness = fit_skewness(standardized / uneven.ratio)
     noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
