@@ -178,7 +178,7 @@ def residuals_of(
 
     `share` is as of `Residuals`; what all blocks of the fit have in common adds to it.
     """
-    slopes = np.zeros((len(linearized), max(columns.shape[1] for _, columns in linearized.blocks)))
+    slopes = np.zeros((len(linearized), max([1, *(columns.shape[1] for _, columns in linearized.blocks)])))
     block = np.zeros(len(linearized), dtype=np.intp)
     for number, (rows, columns) in enumerate(linearized.blocks):
         slopes[rows, : columns.shape[1]], block[rows] = columns, number
@@ -301,7 +301,7 @@ def estimate_unevenness(residuals: Residuals, groupings: Mapping[str, Grouping])
     >>> residuals = Residuals(noise, everywhere, np.zeros((300, 1)), everywhere)
     >>> found = estimate_unevenness(residuals, {"session": Grouping(session, np.zeros(3, dtype=int), 0)})
     >>> found.carriers, float(round(found.ratio[-1] / found.ratio[0]))
-    (('session',), 5)
+    (('session',), 5.0)
     """
     ratio, carriers, remaining = np.ones(len(residuals)), [], dict(groupings)
     log_ratio, least = 0.0, MIN_LOG_RATIO + np.log(max(len(groupings), 1))
