@@ -18,8 +18,8 @@ The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weig
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). Where the noise was
-found heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
-tests in this order.
+found heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does
+both tests in this order.
 """
 
 from __future__ import annotations
