@@ -6,12 +6,18 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import join_words
+from stickslip_fit.diagnosis._unknown_summary import name_carrier
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
 NOISY = 2.0  # times the noise of the quietest session
-COMMON = {"configuration": "in some configurations", "stretch": "in some places of the travel"}
+COMMON = {
+    "configuration": "in some configurations",
+    "range": "in some ranges of the travel",
+    "position": "in some places of the travel",
+    "part of a session": "in some parts of the sessions",
+}
 
 
 def describe_noise(diagnosis: Diagnosis) -> list[str]:
@@ -35,7 +41,8 @@ def _describe_unevenness(problem: DiagnosisProblem, carrier: str) -> str:
     ratio = pd.Series(problem.noise_ratio)
     if carrier != "session":
         size = float(ratio.quantile(0.98) / ratio.quantile(0.02))
-        return f"it is up to {size:.0f} times as large {COMMON[carrier]} as in others"
+        where = COMMON.get(carrier, f"at some values of {name_carrier(carrier)}")
+        return f"it is up to {size:.0f} times as large {where} as {where[:2]} others"
     by_session = ratio.groupby(problem.rows["session"].to_numpy(object)).median()
     noisy = by_session[by_session > NOISY * by_session.min()]
     quiet = float(by_session[by_session <= NOISY * by_session.min()].median())

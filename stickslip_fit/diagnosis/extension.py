@@ -84,7 +84,8 @@ def assess_residuals(
     if effects is None:
         causes = [cause for cause in problem.causes if cause.name not in without]
         effects = compute_finite_effects(linearized, causes)
-    factor = SELECTION_FACTOR if problem.trimmed or np.any(problem.noise_ratio != 1) else 1
+    chosen = problem.trimmed or problem.skewness is not None or np.any(problem.noise_ratio != 1)
+    factor = SELECTION_FACTOR if chosen else 1
     alternatives = attribute_to_causes(problem.alternatives(linearized), problem.causes, without)
     candidates = build_candidates(linearized, effects)
     misfit = compute_misfit(

@@ -21,10 +21,11 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
-from stickslip_fit.diagnosis.noise_shape import estimate_unevenness, fit_skewness, group_rows
+from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
+from stickslip_fit.diagnosis.unevenness import Residuals, estimate_unevenness, group_rows
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale
@@ -48,10 +49,15 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     blocks = [len(np.unique(part.block)) for part in problem.parts]
     if len(problem) - problem.n_shared - int(np.dot(widths, blocks)) < MIN_DF:
         return nothing
-    if fits_exactly(problem.linearize()):
+    linearized = problem.linearize()
+    if fits_exactly(linearized):
         return nothing
     z, parts = fit_robustly(problem)
-    uneven = estimate_unevenness(z, group_rows(problem.rows, problem.configuration))
+    same = np.zeros(len(problem), dtype=np.intp)
+    skewness = fit_skewness(z)
+    symmetric = z if skewness is None else skewness.symmetrize(z)
+    residuals = Residuals(symmetric, same, np.zeros((len(problem), 1)), same)
+    uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration, residuals))
     ratio = np.maximum(uneven.ratio, 1.0)
     skewness = fit_skewness(z / ratio)
 

@@ -19,8 +19,8 @@ The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weig
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). Where the noise was
-found heteroscedastic from the same residuals, that share is doubled. `selection.select_causes` does both
-tests in this order.
+found heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does
+both tests in this order.
 """
 
 from __future__ import annotations
@@ -194,10 +194,13 @@ class StructureRemoved:
     residual : array, shape (n,)
     leverage : array, shape (n,)
         Share of each row's noise that was subtracted with the structure.
+    log_evidence : float
+        Log Bayes factor of what was subtracted.
     """
 
     residual: Array
     leverage: Array
+    log_evidence: float = 0.0
 
 
 def remove_structure(
@@ -209,11 +212,12 @@ def remove_structure(
     if log_evidence[best] < MIN_LOG_BAYES_FACTOR:
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
-        return StructureRemoved(residual - shape.shape(residual), zeros)
+        return StructureRemoved(residual - shape.shape(residual), zeros, float(log_evidence[best]))
     along = shape.coefficients(residual)
     strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
     kept = strength**2 * shape.prior_share / (1.0 + strength**2 * shape.prior_share)
-    return StructureRemoved(residual - shape.combine(kept * along), shape.leverage(kept))
+    left = residual - shape.combine(kept * along)
+    return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,22 +9,22 @@ residuals allows (R. L. Berger and D. D. Boos, J. Am. Stat. Assoc. 89:1012, 1994
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import chdtrc, poch, stdtrit
+from scipy.special import chdtrc, stdtrit
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
-from stickslip_fit.diagnosis.noise_shape import (
-    Skewness,
+from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
+from stickslip_fit.diagnosis.unevenness import (
     Unevenness,
     estimate_unevenness,
-    fit_skewness,
     group_rows,
+    log_student_t,
+    residuals_of,
 )
 
 # Heteroscedasticity
@@ -41,6 +41,8 @@ MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
+MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
+CLEAR_MEAN = 3.0  # standard errors of a mean that is no noise
 # Outliers
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
 MAX_TAIL_LOG_RATIO = 6.0  # nats below the best, for a df to be allowed
@@ -111,8 +113,8 @@ def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heterosceda
 def _log_likelihood(deviation: Array, sd: float, df: float, kind: IntArray) -> Array:
     """Log likelihood of each configuration's residuals under Student t noise, with a Cauchy component."""
     scale = sd * np.sqrt((df - 2.0) / df)
-    noise = _log_student_t(deviation / scale, df) - np.log(scale)
-    cauchy = _log_student_t(deviation / OUTLIER_SCALE, 1.0) - np.log(OUTLIER_SCALE)
+    noise = log_student_t(deviation / scale, df) - np.log(scale)
+    cauchy = log_student_t(deviation / OUTLIER_SCALE, 1.0) - np.log(OUTLIER_SCALE)
     return np.bincount(kind, np.logaddexp(np.log1p(-OUTLIER_SHARE) + noise, np.log(OUTLIER_SHARE) + cauchy))
 
 
@@ -162,7 +164,12 @@ def estimate_noise(
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
-        uneven = _estimate_unevenness(standardized, cell, group_rows(linearized.rows, kind))
+        uneven = _estimate_unevenness(linearized, left, scale, drive, kind)
+        if left.log_evidence > 0:  # what looks like structure may be where the noise is large
+            whole = StructureRemoved(linearized.residual, np.zeros(len(deviation)))
+            alone = _estimate_unevenness(linearized, whole, scale, drive, kind)
+            if alone.log_ratio > uneven.log_ratio + left.log_evidence + MIN_UNEVEN_LOG_ODDS:
+                uneven = alone
         skewness = fit_skewness(standardized / uneven.ratio)
     noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
     ratio = uneven.ratio * noisy.ratio
@@ -174,25 +181,29 @@ def estimate_noise(
     return NoiseEstimate(sd, noisy, uneven, skewness)
 
 
-def _estimate_unevenness(deviation: Array, cell: IntArray, groupings: Mapping[str, IntArray]) -> Unevenness:
-    """From deviations from the means of replicates, which weigh rows as noisy as they are."""
-    first = estimate_unevenness(_subtract_cell_means(deviation, cell), groupings)
-    if np.all(first.ratio == 1.0):
-        return first
-    within = first.ratio * _subtract_cell_means(deviation / first.ratio, cell, first.ratio)
-    return estimate_unevenness(within, groupings)
+def _estimate_unevenness(
+    linearized: LinearizedFit, left: StructureRemoved, scale: Array, drive: IntArray, kind: IntArray
+) -> Unevenness:
+    """From symmetrized residuals without means of replicates that are beyond chance: effects, not noise."""
+    residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
+    free = np.sqrt(np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE))
+    if skewness := fit_skewness(residuals.values / free):
+        residuals = replace(residuals, values=free * skewness.symmetrize(residuals.values / free))
+    cell, size = kind * (drive.max() + 1) + drive, np.clip(residuals.values, -CLIP_SD, CLIP_SD)
+    rows = np.maximum(np.bincount(cell), 1)
+    mean, mean_square = np.bincount(cell, size) / rows, np.bincount(cell, size**2) / rows
+    error = np.sqrt(np.maximum((mean_square - mean**2) * rows / np.maximum(rows - 1, 1), 1.0) / rows)
+    clear = (rows >= MIN_CELL_ROWS) & (np.abs(mean) > CLEAR_MEAN * error)
+    within = (residuals.values - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
+    residuals = replace(residuals, values=np.where(clear[cell], within, residuals.values))
+    return estimate_unevenness(residuals, group_rows(linearized, kind, residuals))
 
 
-def _subtract_cell_means(deviation: Array, cell: IntArray, ratio: Array | float = 1.0) -> Array:
-    """Deviations from the mean of replicates, so that a systematic effect does not count as noise.
-
-    They are in units of each row's noise, which is `ratio` times the usual.
-    """
-    rows, size = np.bincount(cell), np.broadcast_to(ratio, deviation.shape)
-    weight = np.bincount(cell, size**-2.0)
-    mean = np.bincount(cell, np.clip(deviation, -CLIP_SD, CLIP_SD) / size) / np.where(weight > 0, weight, 1.0)
-    free = 1.0 - size**-2.0 / weight[cell]
-    within = (deviation - mean[cell] / size) / np.sqrt(np.where(free > 0, free, 1.0))
+def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:
+    """Deviations from the mean of replicates, so that a systematic effect does not count as noise."""
+    rows = np.bincount(cell)
+    mean = np.bincount(cell, np.clip(deviation, -CLIP_SD, CLIP_SD)) / np.maximum(rows, 1)
+    within = (deviation - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
     return np.where(rows[cell] >= MIN_CELL_ROWS, within, deviation)
 
 
@@ -313,12 +324,7 @@ def _scale_by_median(deviation: Array, drive: IntArray) -> Array:
 
 def _log_density(deviation: Array, unit: float, df: float) -> Array:
     """Of the absolute value of Student's t over `unit`."""
-    return np.log(2.0 * unit) + _log_student_t(deviation * unit, df)
-
-
-def _log_student_t(x: Array, df: float) -> Array:
-    constant = float(np.log(poch(0.5 * df, 0.5)) - 0.5 * np.log(np.pi * df))
-    return constant - (df + 1.0) / 2.0 * np.log1p((x / np.sqrt(df)) ** 2)
+    return np.log(2.0 * unit) + log_student_t(deviation * unit, df)
 
 
 def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, Array]]:

@@ -6,8 +6,8 @@
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
 4. `hypotheses`: what could be wrong, each as a subspace of effects; `alternatives` without a cause
    (`smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
-5. `noise`: repeatability, noisy configurations, outlying counts; `noise_shape`: uneven, skewed or coarsely
-   rounded noise.
+5. `noise`: repeatability, noisy configurations, outlying counts; `unevenness`: where noise is many times
+   larger; `noise_shape`: skewed or coarsely rounded noise.
 6. `misfit`: is anything wrong? Bayes factors and the p-value.
 7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
    cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests

@@ -1,4 +1,4 @@
-"""Noise that is uneven, skewed or coarsely rounded is seen where it is clear, and nowhere else."""
+"""Noise that is skewed or coarsely rounded is seen where it is clear, and nowhere else."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 
 from stickslip_fit.diagnosis.noise_shape import (
     Quantization,
-    estimate_unevenness,
     find_count_spacing,
     fit_skewness,
 )
@@ -15,7 +14,6 @@ from stickslip_fit.diagnosis.noise_shape import (
 N, SESSIONS, KINDS = 480, 4, 40
 SESSION = np.arange(N) * SESSIONS // N
 KIND = np.arange(N) % KINDS
-GROUPINGS = {"session": SESSION, "configuration": KIND}
 
 
 def draw(tails, rng):
@@ -24,23 +22,11 @@ def draw(tails, rng):
 
 @pytest.mark.parametrize("tails", ["gaussian", "t5"])
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
-def test_noise_as_assumed_is_neither_uneven_nor_skewed(tails, ratio):
+def test_noise_as_assumed_is_not_skewed(tails, ratio):
     """8 logs each: even, and twice as large in a third of the configurations."""
     for seed in range(8):
         noise = draw(tails, np.random.default_rng(seed)) * np.where(KIND % 3 == 0, ratio, 1.0)
-        assert estimate_unevenness(noise, GROUPINGS).carriers == ()
         assert fit_skewness(noise) is None
-
-
-@pytest.mark.parametrize(("carrier", "noisy"), [("session", SESSION == 2), ("configuration", KIND % 7 == 3)])
-def test_noise_five_times_as_large_somewhere_is_seen_for_what_it_is(carrier, noisy):
-    for seed in range(6):
-        noise = draw("t5" if seed % 2 else "gaussian", np.random.default_rng(seed)) * np.where(
-            noisy, 5.0, 1.0
-        )
-        found = estimate_unevenness(noise, GROUPINGS)
-        assert found.carriers == (carrier,)
-        assert found.ratio[noisy].mean() / found.ratio[~noisy].mean() == pytest.approx(5.0, rel=0.4)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -63,7 +49,6 @@ def test_gross_errors_of_one_sign_are_no_skewness():
         noise = draw("gaussian", rng)
         noise[rng.choice(N, 5, replace=False)] += 200.0
         assert fit_skewness(noise) is None
-        assert estimate_unevenness(noise, GROUPINGS).carriers == ()
 
 
 def test_the_spacing_of_counts_is_found_where_it_is_coarser_than_the_checks():

@@ -16,12 +16,25 @@ EXPECTED = {  # findings and noise properties
     "skewed": ((), ("skewed",)),
     "rounded": ((), ("rounded",)),
     "sessions": ((), ("uneven",)),
+    "configurations": ((), ("uneven",)),
+    "places": ((), ("uneven",)),
     GROSS: (("end-stop-misfire",), ("gross errors",)),
 }
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("skewed", 3), ("rounded", 0), ("sessions", 5), (GROSS, 0)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("skewed", 3),
+        ("rounded", 0),
+        ("sessions", 5),
+        ("configurations", 5072),
+        pytest.param("places", 5105, marks=pytest.mark.nightly),
+        (GROSS, 0),
+    ],
+)
 def test_noise_is_called_what_it_is(kind, seed):
+    """In the fourth, noisy configurations look like a structure of the configurations at first."""
     assert findings(kind, seed) == EXPECTED[kind]
 
 
