@@ -3,12 +3,14 @@
 To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S.
 Weisberg, Residuals and Influence in Regression, 1982, section 2.2). So the evidence of every hypothesis
 follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws
-are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Where the
-answer of a test is not clear, the selection has to be repeated.
+are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Close
+rivals are judged by the squared residuals of a refit of each, whose linearized law loses the rows in the same
+way. Where the answer of a test is not clear, the selection has to be repeated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +21,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
+from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     VARIANCE_TOL,
@@ -27,7 +29,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     sum_lags,
 )
-from stickslip_fit.diagnosis.linearized import split_positions
+from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -43,7 +45,8 @@ MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
-CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next
+CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
+CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
@@ -218,7 +221,7 @@ class Look:
         return weigh_hypotheses(self.misfit.hypotheses, self._causes)
 
     @cached_property
-    def _refit_evidence(self) -> dict[str, float]:
+    def refit_gain(self) -> dict[str, float]:
         """What refits have added to the evidence of each cause that was not dropped, in nats."""
         linear = average_by_cause(self._causes, self._log_weight, self.misfit.log_evidence)
         return {cause: own - linear[cause] for cause, own in self.misfit.log_evidence_by_cause.items()}
@@ -249,7 +252,7 @@ class Look:
         share = (len(residual) - len(rows)) / len(residual)
         linear = average_by_cause(self._causes, self._log_weight, evidence)
         by_cause = {
-            cause: linear[cause] + share * by_refit for cause, by_refit in self._refit_evidence.items()
+            cause: linear[cause] + share * by_refit for cause, by_refit in self.refit_gain.items()
         }
         return replace(self.misfit, residual=left, log_evidence=evidence, log_evidence_by_cause=by_cause)
 
@@ -287,6 +290,34 @@ class Look:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A law fitted to all rows, linearized there.
+
+    Attributes
+    ----------
+    residual : array, shape (n,)
+    basis : sparse array, shape (n, number of parameters)
+    """
+
+    residual: Array
+    basis: csr_array
+
+    @classmethod
+    def of(cls, linearized: LinearizedFit) -> Refit:
+        """The fit that a linearization is about."""
+        return cls(linearized.residual, linearized.basis)
+
+    def log_likelihood(self, rows: IntArray | None = None) -> float:
+        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
+        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
+        if rows is not None:
+            left_out = LeftOut.of(self.basis, rows)
+            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
+            df -= left_out.own.shape[1]
+        return -0.5 * df * float(np.log(squares))
+
+
 class Looks:
     """The tests that named the causes in a selection's law, and the last one, which named no other."""
 
@@ -296,28 +327,65 @@ class Looks:
         self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
         self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
         self.last = Look(selection.last_misfit)
+        self._refits: dict[tuple[str, str | None], Refit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them."""
         selected = []
         for look, one in zip(self.naming, self.selection.law_causes, strict=True):
             without = look.without(rows)
-            if not self._is_clear(look.misfit, without, one.cause):
+            if not self._is_clear(look, without, one.cause, rows):
                 return None
             selected.append(look.select(one.cause, without, rows))
         return selected if self._is_last(self.last.without(rows)) else None
 
-    def _is_clear(self, whole: Misfit, without: Misfit, cause: str) -> bool:
-        evidence = dict(without.log_evidence_by_cause)
-        statistic, own = float(logsumexp(list(evidence.values()))), evidence.pop(cause)
-        ahead = own - max(evidence.values(), default=-np.inf)
-        same = without.best_hypothesis(cause).version is whole.best_hypothesis(cause).version
+    def _is_clear(self, look: Look, without: Misfit, cause: str, rows: IntArray) -> bool:
+        whole, evidence = look.misfit, without.log_evidence_by_cause
+        statistic, own = float(logsumexp(list(evidence.values()))), evidence[cause]
+        least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+        close = [one for one in evidence if one != cause and evidence[one] >= least]
+        version, before = without.best_hypothesis(cause).version, whole.best_hypothesis(cause).version
         return bool(
-            same
+            # Effects that are linear in all parameters need no refit to be compared.
+            (version is before or (version.combine_trials and before.combine_trials))
             and statistic > self.critical + CLEAR_TEST
-            and ahead > max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
             and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
+            and (not close or self._is_ahead(look, without, cause, close, rows))
         )
+
+    def _is_ahead(
+        self, look: Look, without: Misfit, cause: str, close: Sequence[str], rows: IntArray
+    ) -> bool:
+        """Whether a cause is likelier than all close rivals, each refitted without the rows."""
+        if UNKNOWN in close:  # it has no law to refit
+            return False
+        try:
+            own, *others = (self._evidence(look, without, cause, one, rows) for one in (cause, *close))
+        except np.linalg.LinAlgError:
+            return False
+        return own > max(others) + CLEAR_REFIT
+
+    def _evidence(self, look: Look, without: Misfit, cause: str, rival: str, rows: IntArray) -> float:
+        """Log evidence of a rival in the place of a selected cause, refitted without the rows.
+
+        Where a refit to all rows gained nothing, that of its linearized effects without the rows.
+        """
+        if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
+            return without.log_evidence_by_cause[rival]
+        before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
+        change = after.log_likelihood(rows) - after.log_likelihood()
+        change -= before.log_likelihood(rows) - before.log_likelihood()
+        return look.misfit.log_evidence_by_cause[rival] + change
+
+    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
+        """The law of all rows with a rival in the place of a selected cause, or with neither."""
+        if (cause, rival) not in self._refits:
+            causes = [one for one in self.selection.law_causes if one.cause != cause]
+            if rival is not None:
+                causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
+            problem = self.selection.problem
+            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
+        return self._refits[cause, rival]
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""
