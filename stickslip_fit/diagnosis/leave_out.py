@@ -93,21 +93,16 @@ class LeftOut:
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
         return cls(rows, roots, roots @ (left * np.sqrt(size)))
 
-    def coordinates(self, columns: Array, inside: IntArray | None = None) -> Array:
-        """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P.
+    def coordinates(self, columns: Array) -> Array:
+        """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P."""
+        return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
 
-        Of columns that are zero in all rows left out but those `inside`, (h'', m), only coordinates that may
-        differ from zero, which `select` chooses.
-        """
-        if inside is None:
-            return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
-        own = self.own[inside]
-        return np.concatenate([own[:, np.unique(own.indices)].T @ columns, self.shared[inside].T @ columns])
-
-    def select(self, coordinates: Array, inside: IntArray) -> Array:
-        """Of all coordinates, shape (h' + k,), those that `coordinates` gives for the rows `inside`."""
-        n_own = self.own.shape[1]
-        return np.concatenate([coordinates[:n_own][np.unique(self.own[inside].indices)], coordinates[n_own:]])
+    def restrict(self, inside: IntArray) -> Restriction:
+        """To columns that are zero in all rows left out but those `inside`."""
+        n_own, own = self.own.shape[1], self.own[inside]
+        used = np.unique(own.indices)
+        coordinates = np.concatenate([used, np.arange(n_own, n_own + self.shared.shape[1])])
+        return Restriction(inside, coordinates, csr_array(own[:, used]), self.shared[inside])
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
@@ -117,6 +112,30 @@ class LeftOut:
         left = columns + basis @ (basis[self.rows].T @ combined)
         left[self.rows] = 0.0
         return np.asarray(left)
+
+
+@dataclass(frozen=True, eq=False)
+class Restriction:
+    """Rows left out, of columns that are zero in all of them but h''.
+
+    Attributes
+    ----------
+    inside : array of int, shape (h'',)
+    coordinates : array of int, shape (c + k,)
+        Those of a column that may differ from zero.
+    own : sparse array, shape (h'', c)
+    shared : array, shape (h'', k)
+        Both as of `LeftOut`.
+    """
+
+    inside: IntArray
+    coordinates: IntArray
+    own: csr_array
+    shared: Array
+
+    def select(self, columns: Array) -> Array:
+        """Coordinates of projected columns, (h'', m) -> (c + k, m)."""
+        return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,15 +164,13 @@ class _BlockStack:
     owner: IntArray
     least: Array
 
-    def without(self, left_out: LeftOut, lost: Array) -> tuple[Array, Array]:
+    def without(self, restriction: Restriction, rows: IntArray, lost: Array) -> tuple[Array, Array]:
         """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
 
-        `lost`, shape (h' + k,), are the residual's coordinates.
+        `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates.
         """
-        place = self.place[left_out.rows]
-        inside = np.flatnonzero(place >= 0)
-        cross = left_out.coordinates(self.directions[place[inside]], inside)
-        along = self.along - (left_out.select(lost, inside) @ cross).reshape(self.along.shape)
+        cross = restriction.select(self.directions[self.place[rows[restriction.inside]]])
+        along = self.along - (lost[restriction.coordinates] @ cross).reshape(self.along.shape)
         k, w = self.along.shape
         if w == 1:
             left = 1.0 - np.sum(cross**2, axis=0)[:, None]
@@ -198,10 +215,11 @@ class Look:
                 owners.setdefault(key, []).append(number)
                 least.setdefault(key, []).append(0.0 if one.one_sided else -np.inf)
                 first += width
-        stacks = []
+        stacks, places = [], dict[bytes, IntArray]()
         for key, rows in rows_of.items():
-            place = np.full(n, -1)
-            place[rows] = np.arange(len(rows))
+            if (place := places.get(key[0])) is None:
+                place = places[key[0]] = np.full(n, -1)
+                place[rows] = np.arange(len(rows))
             directions = np.concatenate(blocks[key], axis=1)
             along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
             root_share = np.sqrt(np.stack(shares[key]))
@@ -233,7 +251,13 @@ class Look:
         total = float(residual @ residual - lost @ lost)
         df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
         number = len(self.misfit.hypotheses)
-        spectra = [(stack.owner, *stack.without(left_out, lost)) for stack in self._stacks]
+        places = {id(stack.place): stack.place for stack in self._stacks}  # many have the same rows
+        restricted = {
+            key: left_out.restrict(np.flatnonzero(place[rows] >= 0)) for key, place in places.items()
+        }
+        spectra = [
+            (stack.owner, *stack.without(restricted[id(stack.place)], rows, lost)) for stack in self._stacks
+        ]
         owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])
         variance = np.concatenate([variance.ravel() for _, variance, _ in spectra])
         squares = np.concatenate([squares.ravel() for _, _, squares in spectra])
@@ -251,9 +275,7 @@ class Look:
         evidence = self._with_memory(evidence, rows, left, df)
         share = (len(residual) - len(rows)) / len(residual)
         linear = average_by_cause(self._causes, self._log_weight, evidence)
-        by_cause = {
-            cause: linear[cause] + share * by_refit for cause, by_refit in self.refit_gain.items()
-        }
+        by_cause = {cause: linear[cause] + share * by_refit for cause, by_refit in self.refit_gain.items()}
         return replace(self.misfit, residual=left, log_evidence=evidence, log_evidence_by_cause=by_cause)
 
     def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
