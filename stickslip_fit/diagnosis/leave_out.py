@@ -43,6 +43,7 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
+MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
@@ -155,6 +156,9 @@ class _BlockStack:
         Hypothesis of each block.
     least : array, shape (k, 1)
         Least coefficient of each block: 0 of a one-sided hypothesis, else minus infinity.
+    overlap : array, shape (q, k w)
+        Products of the directions with the columns of the calibration that reach beyond their rows: what
+        these project out of a direction is outside of its rows, too, so that it is kept apart.
     """
 
     place: IntArray
@@ -163,21 +167,30 @@ class _BlockStack:
     root_share: Array
     owner: IntArray
     least: Array
+    overlap: Array
 
-    def without(self, restriction: Restriction, rows: IntArray, lost: Array) -> tuple[Array, Array]:
+    def without(
+        self, restriction: Restriction, rows: IntArray, lost: Array, common: Array
+    ) -> tuple[Array, Array]:
         """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
 
-        `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates.
+        `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates, `common`, shape
+        (h' + k, q), those of the columns of `overlap`.
         """
-        cross = restriction.select(self.directions[self.place[rows[restriction.inside]]])
-        along = self.along - (lost[restriction.coordinates] @ cross).reshape(self.along.shape)
+        own = restriction.select(self.directions[self.place[rows[restriction.inside]]])
+        removed = common[restriction.coordinates] @ self.overlap
+        lost_along = lost[restriction.coordinates] @ own - lost @ common @ self.overlap
+        along = self.along - lost_along.reshape(self.along.shape)
+        # The coordinates of a direction are `own` less `common @ overlap`; their products are those of these.
+        cross = np.concatenate([own, removed, self.overlap])
+        other = np.concatenate([own - removed, -own, common.T @ common @ self.overlap])
         k, w = self.along.shape
         if w == 1:
-            left = 1.0 - np.sum(cross**2, axis=0)[:, None]
+            left = 1.0 - np.einsum("ij,ij->j", cross, other)[:, None]
             known, along = np.maximum(left, MIN_LEFT), np.maximum(along, self.least)
             return np.where(left > MIN_LEFT, left, 0.0) * self.root_share**2, along**2 / known
-        blocks = cross.reshape(-1, k, w).transpose(1, 2, 0)
-        gram = np.eye(w) - blocks @ blocks.transpose(0, 2, 1)
+        blocks, others = (part.reshape(-1, k, w).transpose(1, 2, 0) for part in (cross, other))
+        gram = np.eye(w) - blocks @ others.transpose(0, 2, 1)
         scaled = self.root_share[:, :, None] * gram * self.root_share[:, None, :]
         variance, right = np.linalg.eigh(scaled)
         coefficients = np.einsum("kwv,kw->kv", right, self.root_share * along)
@@ -193,7 +206,8 @@ class Look:
         self.misfit, self.basis = misfit, misfit.basis
 
     @cached_property
-    def _stacks(self) -> list[_BlockStack]:
+    def _stacks(self) -> tuple[list[_BlockStack], IntArray]:
+        """All directions, and the columns of the calibration to which not all are orthogonal."""
         n = len(self.misfit.residual)
         rows_of: dict[tuple[bytes, int], IntArray] = {}
         blocks: dict[tuple[bytes, int], list[Array]] = {}
@@ -215,20 +229,30 @@ class Look:
                 owners.setdefault(key, []).append(number)
                 least.setdefault(key, []).append(0.0 if one.one_sided else -np.inf)
                 first += width
+        directions_of = {key: np.concatenate(parts, axis=1) for key, parts in blocks.items()}
+        overlaps = {key: np.asarray(self.basis[rows].T @ directions_of[key]) for key, rows in rows_of.items()}
+        reach = [np.abs(one).max(axis=1) > MIN_OVERLAP for one in overlaps.values()]
+        common = np.flatnonzero(np.any(reach, axis=0))
         stacks, places = [], dict[bytes, IntArray]()
         for key, rows in rows_of.items():
             if (place := places.get(key[0])) is None:
                 place = places[key[0]] = np.full(n, -1)
                 place[rows] = np.arange(len(rows))
-            directions = np.concatenate(blocks[key], axis=1)
+            directions = directions_of[key]
             along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
             root_share = np.sqrt(np.stack(shares[key]))
             stacks.append(
                 _BlockStack(
-                    place, directions, along, root_share, np.array(owners[key]), np.array(least[key])[:, None]
+                    place,
+                    directions,
+                    along,
+                    root_share,
+                    np.array(owners[key]),
+                    np.array(least[key])[:, None],
+                    overlaps[key][common],
                 )
             )
-        return stacks
+        return stacks, common
 
     @cached_property
     def _causes(self) -> list[str]:
@@ -251,12 +275,14 @@ class Look:
         total = float(residual @ residual - lost @ lost)
         df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
         number = len(self.misfit.hypotheses)
-        places = {id(stack.place): stack.place for stack in self._stacks}  # many have the same rows
+        stacks, columns = self._stacks
+        common = left_out.coordinates(self.basis[rows][:, columns].toarray())
+        places = {id(stack.place): stack.place for stack in stacks}  # many have the same rows
         restricted = {
             key: left_out.restrict(np.flatnonzero(place[rows] >= 0)) for key, place in places.items()
         }
         spectra = [
-            (stack.owner, *stack.without(restricted[id(stack.place)], rows, lost)) for stack in self._stacks
+            (stack.owner, *stack.without(restricted[id(stack.place)], rows, lost, common)) for stack in stacks
         ]
         owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])
         variance = np.concatenate([variance.ravel() for _, variance, _ in spectra])
@@ -302,6 +328,7 @@ class Look:
         best = without.best_hypothesis(cause)
         assert isinstance(best, Hypothesis)
         effects = best.directions * np.sqrt(best.prior_share) * best.length
+        effects -= self.basis @ (self.basis.T @ effects)
         own = make_hypothesis(
             best.cause, best.version, best.values, LeftOut.of(self.basis, rows).remove(effects, self.basis)
         )
