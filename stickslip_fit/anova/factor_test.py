@@ -34,7 +34,7 @@ CellStatistic = Callable[[Array, IntArray], Array]
 """Of observations, shape (..., n), and their cells; the larger, the less the assumption holds."""
 
 SIMULATION_DRAWS, MAX_SIMULATED_NUMBERS = 999, 500_000
-TIE_TOL = 100 * np.finfo(float).eps  # relative
+ROUNDING = 100 * np.finfo(float).eps  # relative, of a statistic
 
 
 def monte_carlo_p(statistic: CellStatistic, values: Array, cell: IntArray) -> float:
@@ -47,7 +47,7 @@ def monte_carlo_p(statistic: CellStatistic, values: Array, cell: IntArray) -> fl
     drawn = np.random.default_rng(0).standard_normal((number, len(cell)))
     observed, simulated = statistic(values[order], cell[order]), statistic(drawn, cell[order])
     # As large but for rounding counts as well.
-    tolerance = TIE_TOL * np.abs(observed)
+    tolerance = ROUNDING * np.abs(observed)
     return float((1 + np.sum(simulated >= observed - tolerance)) / (1 + number))
 
 

@@ -240,7 +240,7 @@ def prepare_calibration(
     every parameter that acts on the predicted rows.
     """
     wanted = (basis if recolour is keep_columns else csr_array(recolour(basis.toarray())))[predicted]
-    acting, n = np.unique(wanted.indices), basis.shape[0]
+    acting, n = np.unique(wanted.indices).astype(np.intp), basis.shape[0]
     own = csc_array(basis[calibration][:, acting])
     normal = splu(csc_array(own.T @ own))
     place = csr_array(

@@ -393,10 +393,11 @@ class Looks:
         statistic, own = float(logsumexp(list(evidence.values()))), evidence[cause]
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         close = [one for one in evidence if one != cause and evidence[one] >= least]
-        version, before = without.best_hypothesis(cause).version, whole.best_hypothesis(cause).version
+        version, before = (test.best_hypothesis(cause).version for test in (without, whole))
+        linear = all(getattr(one, "combine_trials", False) for one in (version, before))
         return bool(
             # Effects that are linear in all parameters need no refit to be compared.
-            (version is before or (version.combine_trials and before.combine_trials))
+            (version is before or linear)
             and statistic > self.critical + CLEAR_TEST
             and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
             and (not close or self._is_ahead(look, without, cause, close, rows))
