@@ -9,7 +9,7 @@ the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -465,10 +465,11 @@ def _prepare_splits(campaign: LinearizedCampaign, splits: Sequence[Split]) -> li
 
 def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:
     """The calibrations of a split; `basis`, shape (n, p), spans the calibration."""
-    return SplitOperators(
-        prepare_calibration(basis, split.train, split.train),
-        prepare_calibration(basis, split.calibration, split.held_out, recolour),
-    )
+    training = prepare_calibration(basis, split.train, split.train)
+    if split.calibration is split.train and recolour is keep_columns:
+        held_out = csr_array(basis[split.held_out][:, training.acting])
+        return SplitOperators(training, replace(training, predicted=split.held_out, basis=held_out))
+    return SplitOperators(training, prepare_calibration(basis, split.calibration, split.held_out, recolour))
 
 
 def predict_extension(operators: SplitOperators, columns: Array, penalties: Array, products: Array) -> Array:
