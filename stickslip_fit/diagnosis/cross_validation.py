@@ -280,7 +280,11 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
         for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
     ]
     training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
-    fit = training.fit_extended([one.version for one in selected], whole.fit.values)
+    starts = [
+        whole.fit.values[place] if one.version is before.version else one.start
+        for one, before, place in zip(selected, whole.law_causes, whole.slices, strict=True)
+    ]
+    fit = training.fit_extended([one.version for one in selected], np.concatenate(starts))
     selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
 

@@ -9,7 +9,8 @@ the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ STRENGTH_RANGE = 4.0  # of the prior on a strength, on either side of the estima
 RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; spread of a rival's evidence, from the maximum over its other shapes
 ACCEPTED_SHARE = 0.15  # of the draws: those closest to the log
 MAX_ELEMENTS = 2_000_000  # numbers in memory
+MIN_LENGTH, RANK_TOL = 1e-12, 1e-6  # of a direction; of singular values
 CAUSE_FOUND, NONE_FOUND = 0, -1  # result of a simulated selection; else the number of the rival, from 1
 
 
@@ -89,10 +91,77 @@ class LinearizedCampaign:
     competing_causes: tuple[CompetingCauses, ...]
     recolour: Recolouring = keep_columns
 
-    def effect_lengths(self, responses: Array) -> Array:
-        """Estimated length of each cause's effect in each log, (n, m) -> (m, k)."""
+    @cached_property
+    def columns(self) -> Array:
+        """All that a selection may find, shape (n, c): of each cause its effect, rivals and slopes."""
+        parts = [
+            np.column_stack([effect, rivals.shapes, slopes])
+            for effect, rivals, slopes in zip(self.effects.T, self.competing_causes, self.slopes, strict=True)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    @cached_property
+    def places(self) -> tuple[tuple[slice, slice], ...]:
+        """Where the effect and rivals of each cause, and its slopes, stand in `columns`."""
+        places, first = [], 0
+        for rivals, slopes in zip(self.competing_causes, self.slopes, strict=True):
+            middle = first + 1 + rivals.shapes.shape[1]
+            last = middle + slopes.shape[1]
+            places.append((slice(first, middle), slice(middle, last)))
+            first = last
+        return tuple(places)
+
+    @cached_property
+    def _whole(self) -> CalibrationOperator:
         every = np.arange(len(self.scale))
-        return project_along(prepare_calibration(self.basis, every, every), self.effects, responses)
+        return prepare_calibration(self.basis, every, every)
+
+    def effect_lengths(self, responses: Responses) -> Array:
+        """Estimated length of each cause's effect in each log, shape (m, k)."""
+        own = [candidates.start for candidates, _ in self.places]
+        direction = self._whole.subtract(self.effects)
+        products = self._whole.sum_training(self, responses).products[own]
+        return (products / np.maximum(np.linalg.norm(direction, axis=0), MIN_LENGTH)[:, None]).T
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Responses of m simulated logs, and sums over all rows, from which those over a part follow.
+
+    Attributes
+    ----------
+    values : array, shape (n, m)
+    squares : array, shape (m,)
+    sums : array, shape (p, m)
+        Products with the directions of the calibration.
+    products : array, shape (c, m)
+        With the campaign's `columns`.
+    """
+
+    values: Array
+    squares: Array
+    sums: Array
+    products: Array
+
+    @classmethod
+    def of(cls, campaign: LinearizedCampaign, values: Array) -> Responses:
+        """With their sums."""
+        squares = np.einsum("ij,ij->j", values, values)
+        return cls(values, squares, campaign.basis.T @ values, campaign.columns.T @ values)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSums:
+    """As of `Responses`, over the training rows only, the calibration by these projected out.
+
+    Attributes
+    ----------
+    squares : array, shape (m,)
+    products : array, shape (c, m)
+    """
+
+    squares: Array
+    products: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +179,12 @@ class CalibrationOperator:
         Of the normal matrix of the calibration rows.
     known : sparse array, shape (p, n)
         Directions in the calibration rows; zero in the others.
+    acting : array of int, shape (p,)
+        Which of all directions these are.
+    outside : array of int
+        Rows that do not calibrate.
+    unknown : sparse array, shape (p, number outside)
+        Directions in those.
     recolour : callable
         Applied to what is predicted.
     """
@@ -118,18 +193,42 @@ class CalibrationOperator:
     basis: csr_array
     inverse: csr_array
     known: csr_array
+    acting: IntArray
+    outside: IntArray
+    unknown: csr_array
     recolour: Recolouring = keep_columns
 
     def subtract(self, columns: Array) -> Array:
         """The predicted rows less their prediction, (n, m) -> (h, m)."""
-        return self.recolour(columns)[self.predicted] - self.basis @ (self.inverse @ (self.known @ columns))
+        return self._subtract(columns, self.known @ columns)
 
-    def residual_squares(self, columns: Array) -> Array:
-        """Sum of squares of `subtract`, (n, m) -> (m,), where the predicted rows are those of calibration."""
-        sums = self.known @ columns
-        inside = np.zeros(len(columns))
-        inside[self.predicted] = 1.0
-        return inside @ columns**2 - np.einsum("ij,ij->j", sums, self.inverse @ sums)
+    def subtract_prediction(self, responses: Responses) -> Array:
+        """As `subtract`, shape (h, m)."""
+        return self._subtract(responses.values, self._sum_known(responses))
+
+    def _subtract(self, columns: Array, sums: Array) -> Array:
+        own = (
+            columns[self.predicted]
+            if self.recolour is keep_columns
+            else self.recolour(columns)[self.predicted]
+        )
+        return own - self.basis @ (self.inverse @ sums)
+
+    def _sum_known(self, responses: Responses) -> Array:
+        """`known @ values`, by whichever rows are fewer."""
+        if self.known.nnz < self.unknown.nnz:
+            return self.known @ responses.values
+        return responses.sums[self.acting] - self.unknown @ responses.values[self.outside]
+
+    def sum_training(self, campaign: LinearizedCampaign, responses: Responses) -> TrainingSums:
+        """Sums over the predicted rows, where these are those of calibration."""
+        sums, columns = self._sum_known(responses), campaign.columns
+        solved, outside = self.inverse @ sums, responses.values[self.outside]
+        squares = responses.squares - np.einsum("ij,ij->j", outside, outside)
+        products = responses.products - columns[self.outside].T @ outside
+        return TrainingSums(
+            squares - np.einsum("ij,ij->j", sums, solved), products - (self.known @ columns).T @ solved
+        )
 
 
 def prepare_calibration(
@@ -141,24 +240,23 @@ def prepare_calibration(
     every parameter that acts on the predicted rows.
     """
     wanted = (basis if recolour is keep_columns else csr_array(recolour(basis.toarray())))[predicted]
-    acting = np.unique(wanted.indices)
+    acting, n = np.unique(wanted.indices).astype(np.intp), basis.shape[0]
     own = csc_array(basis[calibration][:, acting])
     normal = splu(csc_array(own.T @ own))
     place = csr_array(
-        (np.ones(len(calibration)), (np.arange(len(calibration)), calibration)),
-        shape=(len(calibration), basis.shape[0]),
+        (np.ones(len(calibration)), (np.arange(len(calibration)), calibration)), shape=(len(calibration), n)
     )
-    inverse = csr_array(normal.solve(np.eye(len(acting))))
-    known = csr_array(own.T @ place)
-    return CalibrationOperator(predicted, csr_array(wanted[:, acting]), inverse, known, recolour)
-
-
-def project_along(training: CalibrationOperator, columns: Array, responses: Array) -> Array:
-    """Responses of the training rows along columns, calibration projected out; (n, c), (n, m) -> (m, c)."""
-    direction = training.subtract(columns)
-    whole = np.zeros_like(columns)
-    whole[training.predicted] = direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12)
-    return responses.T @ whole
+    outside = np.setdiff1d(np.arange(n), calibration)
+    return CalibrationOperator(
+        predicted,
+        csr_array(wanted[:, acting]),
+        csr_array(normal.solve(np.eye(len(acting)))),
+        csr_array(own.T @ place),
+        acting,
+        outside,
+        csr_array(basis[outside][:, acting].T),
+        recolour,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +310,7 @@ def simulate_gain_interval(
     array, shape (2, k + 1)
         Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
-    lengths = campaign.effect_lengths(campaign.effects).diagonal()
+    lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
     prepared = _prepare_splits(campaign, splits)
     pairs = [
         _simulate_replicate_pairs(
@@ -280,29 +378,31 @@ def _draw_noise(campaign: LinearizedCampaign, number: int, rng: np.random.Genera
 def _simulate_replicates(
     campaign: LinearizedCampaign,
     splits: Sequence[SplitOperators],
-    responses: Array,
+    values: Array,
     rng: np.random.Generator,
 ) -> _SimulatedReplicates:
-    m, k = responses.shape[1], len(campaign.slopes)
+    m, k, responses = values.shape[1], len(campaign.slopes), Responses.of(campaign, values)
     squares, count = np.zeros((m, k + 1)), 0
     for operators in splits:
         spread = [
             RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
             for one in campaign.competing_causes
         ]
+        sums = operators.training.sum_training(campaign, responses)
         results = np.stack(
-            [simulate_selection(campaign, j, operators.training, responses, spread[j]) for j in range(k)],
-            axis=1,
+            [simulate_selection(campaign, j, operators.training, sums, spread[j]) for j in range(k)], axis=1
         )
         held_out = operators.prediction.predicted
-        scale, plain = campaign.scale[held_out, None], operators.prediction.subtract(responses)
+        scale, plain = campaign.scale[held_out, None], operators.prediction.subtract_prediction(responses)
         squares[:, 0] += np.sum((plain * scale) ** 2, axis=0)
         for result in np.unique(results, axis=0):
             logs = np.flatnonzero(np.all(results == result, axis=1))
             for step in range(1, k + 1):
-                columns, penalties = _extension_columns(campaign, result[:step])
-                errors = plain[:, logs] - predict_extension(operators, columns, penalties, responses[:, logs])
-                squares[logs, step] += np.sum((errors * scale) ** 2, axis=0)
+                place, penalties = _extension_columns(campaign, result[:step])
+                added = predict_extension(
+                    operators, campaign.columns[:, place], penalties, sums.products[np.ix_(place, logs)]
+                )
+                squares[logs, step] += np.sum(((plain[:, logs] - added) * scale) ** 2, axis=0)
         count += len(held_out)
     return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
 
@@ -311,20 +411,21 @@ def simulate_selection(
     campaign: LinearizedCampaign,
     cause: int,
     training: CalibrationOperator,
-    responses: Array,
+    sums: TrainingSums,
     spread: Array | float = 0.0,
 ) -> IntArray:
     """The cause that a selection from the training rows takes in the place of a true one, in each of m logs.
 
-    `training` predicts the training rows by themselves; `responses` has shape (n, m); `spread`, shape (m, r),
-    is added to the log Bayes factor of each rival. The result, shape (m,), is `CAUSE_FOUND`, the number of
-    the rival, counted from 1, or `NONE_FOUND`.
+    `training` predicts the training rows by themselves, `sums` are those of the responses over them;
+    `spread`, shape (m, r), is added to the log Bayes factor of each rival. The result, shape (m,), is
+    `CAUSE_FOUND`, the number of the rival, counted from 1, or `NONE_FOUND`.
     """
-    rivals = campaign.competing_causes[cause]
-    columns = np.column_stack([campaign.effects[:, cause], rivals.shapes])
-    length = np.abs(project_along(training, columns, responses))
+    rivals, (candidates, _) = campaign.competing_causes[cause], campaign.places[cause]
+    direction = training.subtract(campaign.columns[:, candidates])
+    own_length = np.maximum(np.linalg.norm(direction, axis=0), MIN_LENGTH)
+    length = np.abs(sums.products[candidates].T / own_length)
     df = len(training.predicted) - training.known.shape[0]
-    evidence = log_likelihood_ratio(length**2 / training.residual_squares(responses)[:, None], df)
+    evidence = log_likelihood_ratio(length**2 / sums.squares[:, None], df)
     evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
@@ -336,17 +437,18 @@ def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
     return -0.5 * df * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
 
 
-def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> tuple[list[Array], list[Array]]:
-    """Directions of the law's extension by the results for the first causes, and their penalties."""
-    columns, penalties = [], []
+def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> tuple[IntArray, Array]:
+    """Which columns extend the law by the results for the first causes, and their penalties."""
+    places, penalties = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
     for cause, one in enumerate(result):
+        candidates, slopes = campaign.places[cause]
         if one == CAUSE_FOUND:
-            columns.append(campaign.slopes[cause])
+            places.append(np.arange(slopes.start, slopes.stop))
             penalties.append(campaign.penalties[cause])
         elif one != NONE_FOUND:
-            columns.append(campaign.competing_causes[cause].shapes[:, one - 1 : one])
+            places.append(np.array([candidates.start + one]))
             penalties.append(np.zeros(1))
-    return columns, penalties
+    return np.concatenate(places), np.concatenate(penalties)
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,25 +465,33 @@ def _prepare_splits(campaign: LinearizedCampaign, splits: Sequence[Split]) -> li
 
 def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:
     """The calibrations of a split; `basis`, shape (n, p), spans the calibration."""
-    return SplitOperators(
-        prepare_calibration(basis, split.train, split.train),
-        prepare_calibration(basis, split.calibration, split.held_out, recolour),
-    )
+    training = prepare_calibration(basis, split.train, split.train)
+    if split.calibration is split.train and recolour is keep_columns:
+        held_out = csr_array(basis[split.held_out][:, training.acting])
+        return SplitOperators(training, replace(training, predicted=split.held_out, basis=held_out))
+    return SplitOperators(training, prepare_calibration(basis, split.calibration, split.held_out, recolour))
 
 
-def predict_extension(
-    operators: SplitOperators, slopes: Sequence[Array], penalties: Sequence[Array], responses: Array
-) -> Array:
+def predict_extension(operators: SplitOperators, columns: Array, penalties: Array, products: Array) -> Array:
     """What causes sized by the training rows add to the held-out rows' prediction, whitened.
 
-    `slopes`, each (n, q), are the directions of each cause, `penalties` as of `LinearizedCampaign`;
-    `responses` has shape (n, m); the result, shape (number held out, m) or one that broadcasts to it, is
-    subtracted from the errors without the causes.
+    Parameters
+    ----------
+    operators : SplitOperators
+    columns : array, shape (n, q)
+        Directions of the causes.
+    penalties : array, shape (q,)
+        As of `LinearizedCampaign`.
+    products : array, shape (q, m)
+        Of the directions with the responses, as of `TrainingSums`.
+
+    Returns
+    -------
+    array, shape (number held out, m)
+        To be subtracted from the errors without the causes.
     """
-    if not slopes:
-        return np.zeros((1, 1))
-    columns, train = np.concatenate(slopes, axis=1), operators.training.predicted
-    penalised = np.concatenate([operators.training.subtract(columns), np.diag(np.concatenate(penalties))])
-    estimator = np.zeros(columns.shape[::-1])
-    estimator[:, train] = np.linalg.pinv(penalised, rcond=1e-6)[:, : len(train)]
-    return operators.prediction.subtract(columns) @ (estimator @ responses)
+    penalised = np.concatenate([operators.training.subtract(columns), np.diag(penalties)])
+    _, singular, right = np.linalg.svd(penalised, full_matrices=False)
+    kept = singular > RANK_TOL * singular.max(initial=0.0)
+    scaled = right[kept] / singular[kept, None]
+    return operators.prediction.subtract(columns) @ (scaled.T @ (scaled @ products))

@@ -3,12 +3,14 @@
 To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S.
 Weisberg, Residuals and Influence in Regression, 1982, section 2.2). So the evidence of every hypothesis
 follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws
-are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Where the
-answer of a test is not clear, the selection has to be repeated.
+are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Close
+rivals are judged by the squared residuals of a refit of each, whose linearized law loses the rows in the same
+way. Where the answer of a test is not clear, the selection has to be repeated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +21,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
+from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     VARIANCE_TOL,
@@ -27,7 +29,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     sum_lags,
 )
-from stickslip_fit.diagnosis.linearized import split_positions
+from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -41,9 +43,11 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
+MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
-CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next
+CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
+CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
@@ -90,21 +94,16 @@ class LeftOut:
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
         return cls(rows, roots, roots @ (left * np.sqrt(size)))
 
-    def coordinates(self, columns: Array, inside: IntArray | None = None) -> Array:
-        """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P.
+    def coordinates(self, columns: Array) -> Array:
+        """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P."""
+        return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
 
-        Of columns that are zero in all rows left out but those `inside`, (h'', m), only coordinates that may
-        differ from zero, which `select` chooses.
-        """
-        if inside is None:
-            return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
-        own = self.own[inside]
-        return np.concatenate([own[:, np.unique(own.indices)].T @ columns, self.shared[inside].T @ columns])
-
-    def select(self, coordinates: Array, inside: IntArray) -> Array:
-        """Of all coordinates, shape (h' + k,), those that `coordinates` gives for the rows `inside`."""
-        n_own = self.own.shape[1]
-        return np.concatenate([coordinates[:n_own][np.unique(self.own[inside].indices)], coordinates[n_own:]])
+    def restrict(self, inside: IntArray) -> Restriction:
+        """To columns that are zero in all rows left out but those `inside`."""
+        n_own, own = self.own.shape[1], self.own[inside]
+        used = np.unique(own.indices)
+        coordinates = np.concatenate([used, np.arange(n_own, n_own + self.shared.shape[1])])
+        return Restriction(inside, coordinates, csr_array(own[:, used]), self.shared[inside])
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
@@ -114,6 +113,30 @@ class LeftOut:
         left = columns + basis @ (basis[self.rows].T @ combined)
         left[self.rows] = 0.0
         return np.asarray(left)
+
+
+@dataclass(frozen=True, eq=False)
+class Restriction:
+    """Rows left out, of columns that are zero in all of them but h''.
+
+    Attributes
+    ----------
+    inside : array of int, shape (h'',)
+    coordinates : array of int, shape (c + k,)
+        Those of a column that may differ from zero.
+    own : sparse array, shape (h'', c)
+    shared : array, shape (h'', k)
+        Both as of `LeftOut`.
+    """
+
+    inside: IntArray
+    coordinates: IntArray
+    own: csr_array
+    shared: Array
+
+    def select(self, columns: Array) -> Array:
+        """Coordinates of projected columns, (h'', m) -> (c + k, m)."""
+        return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +156,9 @@ class _BlockStack:
         Hypothesis of each block.
     least : array, shape (k, 1)
         Least coefficient of each block: 0 of a one-sided hypothesis, else minus infinity.
+    overlap : array, shape (q, k w)
+        Products of the directions with the columns of the calibration that reach beyond their rows: what
+        these project out of a direction is outside of its rows, too, so that it is kept apart.
     """
 
     place: IntArray
@@ -141,23 +167,30 @@ class _BlockStack:
     root_share: Array
     owner: IntArray
     least: Array
+    overlap: Array
 
-    def without(self, left_out: LeftOut, lost: Array) -> tuple[Array, Array]:
+    def without(
+        self, restriction: Restriction, rows: IntArray, lost: Array, common: Array
+    ) -> tuple[Array, Array]:
         """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
 
-        `lost`, shape (h' + k,), are the residual's coordinates.
+        `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates, `common`, shape
+        (h' + k, q), those of the columns of `overlap`.
         """
-        place = self.place[left_out.rows]
-        inside = np.flatnonzero(place >= 0)
-        cross = left_out.coordinates(self.directions[place[inside]], inside)
-        along = self.along - (left_out.select(lost, inside) @ cross).reshape(self.along.shape)
+        own = restriction.select(self.directions[self.place[rows[restriction.inside]]])
+        removed = common[restriction.coordinates] @ self.overlap
+        lost_along = lost[restriction.coordinates] @ own - lost @ common @ self.overlap
+        along = self.along - lost_along.reshape(self.along.shape)
+        # The coordinates of a direction are `own` less `common @ overlap`; their products are those of these.
+        cross = np.concatenate([own, removed, self.overlap])
+        other = np.concatenate([own - removed, -own, common.T @ common @ self.overlap])
         k, w = self.along.shape
         if w == 1:
-            left = 1.0 - np.sum(cross**2, axis=0)[:, None]
+            left = 1.0 - np.einsum("ij,ij->j", cross, other)[:, None]
             known, along = np.maximum(left, MIN_LEFT), np.maximum(along, self.least)
             return np.where(left > MIN_LEFT, left, 0.0) * self.root_share**2, along**2 / known
-        blocks = cross.reshape(-1, k, w).transpose(1, 2, 0)
-        gram = np.eye(w) - blocks @ blocks.transpose(0, 2, 1)
+        blocks, others = (part.reshape(-1, k, w).transpose(1, 2, 0) for part in (cross, other))
+        gram = np.eye(w) - blocks @ others.transpose(0, 2, 1)
         scaled = self.root_share[:, :, None] * gram * self.root_share[:, None, :]
         variance, right = np.linalg.eigh(scaled)
         coefficients = np.einsum("kwv,kw->kv", right, self.root_share * along)
@@ -173,7 +206,8 @@ class Look:
         self.misfit, self.basis = misfit, misfit.basis
 
     @cached_property
-    def _stacks(self) -> list[_BlockStack]:
+    def _stacks(self) -> tuple[list[_BlockStack], IntArray]:
+        """All directions, and the columns of the calibration to which not all are orthogonal."""
         n = len(self.misfit.residual)
         rows_of: dict[tuple[bytes, int], IntArray] = {}
         blocks: dict[tuple[bytes, int], list[Array]] = {}
@@ -195,19 +229,30 @@ class Look:
                 owners.setdefault(key, []).append(number)
                 least.setdefault(key, []).append(0.0 if one.one_sided else -np.inf)
                 first += width
-        stacks = []
+        directions_of = {key: np.concatenate(parts, axis=1) for key, parts in blocks.items()}
+        overlaps = {key: np.asarray(self.basis[rows].T @ directions_of[key]) for key, rows in rows_of.items()}
+        reach = [np.abs(one).max(axis=1) > MIN_OVERLAP for one in overlaps.values()]
+        common = np.flatnonzero(np.any(reach, axis=0))
+        stacks, places = [], dict[bytes, IntArray]()
         for key, rows in rows_of.items():
-            place = np.full(n, -1)
-            place[rows] = np.arange(len(rows))
-            directions = np.concatenate(blocks[key], axis=1)
+            if (place := places.get(key[0])) is None:
+                place = places[key[0]] = np.full(n, -1)
+                place[rows] = np.arange(len(rows))
+            directions = directions_of[key]
             along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
             root_share = np.sqrt(np.stack(shares[key]))
             stacks.append(
                 _BlockStack(
-                    place, directions, along, root_share, np.array(owners[key]), np.array(least[key])[:, None]
+                    place,
+                    directions,
+                    along,
+                    root_share,
+                    np.array(owners[key]),
+                    np.array(least[key])[:, None],
+                    overlaps[key][common],
                 )
             )
-        return stacks
+        return stacks, common
 
     @cached_property
     def _causes(self) -> list[str]:
@@ -218,7 +263,7 @@ class Look:
         return weigh_hypotheses(self.misfit.hypotheses, self._causes)
 
     @cached_property
-    def _refit_evidence(self) -> dict[str, float]:
+    def refit_gain(self) -> dict[str, float]:
         """What refits have added to the evidence of each cause that was not dropped, in nats."""
         linear = average_by_cause(self._causes, self._log_weight, self.misfit.log_evidence)
         return {cause: own - linear[cause] for cause, own in self.misfit.log_evidence_by_cause.items()}
@@ -230,7 +275,15 @@ class Look:
         total = float(residual @ residual - lost @ lost)
         df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
         number = len(self.misfit.hypotheses)
-        spectra = [(stack.owner, *stack.without(left_out, lost)) for stack in self._stacks]
+        stacks, columns = self._stacks
+        common = left_out.coordinates(self.basis[rows][:, columns].toarray())
+        places = {id(stack.place): stack.place for stack in stacks}  # many have the same rows
+        restricted = {
+            key: left_out.restrict(np.flatnonzero(place[rows] >= 0)) for key, place in places.items()
+        }
+        spectra = [
+            (stack.owner, *stack.without(restricted[id(stack.place)], rows, lost, common)) for stack in stacks
+        ]
         owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])
         variance = np.concatenate([variance.ravel() for _, variance, _ in spectra])
         squares = np.concatenate([squares.ravel() for _, _, squares in spectra])
@@ -248,9 +301,7 @@ class Look:
         evidence = self._with_memory(evidence, rows, left, df)
         share = (len(residual) - len(rows)) / len(residual)
         linear = average_by_cause(self._causes, self._log_weight, evidence)
-        by_cause = {
-            cause: linear[cause] + share * by_refit for cause, by_refit in self._refit_evidence.items()
-        }
+        by_cause = {cause: linear[cause] + share * by_refit for cause, by_refit in self.refit_gain.items()}
         return replace(self.misfit, residual=left, log_evidence=evidence, log_evidence_by_cause=by_cause)
 
     def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
@@ -277,6 +328,7 @@ class Look:
         best = without.best_hypothesis(cause)
         assert isinstance(best, Hypothesis)
         effects = best.directions * np.sqrt(best.prior_share) * best.length
+        effects -= self.basis @ (self.basis.T @ effects)
         own = make_hypothesis(
             best.cause, best.version, best.values, LeftOut.of(self.basis, rows).remove(effects, self.basis)
         )
@@ -285,6 +337,34 @@ class Look:
         return make_selected(
             replace(without, hypotheses=hypotheses, log_evidence=evidence), form_cause_set(without, cause)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A law fitted to all rows, linearized there.
+
+    Attributes
+    ----------
+    residual : array, shape (n,)
+    basis : sparse array, shape (n, number of parameters)
+    """
+
+    residual: Array
+    basis: csr_array
+
+    @classmethod
+    def of(cls, linearized: LinearizedFit) -> Refit:
+        """The fit that a linearization is about."""
+        return cls(linearized.residual, linearized.basis)
+
+    def log_likelihood(self, rows: IntArray | None = None) -> float:
+        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
+        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
+        if rows is not None:
+            left_out = LeftOut.of(self.basis, rows)
+            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
+            df -= left_out.own.shape[1]
+        return -0.5 * df * float(np.log(squares))
 
 
 class Looks:
@@ -296,28 +376,66 @@ class Looks:
         self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
         self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
         self.last = Look(selection.last_misfit)
+        self._refits: dict[tuple[str, str | None], Refit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them."""
         selected = []
         for look, one in zip(self.naming, self.selection.law_causes, strict=True):
             without = look.without(rows)
-            if not self._is_clear(look.misfit, without, one.cause):
+            if not self._is_clear(look, without, one.cause, rows):
                 return None
             selected.append(look.select(one.cause, without, rows))
         return selected if self._is_last(self.last.without(rows)) else None
 
-    def _is_clear(self, whole: Misfit, without: Misfit, cause: str) -> bool:
-        evidence = dict(without.log_evidence_by_cause)
-        statistic, own = float(logsumexp(list(evidence.values()))), evidence.pop(cause)
-        ahead = own - max(evidence.values(), default=-np.inf)
-        same = without.best_hypothesis(cause).version is whole.best_hypothesis(cause).version
+    def _is_clear(self, look: Look, without: Misfit, cause: str, rows: IntArray) -> bool:
+        whole, evidence = look.misfit, without.log_evidence_by_cause
+        statistic, own = float(logsumexp(list(evidence.values()))), evidence[cause]
+        least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+        close = [one for one in evidence if one != cause and evidence[one] >= least]
+        version, before = (test.best_hypothesis(cause).version for test in (without, whole))
+        linear = all(getattr(one, "combine_trials", False) for one in (version, before))
         return bool(
-            same
+            # Effects that are linear in all parameters need no refit to be compared.
+            (version is before or linear)
             and statistic > self.critical + CLEAR_TEST
-            and ahead > max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
             and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
+            and (not close or self._is_ahead(look, without, cause, close, rows))
         )
+
+    def _is_ahead(
+        self, look: Look, without: Misfit, cause: str, close: Sequence[str], rows: IntArray
+    ) -> bool:
+        """Whether a cause is likelier than all close rivals, each refitted without the rows."""
+        if UNKNOWN in close:  # it has no law to refit
+            return False
+        try:
+            own, *others = (self._evidence(look, without, cause, one, rows) for one in (cause, *close))
+        except np.linalg.LinAlgError:
+            return False
+        return own > max(others) + CLEAR_REFIT
+
+    def _evidence(self, look: Look, without: Misfit, cause: str, rival: str, rows: IntArray) -> float:
+        """Log evidence of a rival in the place of a selected cause, refitted without the rows.
+
+        Where a refit to all rows gained nothing, that of its linearized effects without the rows.
+        """
+        if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
+            return without.log_evidence_by_cause[rival]
+        before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
+        change = after.log_likelihood(rows) - after.log_likelihood()
+        change -= before.log_likelihood(rows) - before.log_likelihood()
+        return look.misfit.log_evidence_by_cause[rival] + change
+
+    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
+        """The law of all rows with a rival in the place of a selected cause, or with neither."""
+        if (cause, rival) not in self._refits:
+            causes = [one for one in self.selection.law_causes if one.cause != cause]
+            if rival is not None:
+                causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
+            problem = self.selection.problem
+            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
+        return self._refits[cause, rival]
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""

@@ -137,9 +137,12 @@ class HypothesisBatch:
 
         `total`, shape (k,), are the sums of squares of the residuals.
         """
-        along = np.concatenate(
-            [np.maximum(group.directions @ residuals[group.rows], group.least) for group in self.groups]
-        )
+        along, first = np.empty((self.n_directions, residuals.shape[1]), residuals.dtype), 0
+        for group in self.groups:
+            own = along[first : (first := first + len(group.directions))]
+            np.matmul(group.directions, residuals[group.rows], out=own)
+            if np.isfinite(group.least).any():
+                np.maximum(own, group.least, out=own)
         log = self.explained_share @ np.square(along, out=along)
         log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6

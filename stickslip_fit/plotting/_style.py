@@ -62,6 +62,7 @@ _RC_PARAMS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.0,
     "axes.titlesize": 8.0,
+    "axes.titley": 1.0,  # no axis has ticks above, which a title would have to avoid
     "axes.labelsize": 8.0,
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,

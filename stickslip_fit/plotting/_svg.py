@@ -139,6 +139,10 @@ def make_missing_picture(key: str, title: str, lacking: str) -> Picture:
 
 def to_svg(figure: Figure, key: str) -> str:
     """A figure as inline SVG; the same figure and key give the same text, and nothing refers outside it."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.0, 0.0)  # its place would be found from the extent of all tick labels
     stream = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with report_style(), mpl.rc_context({"svg.hashsalt": key}):

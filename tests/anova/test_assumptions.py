@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova.factor_test import ASSUMPTION_LEVEL, brown_forsythe, check_assumptions
+from stickslip_fit.anova.factor_test import (
+    ASSUMPTION_LEVEL,
+    brown_forsythe,
+    check_assumptions,
+    monte_carlo_p,
+)
 
 LOGS = 250
 
@@ -61,6 +66,21 @@ def test_equal_scatter_is_judged_about_medians():
     distances = [np.abs(each - np.median(each, axis=1, keepdims=True)) for each in cells]
     expected = stats.f_oneway(*distances, axis=1).statistic
     assert brown_forsythe(values, cell) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_simulated_p_value_is_that_of_scipy():
+    """Of integers, too, of which many simulated ones would be as large."""
+    values, cell = np.random.default_rng(4).standard_normal(12), np.zeros(12, dtype=int)
+    expected = stats.monte_carlo_test(
+        values,
+        np.random.default_rng(0).standard_normal,
+        lambda drawn, axis: np.sum(drawn > 1.0, axis=axis),
+        vectorized=True,
+        n_resamples=999,
+        alternative="greater",
+    )
+    p_value = monte_carlo_p(lambda drawn, _: np.sum(drawn > 1.0, axis=-1), values, cell)
+    assert p_value == expected.pvalue
 
 
 def test_a_constant_between_sessions_is_no_drift_and_no_shape(design):

@@ -34,6 +34,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     NONE_FOUND,
     CompetingCauses,
     LinearizedCampaign,
+    Responses,
     predict_extension,
     prepare_calibration,
     prepare_split,
@@ -177,8 +178,8 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
     held = np.arange(0, 60, 7)
     rest = np.setdiff1d(np.arange(60), held)
     prior = np.array([0.0, 3.0])  # the second slope has a prior of standard deviation 1/3
-    cases = [([], [], laws), ([slopes], [np.zeros(2)], np.c_[laws, slopes]), ([slopes], [prior], None)]
-    for chosen, penalties, columns in cases:
+    cases = [(np.zeros(0), laws), (np.zeros(2), np.c_[laws, slopes]), (prior, None)]
+    for penalties, columns in cases:
         if columns is None:
             columns = np.c_[laws, slopes]
             ridge = columns[rest].T @ columns[rest] + np.diag(np.r_[np.zeros(6), prior**2])
@@ -186,10 +187,17 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
         else:
             fitted = np.linalg.lstsq(columns[rest], responses[rest])[0]
         operators = prepare_split(basis, Split(rest, rest, held))
-        squares = np.sum(operators.training.subtract(responses) ** 2, axis=0)
-        np.testing.assert_allclose(operators.training.residual_squares(responses), squares)
-        found = operators.prediction.subtract(responses) - predict_extension(
-            operators, chosen, penalties, responses
+        training = operators.training.subtract(responses)
+        campaign = a_linear_campaign(basis, slopes)
+        simulated = Responses.of(campaign, responses)
+        sums = operators.training.sum_training(campaign, simulated)
+        np.testing.assert_allclose(sums.squares, np.sum(training**2, axis=0))
+        products = operators.training.subtract(campaign.columns).T @ training
+        np.testing.assert_allclose(sums.products, products, atol=1e-9)
+        place = campaign.places[0][1]
+        chosen = campaign.columns[:, place][:, : len(penalties)]
+        found = operators.prediction.subtract_prediction(simulated) - predict_extension(
+            operators, chosen, penalties, sums.products[place][: len(penalties)]
         )
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
@@ -375,6 +383,14 @@ def a_campaign(cosine, ahead=0.0, names=True, strength=8.0, threshold=0.0, n=40)
     )
 
 
+def a_linear_campaign(basis, slopes):
+    """One cause with these slopes, and no rival."""
+    n, q = slopes.shape
+    ones, none = np.ones(n), CompetingCauses(np.zeros((n, 0)), np.zeros(0), np.zeros(0, dtype=bool))
+    effect = slopes.sum(axis=1, keepdims=True)
+    return LinearizedCampaign(basis, ones, ones, effect, (slopes,), (np.zeros(q),), np.zeros(1), (none,))
+
+
 @pytest.mark.parametrize("cosine", [0.5, 0.9, 0.97])
 def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
     """Two directions with the same evidence: the wrong one wins with Phi(-s sqrt((1 - cosine) / 2))."""
@@ -382,7 +398,8 @@ def test_a_rival_is_taken_for_a_cause_as_often_as_their_cosine_says(cosine):
     campaign = a_campaign(cosine, strength=strength)
     responses = campaign.effects + _rng().standard_normal((40, logs))
     training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
-    wrong = np.mean(simulate_selection(campaign, 0, training, responses) == 1)
+    sums = training.sum_training(campaign, Responses.of(campaign, responses))
+    wrong = np.mean(simulate_selection(campaign, 0, training, sums) == 1)
     expected = norm.sf(strength * np.sqrt((1 - cosine) / 2))
     assert wrong == pytest.approx(expected, abs=4 * np.sqrt(expected / logs) + 1e-4)
 
@@ -398,4 +415,5 @@ def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
     for change, made in cases:
         campaign = a_campaign(0.97, **change)
         training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
-        assert set(simulate_selection(campaign, 0, training, responses)) == {made}
+        sums = training.sum_training(campaign, Responses.of(campaign, responses))
+        assert set(simulate_selection(campaign, 0, training, sums)) == {made}

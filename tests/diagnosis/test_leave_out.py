@@ -21,7 +21,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     split_sessions,
 )
-from stickslip_fit.diagnosis.leave_out import LeftOut, Look, prepare_looks
+from stickslip_fit.diagnosis.leave_out import LeftOut, Look, Refit, prepare_looks
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
@@ -99,6 +99,42 @@ def test_the_evidence_is_that_of_a_log_without_the_rows(problem, out):
         make_selected(expected, Look(whole).select(cause, without, rows).cause_set),
     )
     assert one.start == pytest.approx(other.start, rel=1e-6)
+
+
+def test_with_a_cause_in_the_law_the_evidence_is_that_of_a_log_without_the_rows(problem):
+    """What all rows share is no part of a session's directions, which are not orthogonal to it."""
+    cause = next(one for one in problem.causes if one.name == "drift")
+    version = cause.trials(problem.rows)[0][0]
+    fit = problem.fit_extended([version], np.array(version.start_values))
+    rows = np.arange(2, len(problem), 7)
+    kept = np.setdiff1d(np.arange(len(problem)), rows)
+
+    def assess(problem, fit):
+        linearized = problem.linearize_extended(fit)
+        return assess_residuals(linearized, problem, 0, np.random.default_rng(0), ["drift"])
+
+    smaller = replace(problem, parts=fit.parts).select_rows(kept)
+    expected = assess(smaller, replace(fit, parts=smaller.parts))
+    without = Look(assess(problem, fit)).without(rows)
+    np.testing.assert_allclose(without.residual[kept], expected.residual, atol=1e-9)
+    assert without.log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
+
+
+def test_a_refit_loses_rows_as_if_it_were_repeated_without_them(problem):
+    cause = next(one for one in problem.causes if one.name == "drift")
+    version = cause.trials(problem.rows)[0][0]
+    rows = np.arange(2, len(problem), 7)
+    kept = np.setdiff1d(np.arange(len(problem)), rows)
+
+    def refit(problem, start):
+        fit = problem.fit_extended([version], start)
+        return Refit.of(problem.linearize_extended(fit)), fit.values
+
+    whole, values = refit(problem, np.array(version.start_values))
+    again, _ = refit(problem.select_rows(kept), values)
+    without = whole.log_likelihood(rows)
+    assert without == pytest.approx(again.log_likelihood(), abs=0.1)  # second order
+    assert abs(without - whole.log_likelihood() * len(kept) / len(problem)) > 1.0
 
 
 def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
