@@ -33,13 +33,13 @@ from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_col
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)  # of a carrier along a traverse
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 LATER_OF_TRAVERSE = tuple(name for name in LATER_HISTORY if name != "session_order")
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
-MAX_NESTED = 400  # coefficients of such functions
+MAX_NESTED = 240  # coefficients of such functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         if name != POSITION:
             hypotheses += builder.shapes(name, term, place)
         if name in (POSITION, *ANGLES):
-            hypotheses += builder.by_session(name, term, place)
+            hypotheses += (builder.profiles if name == POSITION else builder.by_session)(name, term, place)
     return hypotheses
 
 
@@ -198,10 +198,10 @@ class _Builder:
         opposite = replace(term, mode="opposite")
         found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
         found.append(self.make(name, term, [self.subspace(place)]))
-        for way, sign in (("+", 1.0), ("-", -1.0)):
-            on = tuple((joint, way) for joint in self.rows_of)
+        for direction, sign in (("+", 1.0), ("-", -1.0)):
+            on = tuple((joint, direction) for joint in self.rows_of)
             one_way = self.subspace(place, None, np.flatnonzero(self.sign == sign))
-            found.append(self.make(f"{name}, {way} only", replace(term, on=on), [one_way]))
+            found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
@@ -222,29 +222,42 @@ class _Builder:
         return [one for one in found if one is not None]
 
     def by_session(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
-        """Functions that differ from session to session, by joint; also around one in common."""
+        """Functions that differ from session to session, by joint."""
+        found = []
+        for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
+            version, parts = self.of_sessions(
+                place, None, [rows], replace(term, on=((joint, "+"), (joint, "-")))
+            )
+            found.append(self.make(f"{name}, joint {joint}, in each session", version, parts))
+        return [one for one in found if one is not None]
+
+    def profiles(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
+        """The same by direction, too, and around a function that the sessions have in common."""
         found = []
         for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
             on, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}, in each session"
-            forward = self.sign[rows] > 0
-            ways: tuple[tuple[str, SmoothTerm, list[IntArray], Array | None], ...] = (
+            ways = [rows[self.sign[rows] > 0], rows[self.sign[rows] < 0]]
+            for ending, whole, groups, sign in (
                 ("", replace(term, on=on), [rows], None),
                 (", opposite", replace(term, on=on, mode="opposite"), [rows], self.sign),
-                (", each direction", replace(term, on=on, each=True), [rows[forward], rows[~forward]], None),
-            )
-            for ending, version, groups, sign in ways:
-                own = {
-                    session: parts
-                    for session, inside in self.session_of.items()
-                    if (parts := [self.subspace(place, sign, group[inside[group]]) for group in groups])
-                    and any(parts)
-                }
-                version = replace(version, sessions=tuple(own))
-                parts = [part for some in own.values() for part in some]
+                (", each direction", replace(term, on=on, each=True), ways, None),
+            ):
+                version, parts = self.of_sessions(place, sign, groups, whole)
                 found.append(self.make(label + ending, version, parts))
                 nested = self.nested(place, sign, groups, version)
                 found.append(self.make(f"{label}{ending}, in part", *nested) if nested else None)
         return [one for one in found if one is not None]
+
+    def of_sessions(
+        self, place: slice, sign: Array | None, groups: Sequence[IntArray], term: SmoothTerm
+    ) -> tuple[SmoothTerm, list[_Subspace | None]]:
+        """A term with functions of each session, and their effects in some groups of rows."""
+        own = {
+            session: [self.subspace(place, sign, group[inside[group]]) for group in groups]
+            for session, inside in self.session_of.items()
+        }
+        own = {session: parts for session, parts in own.items() if any(parts)}
+        return replace(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
 
     def nested(
         self, place: slice, sign: Array | None, groups: Sequence[IntArray], version: SmoothTerm

@@ -142,8 +142,9 @@ def test_directions_that_hypotheses_share_are_evaluated_once_and_right(linearize
         "theta, each joint and direction",
         "product of theta and load, joint 3",
         "period of",
-        "q2, joint 3, in each session, each direction",
-        "q2, joint 3, in each session, in part",
+        "q2, joint 3, in each session",
+        "position, joint 2, in each session, each direction",
+        "position, joint 2, in each session, in part",
     ],
 )
 def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, alternatives, name):
@@ -156,9 +157,9 @@ def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, a
     effects = linearized.project(linearized.whiten(changes))
     assert np.sqrt(np.sum(effects**2)) == pytest.approx(one.length, rel=0.05)
     covariance = one.length**2 * (one.directions * one.prior_share) @ one.directions.T
-    # Averages along a traverse are not weighted by the step size.
+    # Averages along a traverse are not weighted by the step size, which gravity changes along joint 2's.
     difference = np.linalg.norm(effects @ effects.T - covariance)
-    assert difference < 0.1 * np.linalg.norm(covariance)
+    assert difference < 0.2 * np.linalg.norm(covariance)
 
 
 def test_nothing_unknown_has_nothing_to_explain(tmp_path):
