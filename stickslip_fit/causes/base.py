@@ -524,9 +524,7 @@ class ExtendedLaw(Composition):
         row = collect_row_values(rows, self.columns)
         starts = range(0, max(len(row["start"]), 1), MAX_ROWS)
         slices = [slice(first, first + MAX_ROWS) for first in starts]
-        return [
-            (subset, AdaptiveCounter(self, {name: x[subset] for name, x in row.items()})) for subset in slices
-        ]
+        return [(part, AdaptiveCounter(self, {name: x[part] for name, x in row.items()})) for part in slices]
 
     def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
         """See `StepLaw.step_size`."""

@@ -51,6 +51,7 @@ from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
+MAX_DETECTION_LENGTH = 60.0  # whitened norm
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
@@ -464,4 +465,6 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
 
     if not np.isfinite(critical) or evidence(0.0) > critical:
         return 0.0
-    return float(brentq(lambda z: evidence(z) - critical, 0.0, 60.0, xtol=1e-3))
+    if evidence(MAX_DETECTION_LENGTH) < critical:  # too few rows for any effect to be detected
+        return MAX_DETECTION_LENGTH
+    return float(brentq(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, xtol=1e-3))

@@ -15,19 +15,14 @@ EVERY = [
     for joint in JOINTS
     for cut in (1, 2)
 ]
-# Where it falls short: a profile that is missed in some folds, or that differs from session to session.
-BEYOND = {
-    ("5", "phi", 1): 1.06,
-    ("9", "phi", 1): 1.07,
-    ("40", "phi", 1): 1.06,
-    ("40", "phi", 2): 1.21,
-    ("52", "theta", 1): 1.06,
-}
+# Where it falls short: at the end of the travel, where the session has no other traverse.
+BEYOND = {("31", "phi", 2): 1.2}
 
 
 def test_a_profile_is_learned_from_traverses_that_never_repeat():
-    line = compare("31", "phi", 2)
-    assert line.causes[0] == "along-travel"
+    """Of each session its own around one that they share: `unknown`, which has a law all the same."""
+    line = compare("9", "theta", 2)
+    assert line.causes == ("unknown",)
     assert line.extended < 0.7 * line.constant
     assert line.extended < ALLOWED * line.spline
 

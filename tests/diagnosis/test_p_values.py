@@ -12,10 +12,12 @@ from scipy.stats import t as student_t
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.misfit import (
+    MAX_DETECTION_LENGTH,
     TAIL_DF,
     _tail_probabilities,
     batch_hypotheses,
     compute_misfit,
+    detection_length,
 )
 from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.diagnosis.conftest import NOISE
@@ -78,3 +80,8 @@ def test_a_log_from_which_rows_were_set_aside_needs_twice_the_evidence(drifting)
         # An alarm at 2 % where nothing was set aside is one at 1 % where something was.
         assert misfit.critical_value(0.02) == pytest.approx(np.quantile(null, 1 - 0.02 / factor))
     assert len(found[True].null_log_evidence) == 2 * len(found[False].null_log_evidence) == 2 * samples
+
+
+def test_where_no_effect_could_be_detected_the_length_is_the_longest():
+    assert detection_length(500.0, 1, 5) == MAX_DETECTION_LENGTH
+    assert detection_length(10.0, 1, 500) < 8.0
