@@ -30,12 +30,12 @@ from stickslip_fit.causes.parameters import (
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
-from stickslip_fit.logs.history import LATER_HISTORY
+from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.schema import NO_TIMES, has_times
 from stickslip_fit.machine import Machine
 
 EVERY_JOINT = (1, 2, 3)
-HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load", *LATER_HISTORY}
+HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load", *FURTHER_HISTORY}
 DIFFERENCE_STEP = 1e-5  # of each parameter's scale, in central differences: good to about ten digits
 
 

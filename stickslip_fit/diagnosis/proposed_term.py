@@ -41,7 +41,7 @@ from stickslip_fit.diagnosis.smooth_alternatives import (
     find_carriers,
     traverse_average,
 )
-from stickslip_fit.logs.history import LATER_HISTORY
+from stickslip_fit.logs.history import FURTHER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
@@ -140,7 +140,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunc
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
-        if carrier.name not in LATER_HISTORY
+        if carrier.name not in FURTHER_HISTORY
         for factor in _functions(carrier)
     ]
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]

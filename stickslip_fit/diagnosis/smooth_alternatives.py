@@ -8,7 +8,7 @@ stored for their rows only, and what is independent for each joint and direction
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -28,14 +28,14 @@ from stickslip_fit.causes.smooth import cosines, prior_sds
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
-from stickslip_fit.logs.history import LATER_HISTORY
+from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
-LATER_OF_TRAVERSE = tuple(name for name in LATER_HISTORY if name != "session_order")
+FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
@@ -79,7 +79,7 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
-    history += [name for name in LATER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
+    history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
     # A machine without the published geometry has no gravity load.
     load = (LOAD,) if rows["before_load"].notna().any() else ()
     names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, *columns, *history))
@@ -116,26 +116,41 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         *(
             (carrier.name, *_smooth_functions(carrier, length))
             for carrier in carriers
-            if carrier.name != LOAD
+            if carrier.name not in (LOAD, POSITION)
             for length in _lengths(carrier)
         ),
         *(
             (f"product of {one.name} and {other.name}", *_product(one, other))
             for one, other in combinations(carriers, 2)
-            if not {one.name, other.name} & {*LATER_HISTORY}
+            if not {one.name, other.name} & {*FURTHER_HISTORY}
             and {one.name, other.name} & {LOAD, POSITION, *ANGLES}
         ),
     ]
-    columns = [np.zeros((len(linearized), 0)), *(own for _, _, own in shapes)]
+    profiles = [
+        (joint, *_smooth_functions(carrier, length))
+        for joint, carrier in _positions(linearized, carriers)
+        for length in _lengths(carrier)
+    ]
+    columns = [np.zeros((len(linearized), 0)), *(own for _, _, own in (*shapes, *profiles))]
     builder, last = _Builder(linearized, np.concatenate(columns, axis=1)), 0
     hypotheses: list[Hypothesis] = []
     for name, term, own in shapes:
         place = slice(last, last := last + own.shape[1])
-        if name != POSITION:
-            hypotheses += builder.shapes(name, term, place)
-        if name in (POSITION, *ANGLES):
-            hypotheses += (builder.profiles if name == POSITION else builder.by_session)(name, term, place)
+        hypotheses += builder.shapes(name, term, place)
+        hypotheses += builder.by_session(name, term, place) if name in ANGLES else []
+    for joint, term, own in profiles:
+        hypotheses += builder.profiles(joint, term, slice(last, last := last + own.shape[1]))
     return hypotheses
+
+
+def _positions(linearized: LinearizedFit, carriers: Sequence[Carrier]) -> Iterator[tuple[int, Carrier]]:
+    """The position of each joint, over its own travel."""
+    joint = linearized.rows["joint"].to_numpy()
+    for carrier in carriers:
+        for number in map(int, np.unique(joint)) if carrier.name == POSITION else ():
+            own = np.where((joint == number)[:, None], carrier.values, np.nan)
+            if (of_joint := _make_carrier(POSITION, own)) is not None:
+                yield number, of_joint
 
 
 def _lengths(carrier: Carrier) -> tuple[float, ...]:
@@ -231,11 +246,11 @@ class _Builder:
             found.append(self.make(f"{name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
 
-    def profiles(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
-        """The same by direction, too, and around a function that the sessions have in common."""
-        found = []
-        for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
-            on, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}, in each session"
+    def profiles(self, joint: int, term: SmoothTerm, place: slice) -> list[Hypothesis]:
+        """The same of a joint's position, by direction, too, and around what the sessions have in common."""
+        found, rows = [], self.rows_of[joint]
+        if len(self.session_of) > 1:
+            on, label = ((joint, "+"), (joint, "-")), f"{POSITION}, joint {joint}, in each session"
             ways = [rows[self.sign[rows] > 0], rows[self.sign[rows] < 0]]
             for ending, whole, groups, sign in (
                 ("", replace(term, on=on), [rows], None),

@@ -12,7 +12,7 @@ from stickslip_fit.logs._table import label_codes, run_in_threads
 from stickslip_fit.machine import Machine, load_machine, mean_load
 
 # History on which no published cause depends.
-LATER_HISTORY = ("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order")
+FURTHER_HISTORY = ("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order")
 
 
 def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFrame:
@@ -100,7 +100,7 @@ def add_unknown_history(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(content, ignore_index=True, kind="stable").assign(
         before_direction=pd.Series(pd.NA, rows.index, dtype="str"),
         steps_before=np.nan,
-        **dict.fromkeys(("before_load", "session_seconds", *LATER_HISTORY), np.nan),
+        **dict.fromkeys(("before_load", "session_seconds", *FURTHER_HISTORY), np.nan),
     )
 
 
