@@ -21,7 +21,7 @@ from scipy.special import betaincinv, chdtrc, gammaln
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PeriodicTerm
-from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
+from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms, estimate_strength
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, acts_on, compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
@@ -266,7 +266,9 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
             _rms(linearized.scale)
         )
     else:
-        strength = _estimate_strength(selected, np.sqrt(squares + 1.0), 1.0, 1, linearized, alpha)
+        along, kept = best.coefficients(residual), _kept_shares(best, residual)
+        found, dimensions = float(np.sqrt(kept @ along**2)), max(round(float(kept.sum())), 1)
+        strength = _estimate_strength(selected, found, 1.0, dimensions, linearized, alpha)
         effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
     closest = max(known, key=lambda cause: known[cause]) if known else ""
@@ -302,10 +304,13 @@ def _shrink_structure(structure: Hypothesis | AR1, residual: Array) -> Array:
     """Posterior mean of a structure given the residuals, shape (n,)."""
     if isinstance(structure, AR1):
         return structure.shape(residual)
-    along = structure.coefficients(residual)
-    strength2 = max(float(along @ along) - len(along), 0.0)
-    kept = structure.prior_share * strength2 / (1.0 + structure.prior_share * strength2)
-    return structure.combine(kept * along)
+    return structure.combine(_kept_shares(structure, residual) * structure.coefficients(residual))
+
+
+def _kept_shares(structure: Hypothesis, residual: Array) -> Array:
+    """Share of each coefficient that its posterior mean keeps, shape (m,)."""
+    signal = estimate_strength(structure, residual) ** 2 * structure.prior_share
+    return np.asarray(signal / (1.0 + signal))
 
 
 def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:

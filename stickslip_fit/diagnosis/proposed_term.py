@@ -26,7 +26,7 @@ from stickslip_fit.causes.proposed import (
     ProposedTerm,
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import AR1, EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
@@ -45,6 +45,7 @@ from stickslip_fit.logs.history import FURTHER_HISTORY
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
+MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -67,12 +68,15 @@ def propose_term(
     if not smooth:
         return list(selected)
     evidence, shape = max(smooth, key=lambda pair: pair[0])
+    memory = [
+        own for own, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True) if isinstance(one, AR1)
+    ]
+    if evidence < max([MIN_STAND_IN_LOG_BAYES_FACTOR, *(own - MEMORY_MARGIN for own in memory)]):
+        return list(selected)
     term = _find_term(linearized, misfit, rng)
     assert isinstance(shape, Hypothesis)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=np.array([term.size]))]
-    if evidence < MIN_STAND_IN_LOG_BAYES_FACTOR:
-        return list(selected)
     if isinstance(shape.version, PeriodicTerm):
         shape = _with_harmonics(shape, linearized, misfit.residual)
     version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
