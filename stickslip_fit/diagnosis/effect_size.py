@@ -145,7 +145,14 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause) -
     carrier = str(version) if isinstance(version, PeriodicTerm) else carrier
     values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
     parameters = _size_parameters(version, UNKNOWN, values, covariance) if formula else ()
-    return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)
+    # As large as in the law, with the relative error of the structure.
+    linearized = selection.problem.linearize()
+    changes = compute_changes(linearized, version, values[None])[:, 0]
+    rms = _rms(_linearize_unweighted(selection, linearized).project(changes[:, None]))
+    effect = finding.effect.times(rms / max(finding.effect.estimate, MIN_LENGTH))
+    return replace(
+        finding, version=version, term=formula, carrier=carrier, parameters=parameters, effect=effect
+    )
 
 
 def estimate_effect(
@@ -168,15 +175,20 @@ def estimate_effect(
     known = 1.0 - np.diag(covariance) / selection.fit.prior_sd[place] ** 2
     dimensions = max(round(float(np.sum(known[np.diag(covariance) > 0]))), 1)
     beyond = _effect_beyond_fit(selection, selected)
-    unweighted = linearize_fit(
+    unweighted = _linearize_unweighted(selection, linearized)
+    rms = _rms(unweighted.project(changes[:, 0] + linearized.unwhiten(beyond)))
+    return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)
+
+
+def _linearize_unweighted(selection: Selection, linearized: LinearizedFit) -> LinearizedFit:
+    """The baseline with the same noise in all rows."""
+    return linearize_fit(
         linearized.rows,
         linearized.parts,
         selection.problem.responses,
         np.ones(len(linearized)),
         shared=selection.problem.n_shared,
     )
-    rms = _rms(unweighted.project(changes[:, 0] + linearized.unwhiten(beyond)))
-    return CauseEffect(form + beyond, rms, max(error, 1.0), dimensions)
 
 
 def _effect_beyond_fit(selection: Selection, selected: SelectedCause) -> Array:

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.proposed import (
     ANGLES,
     BEFORE_DIRECTION,
@@ -46,6 +46,7 @@ from stickslip_fit.logs.history import FURTHER_HISTORY
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
+FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -124,10 +125,12 @@ def _find_term(linearized: LinearizedFit, misfit: Misfit, rng: np.random.Generat
     products, columns = _build_dictionary(linearized)
     if not products:
         return None
-    dictionary = _Dictionary(linearized, columns)
+    of_position = np.array([any(factor.carrier == POSITION for factor in product) for product in products])
+    dictionary = _Dictionary(linearized, columns, of_position)
     along = dictionary.along(misfit.residual[:, None])[..., 0]
     squares = along**2 / dictionary.squares
-    place, best = np.unravel_index(int(np.argmax(squares)), squares.shape)
+    factors = np.array([len(product) for product in products])
+    place, best = np.unravel_index(int(np.argmax(squares - FACTOR_COST * factors)), squares.shape)
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
     null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
@@ -174,9 +177,13 @@ def _functions(carrier: Carrier) -> Iterator[CarrierFunction]:
 
 
 class _Dictionary:
-    """Effects of m expressions, on every set of joints and directions: their squares and inner products."""
+    """Effects of m expressions, on every set of joints and directions: their squares and inner products.
 
-    def __init__(self, linearized: LinearizedFit, columns: Array) -> None:
+    Expressions `of_position`, shape (m,), are tried on one joint at a time: a rotary and a prismatic joint
+    have no unit in common.
+    """
+
+    def __init__(self, linearized: LinearizedFit, columns: Array, of_position: BoolArray) -> None:
         n_own = sum(block.shape[1] for _, block in linearized.blocks)
         own_basis = linearized.basis[:, :n_own]
         whitened = linearized.whiten(columns)
@@ -202,7 +209,8 @@ class _Dictionary:
         squares = self.combine**2 @ each - absorbed
         plain = np.stack([np.sum(whitened[rows] ** 2, axis=0) for rows in self.rows])
         too_small = squares < np.maximum(MIN_SHARE * (self.combine**2 @ plain), EFFECT_TOL**2)
-        self.squares = np.where(too_small, np.inf, squares)
+        together = np.array([len({one for one, _ in on or groups}) > 1 for on, _ in self.places])
+        self.squares = np.where(too_small | (together[:, None] & of_position), np.inf, squares)
 
     def along(self, residuals: Array) -> Array:
         """Inner products with residuals, (n, k) -> (places, m, k)."""

@@ -32,7 +32,6 @@ from stickslip_fit.diagnosis.extension import (
     assess_residuals,
     compute_evidence,
     extend_problem,
-    fit_causes,
     law_causes,
     make_selected,
 )
@@ -167,8 +166,7 @@ def select_causes(
     if selected and selected[-1].cause == UNKNOWN:
         selected = propose_term(linearized, selected, rng)
         if selected[-1].version is not None:
-            fit = fit_causes(problem, selected)
-            linearized = problem.linearize_extended(fit)
+            problem, fit, linearized = extend_problem(problem, selected)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
     return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
