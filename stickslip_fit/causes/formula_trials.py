@@ -28,9 +28,8 @@ from stickslip_fit.units import to_si
 
 # Along each of so many parameters that are no amplitudes, to begin with; and of all places together.
 NUMBER_OF_PLACES, MAX_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}, 150
-MIN_SHARED = (
-    0.25  # of an effect's square by its neighbour's: one halfway then shares three quarters with both
-)
+# Of an effect's square by its neighbour's: one halfway then shares three quarters with both.
+MIN_SHARED = 0.25
 MAX_LEVELS = 100  # values of a column with parameters of their own
 STATE_FACTORS = (1.0, 10.0, -10.0)
 NULL_TOL = 1e-9

@@ -145,14 +145,14 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause) -
     carrier = str(version) if isinstance(version, PeriodicTerm) else carrier
     values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
     parameters = _size_parameters(version, UNKNOWN, values, covariance) if formula else ()
-    # As large as in the law, with the relative error of the structure.
-    linearized = selection.problem.linearize()
-    changes = compute_changes(linearized, version, values[None])[:, 0]
-    rms = _rms(_linearize_unweighted(selection, linearized).project(changes[:, None]))
-    effect = finding.effect.times(rms / max(finding.effect.estimate, MIN_LENGTH))
-    return replace(
-        finding, version=version, term=formula, carrier=carrier, parameters=parameters, effect=effect
-    )
+    return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)
+
+
+def _rms_in_law(selection: Selection, selected: SelectedCause) -> float:
+    """Rms of what stands in the law for unknown structure, beyond what calibration absorbs."""
+    linearized, values = selection.problem.linearize(), selection.fit.values[selection.slices[-1]]
+    changes = compute_changes(linearized, selected.version, values[None])
+    return _rms(_linearize_unweighted(selection, linearized).project(changes))
 
 
 def estimate_effect(
@@ -279,9 +279,12 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         )
     else:
         along, kept = best.coefficients(residual), _kept_shares(best, residual)
-        found, dimensions = float(np.sqrt(kept @ along**2)), max(round(float(kept.sum())), 1)
-        strength = _estimate_strength(selected, found, 1.0, dimensions, linearized, alpha)
-        effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
+        norm, dimensions = float(np.sqrt(kept @ along**2)), max(round(float(kept.sum())), 1)
+        strength = _estimate_strength(selected, norm, 1.0, dimensions, linearized, alpha)
+        if selected.version is None:
+            effect = strength.times(_rms(linearized.unwhiten(shape)) / max(length, MIN_LENGTH))
+        else:
+            effect = strength.times(_rms_in_law(selection, selected) / max(norm, MIN_LENGTH))
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
     closest = max(known, key=lambda cause: known[cause]) if known else ""
     explains = {

@@ -157,9 +157,10 @@ def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, a
     effects = linearized.project(linearized.whiten(changes))
     assert np.sqrt(np.sum(effects**2)) == pytest.approx(one.length, rel=0.05)
     covariance = one.length**2 * (one.directions * one.prior_share) @ one.directions.T
-    # Averages along a traverse are not weighted by the step size, which gravity changes along joint 2's.
     difference = np.linalg.norm(effects @ effects.T - covariance)
-    assert difference < 0.2 * np.linalg.norm(covariance)
+    # Averages along a traverse are not weighted by the step size, which gravity changes along joint 2's.
+    allowed = 0.2 if name.startswith("position") else 0.1
+    assert difference < allowed * np.linalg.norm(covariance)
 
 
 def test_nothing_unknown_has_nothing_to_explain(tmp_path):
