@@ -56,7 +56,8 @@ def imports_of(tree: ast.AST, plots: bool = False) -> list[tuple[str, bool]]:
             found += [(name if name in MODULES else node.module, plots) for name in names]
         if isinstance(node, ast.Import):
             found += [(alias.name, plots) for alias in node.names]
-        inside = plots or (isinstance(node, ast.FunctionDef) and node.name.startswith("plot_"))
+        is_plot = isinstance(node, ast.FunctionDef) and (node.name + "_").startswith("plot_")
+        inside = plots or is_plot
         found += imports_of(node, inside)
     return [(name, inside) for name, inside in found if name.startswith("stickslip_fit.")]
 

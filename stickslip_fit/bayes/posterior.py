@@ -27,6 +27,7 @@ from stickslip_fit.estimation.result import (
     PREDICTION_COLUMNS,
     AxesArray,
     Provenance,
+    convert_predictions,
     result_to_json,
     write_result_json,
 )
@@ -99,6 +100,11 @@ class Posterior(Summarized):
     def parameters(self) -> pd.DataFrame:
         """See `Result.parameters`; means of the draws, and intervals between their quantiles."""
         return self.result.parameters
+
+    @property
+    def si(self) -> PosteriorInSI:
+        """The tables of parameters and predictions in SI."""
+        return PosteriorInSI(self)
 
     def save(self, path: str | Path) -> None:
         """Write ``path``, NetCDF that ArviZ and xarray read, and the result beside it, ending in ``.json``.
@@ -182,6 +188,9 @@ class Posterior(Summarized):
         InputError
             For a joint or direction that was not fitted, a negative seed, or where the joint may well stall.
         """
+        return convert_predictions(self.si.predict(rows, seed=seed), rows, self.machine)
+
+    def _predict(self, rows: pd.DataFrame, seed: int) -> pd.DataFrame:
         check_count("seed", seed, least=0)
         rng = np.random.default_rng(seed)
         predictions = []
@@ -233,6 +242,22 @@ class Posterior(Summarized):
     def sessions(self, joint: int, direction: str) -> list[str]:
         """Sessions that have traverses of a joint in a direction."""
         return [str(each) for each in self.group_tree(joint, direction)["posterior"]["session"].to_numpy()]
+
+
+@dataclass(frozen=True)
+class PosteriorInSI:
+    """The tables of a posterior in SI: m and rad, ratios as fractions."""
+
+    posterior: Posterior
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """See `Result.parameters`."""
+        return self.posterior.result.si.parameters
+
+    def predict(self, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+        """As `Posterior.predict`: steps, step_size (m or rad), relative_error (a fraction), low, high."""
+        return self.posterior._predict(rows, seed)
 
 
 FORMAT, VERSION = "stickslip-fit/posterior", 1

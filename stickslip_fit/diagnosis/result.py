@@ -21,7 +21,7 @@ from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
-from stickslip_fit.estimation.result import AxesArray
+from stickslip_fit.estimation.result import AxesArray, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.logs import Log
 
@@ -223,9 +223,17 @@ class Diagnosis(Summarized):
     def parameters(self) -> pd.DataFrame:
         """Every parameter of the named causes, one row each.
 
-        cause, name, joint, direction, session (None for one of the whole campaign), unit (for display),
-        estimate, low, high: SI, 95 %.
+        cause, name, joint, direction, session (None for one of the whole campaign), unit, and in this unit
+        estimate, low, high (95 %), as in the JSON; `Diagnosis.si` has them in SI.
         """
+        return convert_table(self.si.parameters, ("estimate", "low", "high"))
+
+    @property
+    def si(self) -> DiagnosisInSI:
+        """The table of parameters in SI."""
+        return DiagnosisInSI(self._collect_parameters())
+
+    def _collect_parameters(self) -> pd.DataFrame:
         columns = ["cause", "name", "joint", "direction", "session", "unit", "estimate", "low", "high"]
         rows = [
             (finding.cause, p.name, p.joint, p.direction, p.session, p.unit, *astuple(p.size))
@@ -255,6 +263,13 @@ class Diagnosis(Summarized):
         table["probability"] = table["probability"].astype(float)
         table["untestable"] = table["cause"].map(dict(self.untestable)).fillna("")
         return table.sort_values("probability", ascending=False, kind="stable", ignore_index=True)
+
+    def plot(self) -> AxesArray:
+        """Residuals before and after the first finding; without one, residuals against every quantity."""
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.diagnosis import plot_diagnosis
+
+        return collect_axes(plot_diagnosis(self))
 
     def plot_residuals(self, finding: int = 0) -> AxesArray:
         """Residuals before and after a finding, over the variable that it follows.
@@ -306,3 +321,10 @@ class Diagnosis(Summarized):
         from stickslip_fit.plotting.diagnosis import plot_gain
 
         return collect_axes(plot_gain(self))
+
+
+@dataclass(frozen=True)
+class DiagnosisInSI:
+    """The table of a diagnosis's parameters in SI; `Diagnosis.parameters` says its columns."""
+
+    parameters: pd.DataFrame

@@ -10,7 +10,12 @@ from stickslip_fit.estimation.load_coefficient import (
     solve_load_coefficient,
 )
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
-from stickslip_fit.estimation.prediction import fit_constant_step, held_out_errors, summarize_errors
+from stickslip_fit.estimation.prediction import (
+    HeldOutErrors,
+    fit_constant_step,
+    held_out_errors,
+    summarize_errors,
+)
 from stickslip_fit.estimation.result import JointFit, Result
 from stickslip_fit.estimation.saved_result import load_result
 from stickslip_fit.estimation.saved_table_fit import load_table_fit
@@ -18,6 +23,7 @@ from stickslip_fit.estimation.table_fit import TableFit
 
 __all__ = [
     "Flag",
+    "HeldOutErrors",
     "JointFit",
     "NoiseLevel",
     "Result",

@@ -85,7 +85,7 @@ def _once(alike: list[Flag]) -> str:
 
 def _parameters(result: Result, joint: int) -> Table:
     """One joint's parameters: sessions and directions down, parameters and flags across."""
-    fit, table = result.joints[joint], result.parameters
+    fit, table = result.joints[joint], result.si.parameters
     table = table[table["joint"] == joint]
     sessions = list(fit.groups["session"].unique())
     shared = table["session"].isna()
@@ -150,7 +150,7 @@ def own_parameters(fit: JointFit) -> list[Parameter]:
 
 def departures_tables(result: Result) -> list[Table]:
     """The parameters of causes, where the laws have some: one number each for the whole campaign."""
-    table = result.parameters
+    table = result.si.parameters
     table = table[table["joint"] == ALL_JOINTS]
     meanings = {p.name: p.meaning for fit in result.joints.values() for p in fit.law.parameters}
     rows = [

@@ -310,7 +310,7 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        `Result.parameters` with profile_low and profile_high, SI, and differs: whether an end is off by
+        `Result.si.parameters` with profile_low and profile_high, and differs: whether an end is off by
         more than a tenth of the quadratic interval's half-width, so that the quadratic one misleads.
 
     Raises
@@ -324,7 +324,7 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
         raise InputError("profile intervals are for fits in which each session has all its own parameters")
     rows = usable_rows(log)
     ends = [_profile_joint(fit, rows[rows["joint"] == joint]) for joint, fit in result.joints.items()]
-    table = result.parameters
+    table = result.si.parameters
     table[["profile_low", "profile_high"]] = np.concatenate([end.reshape(-1, 2) for end in ends])
     half = (table["high"] - table["low"]) / 2
     off = np.fmax((table["profile_low"] - table["low"]).abs(), (table["profile_high"] - table["high"]).abs())

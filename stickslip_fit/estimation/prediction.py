@@ -8,14 +8,23 @@ parameters).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from scipy.special import fdtrc, gammaincinv, stdtrit
 
-from stickslip_fit._format import format_direction
+from stickslip_fit._format import (
+    coordinate_unit,
+    format_direction,
+    format_percent,
+    joint_name,
+    step_unit,
+)
+from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, words
 from stickslip_fit.estimation.closed_form import solve_calibration
-from stickslip_fit.estimation.result import JointFit, Result, choose_repeatability
+from stickslip_fit.estimation.result import AxesArray, JointFit, Result, choose_repeatability, convert_table
 from stickslip_fit.estimation.reweighting import UNTIMED
 from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import (
@@ -27,6 +36,7 @@ from stickslip_fit.laws import (
 )
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import position_columns
+from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 
@@ -108,29 +118,94 @@ def fit_constant_step(log: Log, result: Result) -> Result:
     )
 
 
-def held_out_errors(log: Log, law: Result, constant: Result) -> pd.DataFrame:
-    """Errors of two calibrations on the traverses that neither used.
+@dataclass(frozen=True, repr=False)
+class HeldOutErrors(Summarized):
+    """Step sizes predicted for traverses that took no part in calibrating, beside the measured ones.
+
+    Attributes
+    ----------
+    si : DataFrame, indexed as the log's usable rows
+        The log's configuration columns, and measured, law, constant: mean step sizes (rad or m) as
+        measured, as the calibrated law predicts them, and as one constant step size does.
+    machine : Machine
+    """
+
+    si: pd.DataFrame
+    machine: Machine
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The same in nm, µrad, mm and degrees, with law_error_pct and constant_error_pct in %."""
+        table, positions = self.si[["session", "joint", "direction"]].copy(), position_columns(self.si)
+        for name in positions:
+            unit = coordinate_unit(name, self.machine)
+            table[f"{name}_{unit}"] = from_si(self.si[name].to_numpy(float), unit)
+        units = {joint: step_unit(joint, self.machine) for joint in self.si["joint"].unique()}
+        table["unit"] = self.si["joint"].map(units).astype(object)
+        models = ["law", "constant"]
+        table[["measured", *models]] = self.si[["measured", *models]]
+        table = convert_table(table, ["measured", *models])
+        for model in models:
+            table[f"{model}_error_pct"] = 100.0 * (self.si[model] / self.si["measured"] - 1.0)
+        return table
+
+    def summary(self) -> Summary:
+        """The rms and the worst error of both models for each joint and direction."""
+        rows = tuple(
+            (
+                joint_name(int(row.joint), self.machine),
+                format_direction(str(row.direction)),
+                f"{row.traverses:,}",
+                *(format_percent(getattr(row, name), with_unit=False) for name in ERROR_COLUMNS),
+            )
+            for row in summarize_errors(self.si, ["joint", "direction"]).itertuples(index=False)
+        )
+        columns = (
+            *words("joint", "direction"),
+            Column("traverses"),
+            *numbers("rms", "worst", unit="%", group="law"),
+            *numbers("rms", "worst", unit="%", group="constant step"),
+        )
+        note = "Predicted less measured mean step size, of traverses that the calibration did not use."
+        table = Table("Errors on held-out traverses", columns, rows, stubs=2, note=note)
+        return Summary("Held-out errors", sections=(Section(tables=(table,)),))
+
+    def plot(self) -> AxesArray:
+        """The share of traverses that each model predicts to better than x, an Axes for each joint."""
+        from stickslip_fit.plotting._style import collect_axes
+        from stickslip_fit.plotting.accuracy import draw_errors
+
+        return collect_axes(draw_errors(self.si, {}, self.machine))
+
+
+ERROR_COLUMNS = ("law_rms_relative", "law_worst_relative", "constant_rms_relative", "constant_worst_relative")
+
+
+def held_out_errors(log: Log, law: Result, constant: Result | None = None) -> HeldOutErrors:
+    """Errors of a calibration, and of a constant step, on the traverses that neither used.
 
     Parameters
     ----------
     log : Log
-    law, constant : Result
-        Calibrations of the same log.
+    law : Result
+        A calibration of this log.
+    constant : Result, optional
+        Another one to compare with; by default `fit_constant_step`.
 
     Returns
     -------
-    DataFrame, indexed as the log's rows
-        The log's configuration columns, and measured, law, constant: mean step sizes (rad or m) as
-        measured and as predicted. Traverses that a calibration cannot predict are left out.
+    HeldOutErrors
+        Traverses that a calibration cannot predict are left out.
     """
+    constant = fit_constant_step(log, law) if constant is None else constant
     fresh = ~(law.residuals["used"] | constant.residuals["used"])
     rows = log.usable.loc[fresh.index[fresh]]
     steps = expected_steps(rows["steps"], rows["check_every"])
     table = rows[["session", "joint", "direction", *position_columns(rows), "start", "stop"]].copy()
     table["measured"] = traverse_length(rows) / steps
-    table["law"] = law.predict(rows)["step_size"]
-    table["constant"] = constant.predict(rows)["step_size"]
-    return table.dropna(subset=["law", "constant"])
+    table["law"] = law.si.predict(rows)["step_size"]
+    table["constant"] = constant.si.predict(rows)["step_size"]
+    return HeldOutErrors(table.dropna(subset=["law", "constant"]), log.machine)
 
 
 def collect_traverses(joint: int, log: Log, calibration: Result, fit: Result) -> pd.DataFrame:
@@ -157,7 +232,7 @@ def collect_traverses(joint: int, log: Log, calibration: Result, fit: Result) ->
     rows["error"] = rows["step_size"] * np.sqrt(
         spread**2 + rounding_variance(rows["steps"], rows["check_every"])
     )
-    rows["model"] = fit.predict(rows)["step_size"]
+    rows["model"] = fit.si.predict(rows)["step_size"]
     rows["departure"] = rows["step_size"] / rows["model"] - 1.0
     return rows
 
@@ -168,7 +243,7 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     Parameters
     ----------
     table : DataFrame
-        As of `held_out_errors`.
+        As `HeldOutErrors.si`.
     by : list of str
         Columns to group by; configurations are compared with NaN equal to NaN.
 
@@ -220,7 +295,7 @@ def control_chart(result: Result) -> pd.DataFrame:
         have a range); it is NaN with fewer than three earlier sessions, and in a log without times.
         Parameters that are not known, and those that all sessions share, are not listed.
     """
-    table = result.parameters.dropna(subset=["estimate", "session"])
+    table = result.si.parameters.dropna(subset=["estimate", "session"])
     chart = table[["name", "joint", "direction", "session", "unit", "estimate", "low", "high"]]
     chart = chart.reset_index(drop=True)
     histories = chart.groupby(["joint", "direction", "name"], sort=False)["estimate"]

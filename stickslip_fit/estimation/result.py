@@ -20,7 +20,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit import __version__
-from stickslip_fit._format import join_words
+from stickslip_fit._format import join_words, step_unit
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
@@ -87,6 +87,8 @@ def build_provenance(log: Log, command: str) -> Provenance:
 
 AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
 PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
+SHOWN_PREDICTION_COLUMNS = ("calibration", "steps", "low", "high", "step_size", "unit", "error_pct")
+PARAMETER_NUMBERS = ("estimate", "standard_error", "low", "high")
 ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
 
 
@@ -216,10 +218,18 @@ class Result(Summarized):
         """Every parameter: name, joint, direction, session, unit, estimate, standard_error, low, high, flags.
 
         session is None for a parameter that all sessions share. A cause's parameter, one for the whole
-        campaign, comes last, with joint 0 and an empty direction. Numbers are SI; unit is the one people
-        read them in. low and high bound 95 %. All are NaN where the log does not determine them;
-        standard_error also is where the parameter is on a bound.
+        campaign, comes last, with joint 0 and an empty direction. Numbers are in `unit`, as in the saved
+        JSON; `Result.si` has them in SI. low and high bound 95 %. All are NaN where the log does not
+        determine them; standard_error also is where the parameter is on a bound.
         """
+        return convert_table(self.si.parameters, PARAMETER_NUMBERS)
+
+    @property
+    def si(self) -> ResultInSI:
+        """The tables of parameters and predictions in SI."""
+        return ResultInSI(self)
+
+    def _collect_parameters(self) -> pd.DataFrame:
         table = pd.concat([self._joint_table(fit) for fit in self.joints.values()], ignore_index=True)
         common = table["joint"] == ALL_JOINTS
         once = table[common].drop_duplicates("name")
@@ -238,7 +248,7 @@ class Result(Summarized):
         variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
         error = np.sqrt(np.where(variance > 0, variance, np.nan))
         columns = (fit.values, error, fit.interval[..., 0], fit.interval[..., 1])
-        for name, column in zip(("estimate", "standard_error", "low", "high"), columns, strict=True):
+        for name, column in zip(PARAMETER_NUMBERS, columns, strict=True):
             table[name] = np.where(fit.known, column, np.nan).ravel()
         table["flags"] = self._flags(fit, names)
         common = table["name"].isin(fit.shared)
@@ -274,14 +284,18 @@ class Result(Summarized):
         Returns
         -------
         DataFrame, indexed as `rows`
-            steps, step_size (rad or m), relative_error (of the law, from its parameters), and
-            low, high: 95 % interval of the steps that a new traverse takes, repeatability included.
+            steps; step_size in unit (nm or µrad); error_pct, the law's from its parameters, in %; and
+            low, high: 95 % interval of the steps that a new traverse takes, its own scatter included.
+            `Result.si` has the same in SI.
 
         Raises
         ------
         InputError
             For a session, direction or joint that was not fitted.
         """
+        return convert_predictions(self.si.predict(rows), rows, self.machine)
+
+    def _predict(self, rows: pd.DataFrame) -> pd.DataFrame:
         tables = [self._predict_joint(k, rows[rows["joint"] == k]) for k in rows["joint"].unique()]
         if not tables:
             return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
@@ -319,6 +333,41 @@ class Result(Summarized):
             },
             index=rows.index,
         )
+
+
+@dataclass(frozen=True)
+class ResultInSI:
+    """The tables of a result in SI: m and rad, ratios as fractions."""
+
+    result: Result
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """As `Result.parameters`; unit remains the one people read the numbers in."""
+        return self.result._collect_parameters()
+
+    def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """As `Result.predict`: steps, step_size (m or rad), relative_error (a fraction), low, high."""
+        return self.result._predict(rows)
+
+
+def convert_table(table: pd.DataFrame, numbers: Sequence[str]) -> pd.DataFrame:
+    """A table whose columns `numbers` are SI, with these in the unit of each row's column unit."""
+    table = table.copy()
+    for name in numbers:
+        values = zip(table[name].to_numpy(float), table["unit"], strict=True)
+        table[name] = np.array([from_si(float(value), unit) for value, unit in values], dtype=float)
+    return table
+
+
+def convert_predictions(predicted: pd.DataFrame, rows: pd.DataFrame, machine: Machine) -> pd.DataFrame:
+    """Predictions in SI, with step sizes in nm or µrad and relative errors in %."""
+    units = {int(joint): step_unit(int(joint), machine) for joint in rows["joint"].unique()}
+    table = predicted.assign(unit=rows["joint"].map(units).astype(object))
+    table = convert_table(table, ["step_size"])
+    if "relative_error" in table:
+        table["error_pct"] = from_si(table["relative_error"].to_numpy(float), "%")
+    return table[[name for name in SHOWN_PREDICTION_COLUMNS if name in table]]
 
 
 MIN_REPLICATE_DF = 3  # degrees of freedom
@@ -375,8 +424,7 @@ def compute_checksum(content: dict[str, Any]) -> str:
 
 
 def parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """`Result.parameters` in people's units, as saved."""
-    numbers = ("estimate", "standard_error", "low", "high")
+    """`Result.parameters`, as saved."""
     return [
         {
             "name": row.name,
@@ -384,7 +432,7 @@ def parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
             "direction": str(row.direction) or None,
             "session": None if row.session is None else str(row.session),
             "unit": row.unit,
-            **{number: _number_to_json(from_si(getattr(row, number), row.unit)) for number in numbers},
+            **{number: _number_to_json(getattr(row, number)) for number in PARAMETER_NUMBERS},
             "flags": list(row.flags),
         }
         for row in table.itertuples(index=False)

@@ -299,15 +299,25 @@ class Log(Summarized):
         """The configurations of the usable rows, see `count_configurations`."""
         return count_configurations(self.usable)
 
-    def plot_readings(self) -> npt.NDArray[np.object_]:
-        """The mean step size of every usable traverse in order of time, an Axes for each joint.
+    def plot(self, column: str | None = None) -> npt.NDArray[np.object_]:
+        """Mean step sizes of the usable traverses, an Axes for each joint.
 
-        InputError if no traverse is usable.
+        Parameters
+        ----------
+        column : str, optional
+            Against what: ``"q2"``, ``"theta"``, ``"temperature"``, ``"hours"`` in the session, any column of
+            the log without its unit; of the moving joint's own position the middle of the traverse. Without
+            it, in order of time.
+
+        Raises
+        ------
+        InputError
+            If no traverse is usable, or there is no such column.
         """
         from stickslip_fit.plotting._style import collect_axes
-        from stickslip_fit.plotting.residuals import plot_readings
+        from stickslip_fit.plotting.readings import plot_step_sizes
 
-        return collect_axes(plot_readings(self))
+        return collect_axes(plot_step_sizes(self, column))
 
     @property
     def files(self) -> tuple[str, ...]:

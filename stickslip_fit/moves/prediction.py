@@ -11,6 +11,7 @@ from stickslip_fit._typing import Int64Array
 from stickslip_fit.bayes import Posterior
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation import Result
+from stickslip_fit.estimation.result import convert_predictions
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.simulation.campaign import INITIAL_HISTORY, drive_through, uses_history
@@ -40,8 +41,8 @@ def predict(
     -------
     DataFrame, indexed as `Plan.rows`
         calibration (the session whose parameters were used, empty for a future one), steps (rounded up to the
-        next check of the end stop), low, high (95 % interval of that count, repeatability included) and
-        step_size (mean over the traverse, rad or m). low and high are NaN without error bars.
+        next check of the end stop), low, high (95 % interval of that count, its own scatter included), and
+        step_size (mean over the traverse) in unit, nm or µrad. low and high are NaN without error bars.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def predict(
     _, first = np.unique(index, return_index=True)
     distinct = rows.iloc[first].reset_index(drop=True)
     distinct["session"] = _calibration_sessions(fitted, distinct, session)
-    predicted = fitted.predict(distinct)
+    predicted = fitted.si.predict(distinct)
     _check_predictions(_result_of(fitted), distinct, predicted)
     counts = predicted[["steps", "low", "high", "step_size"]].assign(calibration=distinct["session"])
     counts = counts.iloc[index].set_axis(rows.index)
@@ -64,7 +65,7 @@ def predict(
         known = np.isfinite(counts[name].to_numpy(float))
         recorded = observed_count(np.where(known, counts[name], 1.0), rows["check_every"])
         counts[name] = np.where(known, recorded, np.nan)
-    return counts[["calibration", "steps", "low", "high", "step_size"]]
+    return convert_predictions(counts, rows, _result_of(fitted).machine)
 
 
 def _result_of(fitted: Result | Posterior) -> Result:
@@ -89,8 +90,8 @@ def _add_expected_history(
 
     def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
         known = set_steps_before(rows_with_history)
-        steps = fitted.predict(known.assign(session=_calibration_sessions(fitted, known, session)))["steps"]
-        return observed_count(np.nan_to_num(steps), rows_with_history["check_every"])
+        predicted = fitted.si.predict(known.assign(session=_calibration_sessions(fitted, known, session)))
+        return observed_count(np.nan_to_num(predicted["steps"]), rows_with_history["check_every"])
 
     traverses = drive_through(plan, rows, np.full(len(rows), 0.5), count_steps, laws)
     return set_steps_before(traverses).drop(columns=["steps", "time"])

@@ -71,14 +71,14 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
 
 
 def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float], machine: Machine) -> Figure:
-    """One panel for each joint."""
+    """One panel for each joint; `noise`, the repeatability, dotted where it is known."""
     joints = sorted(errors["joint"].unique())
     with report_style():
         legend = [
             *direction_entries(line="-"),
             make_legend_entry("law", INK, line="-"),
             make_legend_entry("constant step", INK, line="--"),
-            make_legend_entry("repeatability", INK, line=":"),
+            *([make_legend_entry("repeatability", INK, line=":")] if noise else []),
         ]
         figure, axes = make_figure([2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5)
         for axis, joint in zip(axes[0], joints, strict=True):
@@ -87,7 +87,7 @@ def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float], machi
                 subset = errors[(errors["joint"] == joint) & (errors["direction"] == direction)]
                 for model, line in (("law", "-"), ("constant", "--")):
                     axis.step(*_cumulative_shares(subset, model), where="post", color=colour, ls=line)
-                if np.isfinite(noise[joint, direction]):
+                if np.isfinite(noise.get((joint, direction), np.nan)):
                     axis.axvline(100 * noise[joint, direction], color=colour, ls=":", lw=1.0)
             set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
             axis.set_xlim(MIN_ERROR, 250)

@@ -23,7 +23,7 @@ from stickslip_fit.diagnosis.separability import (
     confusion_rate,
 )
 from stickslip_fit.errors import InputError, shorten
-from stickslip_fit.machine import load_machine
+from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._style import (
     BLUE,
     FIGURE_WIDTH,
@@ -40,7 +40,8 @@ from stickslip_fit.plotting._style import (
     report_style,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
-from stickslip_fit.plotting.residuals import draw_finding
+from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
+from stickslip_fit.plotting.table import plot_columns, plot_table_finding
 
 MAX_CAUSES = 8
 MIN_LOG10_PROBABILITY = -12.0  # smaller ones are drawn there
@@ -226,6 +227,28 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
+def plot_diagnosis(diagnosis: Diagnosis) -> Figure:
+    """Residuals before and after the first finding that has a shape; without one against every quantity.
+
+    Of a log with nothing to find the joint with most traverses is drawn.
+    """
+    shapes = {each.cause for each in diagnosis.selection.selected if each.misfit is not None}
+    numbers = [k for k, finding in enumerate(diagnosis.findings) if finding.cause in shapes]
+    if diagnosis.table is not None:
+        if numbers:
+            return plot_table_finding(diagnosis, diagnosis.table, numbers[0])
+        return plot_columns(diagnosis, diagnosis.table)
+    if numbers:
+        return plot_residuals(diagnosis, numbers[0])
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    joint = int(comparison.rows["joint"].mode()[0])
+    return draw_residuals_overview(joint, comparison, _machine_of(diagnosis))
+
+
+def _machine_of(diagnosis: Diagnosis) -> Machine:
+    return load_machine() if diagnosis.log is None else diagnosis.log.machine
+
+
 def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     """One finding's residuals before and after.
 
@@ -242,8 +265,7 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
     shape = finding_shape(diagnosis.selection, selected)
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
-    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    return draw_finding(chosen, selected, shape, comparison, machine)[1]
+    return draw_finding(chosen, selected, shape, comparison, _machine_of(diagnosis))[1]
 
 
 MAX_RATE, DARK_RATE = 0.5, 0.3  # a toss of a coin; white numbers from there on

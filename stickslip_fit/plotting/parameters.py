@@ -222,7 +222,7 @@ def plot_forest(result: Result, joint: int, campaign: pd.DataFrame | None = None
     """
     if joint not in result.joints:
         raise InputError(f"joint {joint} was not fitted; this result knows joints {list(result.joints)}")
-    table = result.parameters
+    table = result.si.parameters
     table = table[table["joint"] == joint]
     bands = table[table["session"].isna()]
     if campaign is not None:

@@ -1,6 +1,6 @@
 """Figures of residuals: against every covariate, and before and after each finding.
 
-Periodic findings are drawn folded by their period. `plot_readings` shows step sizes in time order.
+Periodic findings are drawn folded by their period.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from stickslip_fit._format import coordinate_unit, format_percent, joint_name, pluralize, step_unit
+from stickslip_fit._format import coordinate_unit, format_percent, joint_name, pluralize
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
@@ -23,17 +23,13 @@ from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
-from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation.profile import follows_position
-from stickslip_fit.laws import expected_steps, traverse_length
-from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     GREY,
     INK,
-    MAX_SESSION_LABELS,
     TITLE_LINE,
     direction_entries,
     direction_styles,
@@ -143,56 +139,6 @@ def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Arr
         offset[subset] = np.arctan2(sine, cosine)
     phase = np.mod(angle - offset, 2 * np.pi) / (2 * np.pi)
     return f"{'minutes' if unit == 'min' else unit} into a period of {period:g} {unit}", phase * period
-
-
-DIRECTION_MARKERS = {"+": "o", "-": "s"}
-
-
-def plot_readings(log: Log) -> Figure:
-    """A panel for each joint, sessions one after the other; usable traverses alone.
-
-    Raises
-    ------
-    InputError
-        If no traverse is usable.
-    """
-    rows = log.usable
-    if rows.empty:
-        raise InputError("there is nothing to draw: the log has no usable traverse")
-    joints = sorted(int(joint) for joint in rows["joint"].unique())
-    step = traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"])
-    with report_style():
-        legend = [
-            *direction_entries(DIRECTION_MARKERS["+"], label="mean step, direction {}", signs="+"),
-            *direction_entries(DIRECTION_MARKERS["-"], label="mean step, direction {}", signs="-"),
-        ]
-        figure, axes = make_figure([1.15] * len(joints), 1, legend, bottom=0.3, down=0.14)
-        for axis, joint in zip(axes[:, 0], joints, strict=True):
-            for sign, colour in DIRECTION_COLOURS.items():
-                subset = np.flatnonzero((rows["joint"] == joint) & (rows["direction"] == sign))
-                y = from_si(step[subset], step_unit(joint, log.machine))
-                axis.plot(subset, y, DIRECTION_MARKERS[sign], color=colour, ms=2.2, mew=0)
-            axis.set_ylabel(f"joint {joint} ({step_unit(joint, log.machine)})")
-            axis.grid(visible=False, axis="x")
-        _draw_sessions(axes[:, 0], log)
-        figure.align_ylabels(axes[:, 0])
-    return figure
-
-
-def _draw_sessions(axes: np.ndarray, log: Log) -> None:
-    """Lines between sessions, and their names below, as many as there is space for."""
-    names = log.usable["session"].to_numpy(object)
-    begins = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
-    ends = np.r_[begins[1:], len(names)]
-    for axis in axes:
-        for begin in begins[1:]:
-            axis.axvline(begin - 0.5, color=GREY, lw=0.7)
-        axis.tick_params(axis="x", length=0)
-    kept = slice(None, None, -(-len(begins) // MAX_SESSION_LABELS))
-    last: Axes = axes[-1]
-    labels = [shorten(str(names[begin]), 12) for begin in begins[kept]]
-    last.set_xticks((begins[kept] + ends[kept] - 1) / 2, labels)
-    last.set_xlim(-1, len(names))
 
 
 SESSION_GAP = 0.04  # of all hours, between two sessions drawn one after the other

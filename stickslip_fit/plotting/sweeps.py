@@ -288,7 +288,7 @@ def compute_curves(rows: pd.DataFrame, sweep: Sweep, fit: Result, kind: str = "d
     return pd.DataFrame(
         {
             "x": np.tile(grid, len(first)),
-            "step_size": fit.predict(moved)["step_size"].to_numpy(),
+            "step_size": fit.si.predict(moved)["step_size"].to_numpy(),
             "kind": moved[kind],
             "session": moved["session"],
         }

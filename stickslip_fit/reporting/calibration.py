@@ -35,8 +35,8 @@ def compare_estimators(calibration: Result, fit: Result) -> pd.DataFrame:
         fit's, so its own 95 % interval is wide enough for their difference.
     """
     keys = ["name", "joint", "direction", "session"]
-    theirs = fit.parameters.drop(columns="unit")
-    both = calibration.parameters.merge(theirs, on=keys, sort=False, suffixes=("_closed", "_fit"))
+    theirs = fit.si.parameters.drop(columns="unit")
+    both = calibration.si.parameters.merge(theirs, on=keys, sort=False, suffixes=("_closed", "_fit"))
     comparable = both[["low_closed", "high_closed", "estimate_fit"]].notna().all(axis=1)
     inside = both["estimate_fit"].between(both["low_closed"], both["high_closed"])
     return both.assign(comparable=comparable, agrees=comparable & inside)

@@ -15,7 +15,6 @@ from stickslip_fit._format import (
     format_plain,
     format_value,
     pluralize,
-    step_unit,
 )
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import text_table
@@ -145,7 +144,7 @@ def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> s
             format_configuration(row, result.machine),
             f"{row['steps']:,.0f}",
             f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else "–",
-            format_value(row["step_size"], step_unit(int(row["joint"]), result.machine), 2),
+            f"{row['step_size']:,.2f} {row['unit']}",
         ]
         for _, row in both.iterrows()
     ]
@@ -159,12 +158,11 @@ def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> s
 def predictions_csv(plan: Plan, predicted: pd.DataFrame) -> str:
     """Every traverse in a log's columns, with steps, low, high, step size and whose calibration it is."""
     sheet = build_sheet(plan).drop(columns=["time", "steps", "step_period_ms", "status", "note"])
-    prismatic = (plan.rows()["joint"] == PRISMATIC).to_numpy()
     for name in ("steps", "low", "high"):
         sheet[name] = predicted[name].astype("Int64").to_numpy()
-    for (name, unit), subset in zip(STEP_SIZES.items(), (prismatic, ~prismatic), strict=True):
-        shown = from_si(predicted["step_size"].to_numpy(float), unit)
-        sheet[name] = [f"{value:.6g}" if own else "" for value, own in zip(shown, subset, strict=True)]
+    for name, unit in STEP_SIZES.items():
+        shown = zip(predicted["step_size"], predicted["unit"] == unit, strict=True)
+        sheet[name] = [f"{value:.6g}" if own else "" for value, own in shown]
     sheet["calibration"] = predicted["calibration"].replace("", NEW_SESSION).to_numpy()
     return sheet.to_csv(index=False, lineterminator="\n")
 

@@ -38,7 +38,6 @@ from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation import (
     Result,
     fit_closed_form,
-    fit_constant_step,
     fit_least_squares,
     held_out_errors,
 )
@@ -241,7 +240,7 @@ def _render(
     comparison: Comparison | InputError | None,
     command: str,
 ) -> str:
-    errors = held_out_errors(log, calibration, fit_constant_step(log, calibration))
+    errors = held_out_errors(log, calibration).si
     published = [joint for joint, each in fit.joints.items() if is_published(law_without_causes(each.law))]
     coefficients = (
         tabulate_load_coefficients(log, calibration, fit) if Elbow.joint in published else pd.DataFrame()

@@ -52,7 +52,7 @@ def flags(result):
 
 
 def test_agrees_with_least_squares_where_the_counts_decide(log, posterior):
-    ours, theirs = posterior.parameters, fit_least_squares(log).parameters
+    ours, theirs = posterior.si.parameters, fit_least_squares(log).si.parameters
     assert np.abs((ours["estimate"] - theirs["estimate"]) / theirs["standard_error"]).max() < 1.0
     assert posterior.flags == ()
     # Days without day-to-day spread lend each other strength.
@@ -70,9 +70,9 @@ def test_every_parameter_has_the_effective_draws_that_were_asked_for(posterior):
 
 def test_the_same_seed_gives_the_same_numbers(log, posterior):
     again = fit_bayes(log, progress=False)
-    assert again.result.parameters.equals(posterior.parameters)
+    assert again.result.si.parameters.equals(posterior.si.parameters)
     other = fit_bayes(log, seed=1, progress=False)
-    assert not other.result.parameters.equals(posterior.parameters)
+    assert not other.result.si.parameters.equals(posterior.si.parameters)
     assert posterior.provenance.seed == 0
 
 
@@ -80,9 +80,9 @@ def test_saved_and_read_again(posterior, log, tmp_path):
     path = tmp_path / "posterior.nc"
     posterior.save(path)
     again = load_posterior(path)
-    assert again.result.parameters.equals(posterior.parameters)
+    assert again.result.si.parameters.equals(posterior.si.parameters)
     assert str(again) == str(posterior)
-    assert again.predict(log.usable).equals(posterior.predict(log.usable))
+    assert again.si.predict(log.usable).equals(posterior.si.predict(log.usable))
     path.write_bytes(b"not netCDF")
     with pytest.raises(InputError, match="no saved posterior"):
         load_posterior(path)
@@ -95,7 +95,7 @@ def test_priors_are_printed_in_users_units(posterior):
 
 
 def test_predicts_sessions_that_were_fitted_as_the_result_does(posterior, log):
-    ours, theirs = posterior.predict(log.usable), posterior.result.predict(log.usable)
+    ours, theirs = posterior.si.predict(log.usable), posterior.result.si.predict(log.usable)
     assert ours["steps"].to_numpy() == pytest.approx(theirs["steps"], rel=2e-4)
     for bound in ("low", "high"):
         reach = np.log(ours[bound] / ours["steps"]) / np.log(theirs[bound] / theirs["steps"])
@@ -105,7 +105,7 @@ def test_predicts_sessions_that_were_fitted_as_the_result_does(posterior, log):
 def test_predicts_a_session_to_come_with_the_spread_between_sessions(posterior, log):
     rows = log.usable.head(4)
     known, to_come = (
-        posterior.predict(rows.assign(session=session)) for session in (SESSIONS[0], "2012-03-08")
+        posterior.si.predict(rows.assign(session=session)) for session in (SESSIONS[0], "2012-03-08")
     )
     assert (to_come["relative_error"] > 2 * known["relative_error"]).all()
     # Level, without load, the step size is a alone: its mean is uncertain, and it spreads about that.
@@ -118,7 +118,7 @@ def test_predicts_a_session_to_come_with_the_spread_between_sessions(posterior, 
 
 def test_a_joint_that_was_not_fitted_is_not_predicted(posterior, log):
     with pytest.raises(InputError, match=r"joint 2, direction . was not fitted; fitted were 3 \+, 3 -"):
-        posterior.predict(log.usable.assign(joint=2))
+        posterior.si.predict(log.usable.assign(joint=2))
 
 
 def test_predictive_checks_pass_for_the_models_own_counts(posterior):
@@ -150,7 +150,7 @@ def test_leave_one_out_is_the_log_density_of_each_count_foretold(posterior, log)
 
 def test_one_session_gives_numbers(campaign, read):
     result = fit_bayes(read(campaign(sessions=SESSIONS[:1], settings=JOINT_3)), progress=False).result
-    table = result.parameters
+    table = result.si.parameters
     assert table["standard_error"].notna().all()
     found = table[(table["name"] == "a") & (table["direction"] == "+")].iloc[0]
     assert found["low"] < 976e-9 < found["high"]
@@ -164,7 +164,7 @@ def test_a_session_with_one_direction_is_fitted_in_that_direction(campaign, read
     assert sorted(zip(groups["session"], groups["direction"], strict=True)) == [
         (SESSIONS[0], "+"), (SESSIONS[0], "-"), (SESSIONS[1], "+"),
     ]  # fmt: skip
-    assert result.parameters["estimate"].notna().all()
+    assert result.si.parameters["estimate"].notna().all()
 
 
 def test_a_session_with_few_traverses_leans_on_the_others(campaign, read):
@@ -172,8 +172,8 @@ def test_a_session_with_few_traverses_leans_on_the_others(campaign, read):
     poor = table[(table["session"] != SESSIONS[2]) | (table["q2_deg"] == -90.0)]
     log = read(poor)
     # Least squares cannot know b and c of the last session at all.
-    assert fit_least_squares(log).parameters["estimate"].isna().sum() == 2
-    found = fit_bayes(log, progress=False).result.parameters.set_index(["session", "name"])
+    assert fit_least_squares(log).si.parameters["estimate"].isna().sum() == 2
+    found = fit_bayes(log, progress=False).result.si.parameters.set_index(["session", "name"])
     assert found["estimate"].notna().all()
     assert found.loc[(SESSIONS[2], "b"), "low"] < 0.30 < found.loc[(SESSIONS[2], "b"), "high"]
     errors = found["standard_error"]
@@ -184,20 +184,20 @@ def test_what_no_session_shows_is_not_reported(campaign, read):
     level = [setting for setting in JOINT_3 if setting["q2_deg"] == -90.0 or setting["theta_deg"] == -90.0]
     log = read(campaign(sessions=SESSIONS, settings=tuple(level)))
     posterior = fit_bayes(log, progress=False)
-    table = posterior.parameters
+    table = posterior.si.parameters
     assert table[table["name"] == "c"]["estimate"].isna().all()
     assert table[table["name"] != "c"]["estimate"].notna().all()
     flag = next(flag for flag in posterior.flags if flag.flag == "not_identified")
     assert flag.parameters == ("c",)
     assert "theta = 0°, psi = 0° (arm upright: recoil and full load)" in flag.message
-    assert posterior.predict(log.usable)["steps"].isna().all()
+    assert posterior.si.predict(log.usable)["steps"].isna().all()
 
 
 def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campaign, read):
     table = campaign(sessions=SESSIONS[:1], settings=JOINT_3[:3], replicates=1)
     result = fit_bayes(read(table), progress=False).result
     assert flags(result) == {"few_replicates"}
-    assert result.parameters["standard_error"].notna().all()
+    assert result.si.parameters["standard_error"].notna().all()
 
 
 @pytest.mark.parametrize("factor", [10.0, 1.3, 0.1])
@@ -218,12 +218,12 @@ def test_a_count_wildly_off_is_named_and_no_other(campaign, read, sessions, fact
 def test_what_has_not_converged_is_no_number(log):
     posterior = fit_bayes(log, max_steps=3, progress=False)
     result = posterior.result
-    table = result.parameters
+    table = result.si.parameters
     assert flags(result) == {"not_converged"}
     assert table[["estimate", "standard_error", "low", "high"]].isna().all(axis=None)
     assert all("not_converged" in raised for raised in table["flags"])
     assert "after 3 steps" in result.flags[0].message
-    assert posterior.predict(log.usable)["steps"].isna().all()
+    assert posterior.si.predict(log.usable)["steps"].isna().all()
 
 
 def test_weights_with_heavy_tails_are_not_trusted(log, monkeypatch):
@@ -238,7 +238,7 @@ def test_weights_with_heavy_tails_are_not_trusted(log, monkeypatch):
     monkeypatch.setattr(sample, "sample_sessions", astray)
     result = fit_bayes(log, max_steps=50, progress=False).result
     assert flags(result) == {"not_converged"}
-    assert result.parameters["estimate"].isna().all()
+    assert result.si.parameters["estimate"].isna().all()
 
 
 def test_a_prior_under_which_the_joint_stalls_is_refused(log):

@@ -149,8 +149,8 @@ def posterior(warm):
 
 def test_sizes_of_causes_are_those_of_least_squares(warm, posterior):
     """Whose error bars hold, and whose sessions are their own: priors are weak beside so many counts."""
-    wanted = fit_least_squares(warm, causes=CAUSES).parameters.set_index(["name", "direction", "session"])
-    found = posterior.parameters.set_index(["name", "direction", "session"])
+    wanted = fit_least_squares(warm, causes=CAUSES).si.parameters.set_index(["name", "direction", "session"])
+    found = posterior.si.parameters.set_index(["name", "direction", "session"])
     for name in ("thermal-warm-up.A", "thermal-warm-up.tau", "end-stop-latency.L"):
         one, other = (table.loc[name].iloc[0] for table in (found, wanted))
         assert abs(one["estimate"] - other["estimate"]) < 0.4 * other["standard_error"]
@@ -165,7 +165,7 @@ def test_a_posterior_with_causes_is_saved_and_foretells_a_session_to_come(warm, 
     assert again.priors.causes.names == posterior.priors.causes.names
     assert "thermal-warm-up.tau" in str(again)
     rows = warm.usable.iloc[:2].assign(session="tomorrow")
-    cold, hot = (again.predict(rows.assign(session_seconds=t))["steps"].to_numpy() for t in (0.0, 1e5))
+    cold, hot = (again.si.predict(rows.assign(session_seconds=t))["steps"].to_numpy() for t in (0.0, 1e5))
     assert (cold - 150) / (hot - 150) == pytest.approx([1.04] * 2, abs=0.004)
     assert again.diagnostics["k_hat"].max() < 0.7
     assert list(again.campaign_means()["name"]) == ["a", "b", "c"] * 2
@@ -179,7 +179,7 @@ def test_what_no_count_tells_is_the_prior_s_and_said_to_be(campaign, tmp_path):
     found = fit_bayes(
         read_log(tmp_path / "log.csv"), causes=CAUSES[:1], target_ess=300, progress=False
     ).result
-    table = found.parameters.set_index("name")
+    table = found.si.parameters.set_index("name")
     assert np.isnan(table.loc["thermal-warm-up.tau", "estimate"])
     assert table.loc["thermal-warm-up.tau", "flags"] == ("not_identified",)
     assert table.loc["thermal-warm-up.A", "low"] < 0 < table.loc["thermal-warm-up.A", "high"]

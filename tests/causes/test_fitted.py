@@ -59,7 +59,7 @@ def result(warm: Log) -> Result:
 
 
 def causes_of(result: Result) -> pd.DataFrame:
-    table = result.parameters
+    table = result.si.parameters
     return table[table["joint"] == ALL_JOINTS].set_index("name")
 
 
@@ -79,13 +79,13 @@ def test_the_published_parameters_are_right_again_and_the_repeatability_too(warm
     for fit in result.joints.values():
         assert [each.value for each in fit.repeatability.values()] == pytest.approx([0.0027] * 2, rel=0.25)
     assert baseline.joints[3].repeatability["+"].value > 2 * result.joints[3].repeatability["+"].value
-    table = result.parameters
+    table = result.si.parameters
     a = table[(table["name"] == "a") & (table["direction"] == "+")]
     assert np.all(np.abs(a["estimate"] - 976e-9) < 4 * a["standard_error"])
 
 
 def test_a_cause_is_listed_once_for_the_whole_campaign(result):
-    table = result.parameters
+    table = result.si.parameters
     subset = table[table["name"].str.contains(".", regex=False)]
     assert list(subset["name"]) == ["thermal-warm-up.A", "thermal-warm-up.tau", "end-stop-latency.L"]
     assert set(subset["joint"]) == {ALL_JOINTS}
@@ -163,8 +163,8 @@ def test_it_is_the_least_of_all_sums_of_squares(warm, result):
 def test_saved_and_loaded_it_is_the_same(result, warm, tmp_path):
     result.save(tmp_path / "fit.json")
     back = load_result(tmp_path / "fit.json")
-    pd.testing.assert_frame_equal(back.parameters, result.parameters)
-    pd.testing.assert_frame_equal(back.predict(warm.usable), result.predict(warm.usable))
+    pd.testing.assert_frame_equal(back.si.parameters, result.si.parameters)
+    pd.testing.assert_frame_equal(back.si.predict(warm.usable), result.si.predict(warm.usable))
     import json
 
     listed = json.loads((tmp_path / "fit.json").read_text())["parameters"]
@@ -175,7 +175,7 @@ def test_saved_and_loaded_it_is_the_same(result, warm, tmp_path):
 
 def test_predictions_follow_the_session_s_clock(result, warm):
     rows = warm.usable[warm.usable["joint"] == 3].iloc[[0]]
-    cold, hot = (result.predict(rows.assign(session_seconds=t))["steps"].iloc[0] for t in (0.0, 4 * TAU))
+    cold, hot = (result.si.predict(rows.assign(session_seconds=t))["steps"].iloc[0] for t in (0.0, 4 * TAU))
     assert (cold - LATE) / (hot - LATE) == pytest.approx(1 + A * (1 - np.exp(-4)), rel=2e-3)
 
 
@@ -277,7 +277,7 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
     with pytest.raises(InputError, match=r"'humming'.*not in the library"):
         load_result(tmp_path / "fit.json")
     back = load_result(tmp_path / "fit.json", causes=(Humming(),))
-    pd.testing.assert_frame_equal(back.predict(log.usable), found.predict(log.usable))
+    pd.testing.assert_frame_equal(back.si.predict(log.usable), found.si.predict(log.usable))
 
 
 def test_a_search_comes_to_rest_though_the_time_constant_of_nothing_is_next_to_unknown():

@@ -102,7 +102,7 @@ def test_what_is_left_to_chance_is_as_it_was_without_causes(plan, truth):
 def test_what_was_simulated_is_found_again(plan, truth):
     hidden = with_causes(truth, (ThermalWarmUp(), (0.05, 1200.0)), (EndStopLatency(), (120.0,)))
     result = fit_least_squares(simulate(plan, hidden, MACHINE), causes=(ThermalWarmUp(), EndStopLatency()))
-    table = result.parameters.set_index("name")["estimate"]
+    table = result.si.parameters.set_index("name")["estimate"]
     assert table["thermal-warm-up.A"] == pytest.approx(0.05, rel=0.01)
     assert table["thermal-warm-up.tau"] == pytest.approx(1200, rel=0.02)
     assert table["end-stop-latency.L"] == pytest.approx(120, abs=2)

@@ -72,7 +72,7 @@ def test_a_fit_is_the_mean_step_of_each_version_and_direction(tmp_path, cut):
     began = time.process_time()
     fit = ssf.fit(ssf.read_log(log, machine=load_machine(machine)))
     assert time.process_time() - began < 5
-    table = fit.parameters.set_index(["session", "joint", "direction"])["estimate"]
+    table = fit.si.parameters.set_index(["session", "joint", "direction"])["estimate"]
     for (session, joint, direction), stretches in read_maps("9").items():
         steps = np.radians([step for _, _, step in stretches])
         low, high = steps.min(), steps.max()

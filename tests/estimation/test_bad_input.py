@@ -50,7 +50,7 @@ def fit(method, tmp_path):
     def estimate(table):
         table.to_csv(tmp_path / "log.csv", index=False)
         result = ESTIMATORS[method](read_log(tmp_path / "log.csv"))
-        parameters = result.parameters
+        parameters = result.si.parameters
         unknown = parameters[NUMBERS].isna().any(axis=1)
         assert parameters.loc[unknown, "flags"].map(len).all()
         raised = {flag for flags in parameters["flags"] for flag in flags}
@@ -67,7 +67,7 @@ def flags(result):
 
 def unknown(result):
     """Names of the parameters that have no estimate, in any session."""
-    table = result.parameters
+    table = result.si.parameters
     return set(table.loc[table["estimate"].isna(), "name"])
 
 
@@ -78,14 +78,14 @@ def test_a_session_with_one_direction_only(fit, campaign):
     for joint in result.joints.values():
         groups = list(zip(joint.groups["session"], joint.groups["direction"], strict=True))
         assert groups == [(DAYS[0], "+"), (DAYS[0], "-"), (DAYS[1], "+")]
-    assert result.parameters[NUMBERS].notna().all(axis=None)
+    assert result.si.parameters[NUMBERS].notna().all(axis=None)
 
 
 def test_one_configuration_repeated_shows_what_it_shows(fit, campaign):
     result = fit(campaign(DAYS, CALIBRATION_3[:1], replicates=4))
     assert flags(result) == {"not_identified"}
     assert unknown(result) == {"b", "c"}
-    plain = result.parameters.query("name == 'a' and direction == '+'")
+    plain = result.si.parameters.query("name == 'a' and direction == '+'")
     assert (np.abs(plain["estimate"] - 976e-9) < 5 * plain["standard_error"]).all()
 
 
@@ -99,16 +99,16 @@ def test_one_configuration_repeated_that_shows_nothing_by_itself(fit, campaign, 
 def test_no_replicates_and_none_to_spare(fit, campaign, method):
     result = fit(campaign(DAYS[:1], CALIBRATION_3 + CALIBRATION_2, replicates=1))
     assert flags(result) == {"few_replicates"}
-    assert result.parameters["estimate"].notna().all()
+    assert result.si.parameters["estimate"].notna().all()
     # Bayes has error bars from its prior, and says that they are.
-    assert result.parameters["standard_error"].notna().all() == (method == "bayes")
+    assert result.si.parameters["standard_error"].notna().all() == (method == "bayes")
 
 
 def test_a_single_traverse(fit, campaign):
     result = fit(campaign(DAYS[:1], CALIBRATION_3[:1], ("+",), replicates=1))
     assert flags(result) == {"few_replicates", "not_identified"}
     assert unknown(result) == {"b", "c"}
-    assert result.parameters["estimate"].dropna().item() == pytest.approx(976e-9, rel=0.02)
+    assert result.si.parameters["estimate"].dropna().item() == pytest.approx(976e-9, rel=0.02)
 
 
 def test_one_joint_only(fit, campaign):
@@ -122,7 +122,7 @@ def test_a_session_of_two_rows(fit, campaign, method):
     last = table[(table["session"] == DAYS[1]) & (table["joint"] == 3)].iloc[:2]
     result = fit(pd.concat([table[table["session"] == DAYS[0]], last]))
     assert list(last["direction"]) == ["+", "-"]
-    estimates = result.parameters.set_index(["session", "name"])["estimate"]
+    estimates = result.si.parameters.set_index(["session", "name"])["estimate"]
     assert estimates[DAYS[0]].notna().all()
     if method == "bayes":
         # The other session lends what these rows do not show.
@@ -138,7 +138,7 @@ def test_all_steps_equal_over_full_traverses(fit, campaign):
     full = CALIBRATION_3 + CALIBRATION_2
     result = fit(campaign(DAYS, full, check_every=1).assign(steps=12300))
     assert flags(result) == set()
-    table = result.parameters.set_index("name")
+    table = result.si.parameters.set_index("name")
     assert table.loc["a", "estimate"].to_numpy() == pytest.approx(12e-3 / 12300, rel=3e-3)
     assert table.loc["gamma0_q3_0", "estimate"].to_numpy() == pytest.approx(np.radians(240) / 12300, rel=3e-3)
     assert table.loc["b", "estimate"].to_numpy() == pytest.approx(0.0, abs=3e-3)
@@ -159,7 +159,7 @@ def test_two_sessions_with_disjoint_joints(fit, campaign):
     table = campaign(DAYS, SETTINGS)
     result = fit(table[(table["session"] == DAYS[0]) == (table["joint"] == 3)])
     assert flags(result) == set()
-    days = result.parameters.groupby("joint")["session"].unique()
+    days = result.si.parameters.groupby("joint")["session"].unique()
     assert (list(days[3]), list(days[2])) == ([DAYS[0]], [DAYS[1]])
 
 
@@ -194,6 +194,6 @@ class TestACountWildlyOff:
         assert f"joint {joint}, direction +, session {DAYS[0]}: the count {count} " in message
         if method == "heavy-tailed":
             assert flags(result) == {"outlier"}
-            subset = result.parameters.query(f"joint == {joint} and direction == '+'")
+            subset = result.si.parameters.query(f"joint == {joint} and direction == '+'")
             off = (subset["estimate"] - subset["name"].map(TRUTH)) / subset["standard_error"]
             assert np.abs(off).max() < 4.0

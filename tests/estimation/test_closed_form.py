@@ -47,7 +47,7 @@ def test_error_bars_match_the_scatter_of_many_sessions(campaign, tmp_path):
         {"joint": 3, "q2_deg": 0.0},
     )
     result = fit_closed_form(read(campaign(sessions, calibration, seed=7), tmp_path))
-    table = result.parameters
+    table = result.si.parameters
     for (name, direction), subset in table.groupby(["name", "direction"]):
         ratio = subset["estimate"].std() / subset["standard_error"].mean()
         assert ratio == pytest.approx(1.0, abs=4 / np.sqrt(2 * 99)), (name, direction)
@@ -74,7 +74,7 @@ def test_a_missing_traverse_is_named_and_spoils_no_other_parameter(campaign, tmp
     lost |= (table.joint == 2) & (table.q3_mm == 12.0) & (table.theta_deg == 0.0)
     lost |= (table.joint == 1) & (table.q3_mm == 12.0) & (table.theta_deg == -90.0)
     result = fit_closed_form(read(table[~lost], tmp_path))
-    estimate = result.parameters.query("direction == '+'").set_index("name")
+    estimate = result.si.parameters.query("direction == '+'").set_index("name")
     assert set(estimate.index[estimate["estimate"].isna()]) == {"c", "d_q3_12", "d_reach_0", "d_per_mm"}
     assert estimate["standard_error"].notna().sum() == len(estimate) - 4
     message = next(r.message for r in result.flags if r.joint == 3 and r.direction == "+")
@@ -87,8 +87,8 @@ def test_of_many_missing_traverses_what_is_left_keeps_its_error_bars():
     log = read_log("data/reference/campaign.csv")
     thin = log.select(np.arange(len(log)) % 8 == 0)
     result = fit_closed_form(thin)
-    a = result.parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
-    truth = fit_closed_form(log).parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
+    a = result.si.parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
+    truth = fit_closed_form(log).si.parameters.set_index(["joint", "name", "direction"]).loc[3, "a", "+"]
     assert np.all(a["standard_error"] > 0)
     assert np.all(abs(a["estimate"].to_numpy() - truth["estimate"].to_numpy()) < 4 * a["standard_error"])
 
@@ -107,7 +107,7 @@ def test_accuracy_is_measured_on_traverses_that_calibrated_nothing(campaign, tmp
     log = read(campaign(), tmp_path)
     law = fit_closed_form(log)
     constant = fit_constant_step(log, law)
-    table = held_out_errors(log, law, constant)
+    table = held_out_errors(log, law, constant).si
     used = law.residuals.index[law.residuals["used"]]
     assert not table.index.isin(used).any()
     assert len(table) == len(log.usable) - len(used)

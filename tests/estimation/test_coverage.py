@@ -31,7 +31,7 @@ def noisy(log, expected, rng):
 
 def levels(result, fresh, expected):
     """The level at which each interval, of a parameter or of a predicted count, just reaches the truth."""
-    parts, predictions = [], result.predict(fresh)
+    parts, predictions = [], result.si.predict(fresh)
     off = np.abs(np.log(predictions["steps"] / expected) / predictions["relative_error"])
     predicted = np.empty(len(fresh))
     for joint, fit in result.joints.items():

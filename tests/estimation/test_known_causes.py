@@ -98,7 +98,7 @@ def test_the_result_is_one_of_the_extended_law(campaign, tmp_path, fitted):
     )
     for name in ("estimate", "standard_error", "low", "high"):
         assert list(found[name]) == pytest.approx(list(wanted[name]))
-    seen = result.predict(log.usable)
+    seen = result.si.predict(log.usable)
     inside = log.usable["steps"].between(seen["low"], seen["high"])
     assert inside.mean() > 0.9
 

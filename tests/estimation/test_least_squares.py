@@ -24,7 +24,7 @@ def read(table: pd.DataFrame, folder):
 
 
 def estimates(result, joint, direction, session):
-    table = result.parameters
+    table = result.si.parameters
     subset = table[
         (table["joint"] == joint) & (table["direction"] == direction) & (table["session"] == session)
     ]
@@ -82,7 +82,7 @@ def test_intervals_cover(campaign, tmp_path):
     result = fit_least_squares(read(campaign(sessions=sessions, seed=5), tmp_path))
     truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
     truth |= {("a", "-"): 903e-9, ("gamma0_q3_0", "+"): 95e-6, ("gamma0_reach_0", "+"): 97e-6}
-    table = result.parameters.set_index(["name", "direction"])
+    table = result.si.parameters.set_index(["name", "direction"])
     covered = [
         (table.loc[key, "low"] < value) & (value < table.loc[key, "high"]) for key, value in truth.items()
     ]
@@ -92,7 +92,7 @@ def test_intervals_cover(campaign, tmp_path):
 
 def test_predictions_hold_for_a_new_replicate(campaign, log, tmp_path):
     fresh = read(campaign(seed=99), tmp_path).usable
-    found = fit_least_squares(log).predict(fresh)
+    found = fit_least_squares(log).si.predict(fresh)
     steps = fresh["steps"] - 2.5
     inside = float(np.mean((found["low"] < steps) & (steps < found["high"])))
     assert inside == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / len(fresh)))
@@ -100,11 +100,11 @@ def test_predictions_hold_for_a_new_replicate(campaign, log, tmp_path):
 
 def test_interrupted_and_excluded_traverses_are_not_fitted(campaign, tmp_path):
     table = campaign(sessions=("2012-03-05",))
-    clean = fit_least_squares(read(table, tmp_path)).parameters["estimate"]
+    clean = fit_least_squares(read(table, tmp_path)).si.parameters["estimate"]
     spoilt = pd.concat([table, table.iloc[:6].assign(steps=5000)], ignore_index=True)
     spoilt["status"] = [""] * len(table) + ["interrupted", "excluded"] * 3
     spoilt.loc[len(table):, "time"] = [f"2012-03-05T23:0{minute}:00" for minute in range(6)]  # fmt: skip
-    again = fit_least_squares(read(spoilt, tmp_path)).parameters["estimate"]
+    again = fit_least_squares(read(spoilt, tmp_path)).si.parameters["estimate"]
     assert again.to_numpy() == pytest.approx(clean.to_numpy(), rel=1e-12)
 
 
@@ -138,7 +138,7 @@ def test_one_traverse_per_parameter_gives_no_error_bars_and_says_so(campaign, tm
         {"joint": 3, "q2_deg": 0.0},
     )
     result = fit_least_squares(read(campaign(("2012-03-05",), settings, replicates=1), tmp_path))
-    table = result.parameters
+    table = result.si.parameters
     assert table["estimate"].notna().all()
     assert table["standard_error"].isna().all()
     assert {flag for flags in table["flags"] for flag in flags} == {"few_replicates"}

@@ -25,7 +25,7 @@ def test_a_misheard_end_stop_pulls_little(campaign, tmp_path):
         ("gaussian", fit_least_squares(log)),
         ("student", fit_least_squares(log, likelihood=StudentT())),
     ):
-        subset = result.parameters.query("joint == 3 and direction == '+'")
+        subset = result.si.parameters.query("joint == 3 and direction == '+'")
         off[name] = np.abs(subset["estimate"] / subset["name"].map(truth) - 1.0).max()
     assert off["gaussian"] > 0.03
     assert off["student"] < 0.008
@@ -58,7 +58,7 @@ def test_intervals_cover_under_heavy_tails(campaign, tmp_path, likelihood):
     table["steps"] = np.round(table["steps"] * np.exp(noise)).astype(int)
     result = fit_least_squares(read(table, tmp_path), likelihood=likelihood)
     truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
-    rows = result.parameters.set_index(["name", "direction"])
+    rows = result.si.parameters.set_index(["name", "direction"])
     covered = [
         (rows.loc[key, "low"] < value) & (value < rows.loc[key, "high"]) for key, value in truth.items()
     ]

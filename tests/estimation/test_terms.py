@@ -65,7 +65,7 @@ def given(log):
 def test_a_shared_parameter_agrees_with_scipy_on_the_whole_system(read, direction):
     log = read()
     result = fit_least_squares(log, shared=("b",), repeatability=given(log))
-    table = result.parameters
+    table = result.si.parameters
     subset = table[(table["joint"] == 3) & (table["direction"] == direction)].set_index(["name", "session"])
     estimate, error = dense(log, direction, shared_b=True)
     order = [("a", day) for day in DAYS] + [("c", day) for day in DAYS] + [("b", None)]
@@ -84,7 +84,7 @@ def test_a_session_without_a_recoil_traverse_learns_b_from_the_others(read):
     alone, together = fit_least_squares(log), fit_least_squares(log, shared=("b",))
     assert any(flag.flag == "not_identified" for flag in alone.flags)
     assert not together.flags
-    table = together.parameters
+    table = together.si.parameters
     last = table[(table["session"] == DAYS[2]) & (table["name"] == "c") & (table["direction"] == "+")]
     assert last["estimate"].iloc[0] * 1e9 == pytest.approx(438, abs=4 * last["standard_error"].iloc[0] * 1e9)
     assert last["standard_error"].iloc[0] > 0
@@ -96,7 +96,7 @@ def test_a_shared_parameter_that_no_session_shows_is_said_to_be_unknown_once(rea
     said = [flag for flag in result.flags if flag.parameters == ("b",)]
     assert [(flag.direction, flag.session) for flag in said] == [("+", ""), ("-", "")]
     assert "from the whole campaign" in said[0].message
-    table = result.parameters.set_index("name")
+    table = result.si.parameters.set_index("name")
     assert table.loc["b", "estimate"].isna().all()
     assert table.loc[["a", "c"], "estimate"].notna().all()
 
@@ -111,8 +111,8 @@ def test_all_parameters_shared_is_one_fit_of_all_sessions(read):
 
     one = fit_least_squares(read(merged))
     columns = ["estimate", "standard_error", "low", "high"]
-    assert together.parameters["session"].isna().all()
-    found, wanted = (result.parameters[columns].to_numpy(float) for result in (together, one))
+    assert together.si.parameters["session"].isna().all()
+    found, wanted = (result.si.parameters[columns].to_numpy(float) for result in (together, one))
     assert found == pytest.approx(wanted, rel=1e-6)
 
 
@@ -125,10 +125,10 @@ def test_shared_parameters_are_saved_with_a_null_session_and_come_back(read, tmp
         ("-", None),
     ]
     again = load_result(tmp_path / "fit.json")
-    pd.testing.assert_frame_equal(again.parameters, result.parameters)
+    pd.testing.assert_frame_equal(again.si.parameters, result.si.parameters)
     lines = [line.split() for line in str(again).splitlines() if line.startswith("all sessions")]
     assert [line[2] for line in lines] == ["+", "−"]
-    table = again.parameters.set_index(["name", "direction"])["estimate"]
+    table = again.si.parameters.set_index(["name", "direction"])["estimate"]
     assert [float(line[3]) for line in lines] == pytest.approx([table["b", "+"], table["b", "-"]], abs=1e-3)
 
 
@@ -139,7 +139,7 @@ def test_intervals_cover_where_days_share_a_parameter(read, campaigns):
     truth |= {("a", "-"): 903e-9, ("b", "-"): 0.27, ("c", "-"): -405e-9}
     inside, asked = dict.fromkeys("abc", 0), dict.fromkeys("abc", 0)
     for seed in range(campaigns):
-        table = fit_least_squares(read(seed=seed, replicates=1), shared=("b",)).parameters
+        table = fit_least_squares(read(seed=seed, replicates=1), shared=("b",)).si.parameters
         for row in table.itertuples():
             inside[row.name] += row.low < truth[row.name, row.direction] < row.high
             asked[row.name] += 1
@@ -152,7 +152,7 @@ def test_a_bound_holds_and_the_others_make_the_best_of_it(read):
     """Against scipy with b fixed there; the sum of squares would fall beyond the bound."""
     log = read()
     result = fit_least_squares(log, bounds={"b": (0.0, 0.28)}, repeatability=given(log))
-    table = result.parameters.set_index(["direction", "session", "name"])
+    table = result.si.parameters.set_index(["direction", "session", "name"])
     for day in DAYS:
         b = table.loc["+", day, "b"]
         assert b["estimate"] == 0.28
@@ -181,7 +181,7 @@ def test_a_truth_on_its_bound_is_covered(read):
     """Half the estimates are held back, half are free; 95 % of either kind or more reach the truth."""
     inside, held = [], []
     for seed in range(30):
-        table = fit_least_squares(read(seed=seed, directions=("+",)), bounds={"b": (0.30, 1.0)}).parameters
+        table = fit_least_squares(read(seed=seed, directions=("+",)), bounds={"b": (0.30, 1.0)}).si.parameters
         subset = table[table["name"] == "b"]
         inside += list((subset["low"] <= 0.30) & (subset["high"] >= 0.30))
         held += ["at_bound" in flags for flags in subset["flags"]]
@@ -193,7 +193,7 @@ def test_a_bound_on_a_shared_parameter_is_told_once(read):
     result = fit_least_squares(read(), shared=("b",), bounds={"b": (0.0, 0.28)})
     said = [flag for flag in result.flags if flag.flag == "at_bound"]
     assert [(flag.direction, flag.session) for flag in said] == [("+", "")]
-    table = result.parameters.set_index(["name", "direction"])
+    table = result.si.parameters.set_index(["name", "direction"])
     assert table.loc[("b", "+"), "estimate"] == 0.28
     assert table.loc[("b", "+"), "flags"] == ("at_bound",)
 
@@ -201,8 +201,8 @@ def test_a_bound_on_a_shared_parameter_is_told_once(read):
 def test_a_given_repeatability_makes_the_error_bars(read):
     """They scale with it and need no degrees of freedom: one traverse per parameter has some too."""
     few = read(settings=PRISMATIC[:3], replicates=1)
-    assert fit_least_squares(few).parameters["standard_error"].isna().all()
-    table = fit_least_squares(few, repeatability={(3, "+"): 0.003}).parameters
+    assert fit_least_squares(few).si.parameters["standard_error"].isna().all()
+    table = fit_least_squares(few, repeatability={(3, "+"): 0.003}).si.parameters
     forward = table[(table["direction"] == "+") & (table["name"] == "a")]
     rounding = 5 / np.sqrt(12) * forward["estimate"] / 0.012
     assert list(forward["standard_error"] / forward["estimate"]) == pytest.approx(

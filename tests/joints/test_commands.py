@@ -46,7 +46,7 @@ def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
     read = ssf.read_log(log, machine=load_machine(machine))
     for method, tolerance in (("least-squares", 0.012), ("closed-form", 0.05)):
-        table = ssf.fit(read, method=method).parameters
+        table = ssf.fit(read, method=method).si.parameters
         assert len(table) == len(MACHINES[name]) * 6
         for row in table.itertuples():
             kind = MACHINES[name][row.joint - 1][0]
@@ -98,7 +98,7 @@ def test_without_times_what_needs_order_is_untestable_and_why(make, tmp_path, na
 def test_one_constant_for_a_prismatic_first_joint_is_in_nm(make):
     machine, log = make("another order")
     fit = ssf.fit(ssf.read_log(log, machine=load_machine(machine)))
-    first = fit.parameters.iloc[0]
+    first = fit.si.parameters.iloc[0]
     assert from_si(first["estimate"], "nm") == pytest.approx(110, rel=0.02)
     assert fit.joints[1].law.prismatic
     assert not fit.joints[3].law.prismatic

@@ -97,5 +97,7 @@ def test_a_saved_result_has_its_machine(tmp_path, load, name):
     again = load_result(tmp_path / "fit.json")
     assert (again.machine.kinds, again.machine.ranges) == (machine.kinds, machine.ranges)
     assert again.machine.sha256 == machine.sha256
-    assert again.parameters["estimate"].to_numpy() == pytest.approx(fit.parameters["estimate"].to_numpy())
+    assert again.si.parameters["estimate"].to_numpy() == pytest.approx(
+        fit.si.parameters["estimate"].to_numpy()
+    )
     assert str(again) == str(fit)

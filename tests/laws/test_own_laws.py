@@ -59,7 +59,7 @@ def log(path):
 
 
 def parameters(result, names):
-    table = result.parameters.set_index(["name", "direction", "session"]).loc[list(names)]
+    table = result.si.parameters.set_index(["name", "direction", "session"]).loc[list(names)]
     return table[["estimate", "standard_error", "low", "high"]].to_numpy(float)
 
 
@@ -67,7 +67,7 @@ def parameters(result, names):
 def test_the_published_law_as_ones_own_gives_the_same_numbers(method, log, lab):
     own, published = ssf.fit(log, method, laws={3: lab.Guide()}), ssf.fit(log, method)
     np.testing.assert_allclose(parameters(own, OWN), parameters(published, THESIS), rtol=1e-9)
-    np.testing.assert_allclose(own.predict(log.usable), published.predict(log.usable), rtol=1e-9)
+    np.testing.assert_allclose(own.si.predict(log.usable), published.si.predict(log.usable), rtol=1e-9)
 
 
 def test_a_law_that_names_the_thesis_s_configurations_is_calibrated_as_in_closed_form(log, lab):
@@ -101,7 +101,7 @@ def test_a_calibration_that_cannot_be_names_parameters_and_no_traverse(log, lab)
 
 def test_a_constant_step_is_the_mean(log):
     one = log.select(log.rows["q2"] < -1.5)
-    fitted = ssf.fit(one, laws={3: ConstantStep(3)}).parameters
+    fitted = ssf.fit(one, laws={3: ConstantStep(3)}).si.parameters
     rows = one.usable.assign(step=lambda row: np.log(0.012 / (row["steps"] - 2.5)))
     mean = np.exp(rows.groupby(["session", "direction"], observed=True, sort=False)["step"].mean())
     np.testing.assert_allclose(fitted["estimate"].sort_values(), mean.sort_values(), rtol=1e-6)
@@ -248,8 +248,8 @@ def test_a_saved_result_comes_back_with_its_law_given_again(log, lab, tmp_path):
     result = ssf.fit(log, laws={3: lab.GUIDE}, causes=causes)
     result.save(tmp_path / "result.json")
     back = ssf.load_result(tmp_path / "result.json", laws={3: lab.Guide()})
-    pd.testing.assert_frame_equal(back.parameters, result.parameters)
-    pd.testing.assert_frame_equal(back.predict(log.usable), result.predict(log.usable))
+    pd.testing.assert_frame_equal(back.si.parameters, result.si.parameters)
+    pd.testing.assert_frame_equal(back.si.predict(log.usable), result.si.predict(log.usable))
     for laws in (None, {}, {3: Prismatic()}, {3: lab.Doubled()}):
         with pytest.raises(ssf.InputError, match=r"laboratory:Guide.*no code is run.*--law laboratory:Guide"):
             ssf.load_result(tmp_path / "result.json", laws=laws)
@@ -400,11 +400,11 @@ def test_a_file_of_formulas_gives_laws_and_causes(path, log, tmp_path, run):
     assert (status, complaint) == (0, "")
     assert "slow.A" in printed
     back = ssf.load_result(tmp_path / "result.json")  # text, so that nothing has to be given again
-    table = back.parameters
+    table = back.si.parameters
     assert list(table["name"].unique()) == ["free", "weight", "share", "slow.A"]
     content = ssf.read_law_file(tmp_path / "law.toml")
     fitted = ssf.fit(log, laws=content.laws, causes=content.causes)
-    pd.testing.assert_frame_equal(back.predict(log.usable), fitted.predict(log.usable))
+    pd.testing.assert_frame_equal(back.si.predict(log.usable), fitted.si.predict(log.usable))
     plain = ssf.fit(log, laws=content.laws)
     np.testing.assert_allclose(
         parameters(plain, ("free", "share", "weight")), parameters(ssf.fit(log), THESIS), rtol=1e-6
@@ -421,7 +421,7 @@ def test_a_function_in_a_saved_result_is_not_imported(log, lab, tmp_path):
     with pytest.raises(ssf.InputError, match=r"laboratory:slope.*no code is run"):
         ssf.load_result(tmp_path / "result.json")
     back = ssf.load_result(tmp_path / "result.json", laws={3: law})
-    pd.testing.assert_frame_equal(back.predict(log.usable), result.predict(log.usable))
+    pd.testing.assert_frame_equal(back.si.predict(log.usable), result.si.predict(log.usable))
 
 
 def test_an_amplitude_starts_where_no_traverse_stalls(campaign, tmp_path):

@@ -108,7 +108,7 @@ def test_a_chart_of_all_joints_has_the_parameters_of_each(whole):
 
 def test_the_forest_has_every_session_in_order(days):
     axes = panel(days.fit.plot_forest(3).figure, "c", 1)
-    subset = days.fit.parameters.query("name == 'c' and direction == '-'")
+    subset = days.fit.si.parameters.query("name == 'c' and direction == '-'")
     assert drawn(axes, "o") == pytest.approx(np.column_stack([1e9 * subset["estimate"], range(8)]))
     ends = [path.vertices[:, 0] for path in axes.collections[0].get_paths()]
     assert np.array(ends) == pytest.approx(1e9 * subset[["low", "high"]].to_numpy())
@@ -126,7 +126,7 @@ def test_the_forest_of_a_posterior_shows_the_campaign_s_mean(posterior):
 def test_what_all_sessions_share_is_a_band_of_the_forest(days):
     shared = fit_least_squares(days.log, shared=["b"])
     axes = panel(shared.plot_forest(3).figure, "b")
-    (row,) = shared.parameters.query("name == 'b' and direction == '+'").itertuples()
+    (row,) = shared.si.parameters.query("name == 'b' and direction == '+'").itertuples()
     (band,) = axes.patches
     assert (band.get_x(), band.get_width()) == pytest.approx((row.low, row.high - row.low))
     assert len(drawn(axes, "o")) == 0

@@ -73,7 +73,7 @@ def test_the_curve_is_the_law(swept, rows):
     upright = panels[0].curves
     session = swept.log.sessions[1]
     curve = upright[(upright["kind"] == "-") & (upright["session"] == session)]
-    known = swept.fit.parameters.query("direction == '-' and session == @session").set_index("name")[
+    known = swept.fit.si.parameters.query("direction == '-' and session == @session").set_index("name")[
         "estimate"
     ]
     expected = (1 - known["b"]) * (known["a"] - known["c"] * np.cos(np.radians(curve["x"])))
@@ -115,7 +115,7 @@ def test_the_curve_along_a_traverse_is_the_mean_over_an_interval(campaign, fitte
     panels, _ = make_panels(parts_only, ZETA_ALONG, ["theta", "q3"], found.fit)
     session = found.log.sessions[0]
     curve = panels[0].curves.query(f"kind == '-' and session == {session!r}").iloc[0]
-    subset = found.fit.parameters.query(f"direction == '-' and session == {session!r}")
+    subset = found.fit.si.parameters.query(f"direction == '-' and session == {session!r}")
     known = subset.set_index("name")["estimate"]
     zeta = np.radians(np.linspace(curve["x"] - 20.0, curve["x"] + 20.0, 20_001))
     rate = 1 / (known["gamma0_q3_0"] + known["d_q3_0"] * np.sin(zeta))
@@ -157,7 +157,7 @@ def test_departures_show_all_traverses_and_say_where_the_middle_is(swept, rows):
 
 
 def test_shares_of_traverses_predicted_better(whole):
-    errors = errors_of(whole.log, whole.calibration, whole.constant)
+    errors = errors_of(whole.log, whole.calibration, whole.constant).si
     noise = {(joint, sign): 0.003 for joint in (1, 2, 3) for sign in ("+", "-")}
     figure = draw_errors(errors, noise, load_machine())
     subset = errors[(errors["joint"] == 3) & (errors["direction"] == "-")]

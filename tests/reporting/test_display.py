@@ -46,7 +46,7 @@ def shown(months, read_page):
 
 
 def test_cells_are_the_parameters_in_peoples_units(months, shown):
-    table = months.fit.parameters
+    table = months.fit.si.parameters
     for line, cells in enumerate(
         zip(*(shown.column(CAPTION, head) for head in ("anm", "b", "cnm")), strict=True)
     ):
@@ -87,7 +87,7 @@ def test_parameters_that_all_sessions_share_are_shown_once(months, read_page):
     shared = fit_least_squares(months.log, shared=["b"])
     page = read_page(shared._repr_html_())
     of_all = [row for row in page.tables[CAPTION] if row[0] == "all sessions"]
-    table = shared.parameters[shared.parameters["session"].isna()]
+    table = shared.si.parameters[shared.si.parameters["session"].isna()]
     assert [number(row[3].split(" ± ")[0]) for row in of_all] == pytest.approx(
         list(table["estimate"]), abs=1e-4
     )
@@ -203,7 +203,7 @@ def test_what_shows_itself_prints_as_its_summary(months, posterior):
 
 
 def test_a_log_draws_every_usable_reading(months):
-    (axes,) = months.log.plot_readings()
+    (axes,) = months.log.plot()
     rows = months.log.usable
     drawn = np.concatenate([line.get_xydata() for line in axes.lines if line.get_marker() in "os"])
     step = 12e6 / (rows["steps"] - 2.5)
@@ -212,7 +212,7 @@ def test_a_log_draws_every_usable_reading(months):
 
 
 def test_a_posterior_has_the_parameters_of_its_result(posterior):
-    assert posterior.parameters.equals(posterior.result.parameters)
+    assert posterior.si.parameters.equals(posterior.result.si.parameters)
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +265,7 @@ def test_a_diagnosis_gives_its_numbers_as_tables(months):
     rows["steps"] = (rows["steps"] * (1 + 0.03 * rows["session_seconds"] / 3600)).round().astype(int)
     found = diagnose(replace(months.log, rows=rows), gain=False)
     assert found.verdict != "nothing wrong"
-    of = found.parameters
+    of = found.si.parameters
     assert set(of["cause"]) == {each.cause for each in found.findings if each.parameters}
     sizes = [one.size for each in found.findings for one in each.parameters]
     assert of[["estimate", "low", "high"]].to_numpy() == pytest.approx(
@@ -296,6 +296,6 @@ def test_what_was_not_fitted_is_refused(months, posterior):
 
 def test_no_error_bars_no_corner(campaign, fitted):
     bare = fitted(campaign(settings=CALIBRATION, replicates=1, sessions=("2012-03-05",))).fit
-    assert bare.parameters["estimate"].notna().all()
+    assert bare.si.parameters["estimate"].notna().all()
     with pytest.raises(InputError, match="make each calibration traverse twice"):
         bare.plot_corner(3, "+")

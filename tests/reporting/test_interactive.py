@@ -45,7 +45,7 @@ def test_the_columns_are_the_log_s(given, campaign, joint):
 
 def test_the_law_is_the_fit_s(given, whole):
     for shown in given["joints"]:
-        law = whole.fit.predict(whole.log.usable.loc[shown["row"]])["step_size"].to_numpy()
+        law = whole.fit.si.predict(whole.log.usable.loc[shown["row"]])["step_size"].to_numpy()
         scale = 1e9 if shown["unit"] == "nm" else 1e6
         assert np.array(shown["law"]) / shown["per"] == pytest.approx(scale * law, abs=0.51 / shown["per"])
 
@@ -95,7 +95,7 @@ def test_points_of_figures_are_the_traverses_they_say(whole):
     """As high as the step size or its departure has it, and as many as drawn."""
     rows = whole.log.usable
     size = (rows["stop"] - rows["start"]).abs() / (rows["steps"] - 2.5)
-    off = size / whole.fit.predict(rows)["step_size"]
+    off = size / whole.fit.si.predict(rows)["step_size"]
     groups = re.findall(r'<g [^>]*data-traverses="([\d.]+)"[^>]*>(.*?)</g></g>', whole.source)
     assert len(groups) > 50
     for numbers, drawn in groups:

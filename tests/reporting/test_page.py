@@ -96,7 +96,7 @@ def test_the_same_log_gives_the_same_bytes(whole):
 def test_parameters_on_the_page_are_those_of_the_results(whole):
     scale = {"nm": 1e9, "µrad": 1e6, "µrad/mm": 1e3, "1": 1.0}
     for result, estimator in ((whole.calibration, "closed form"), (whole.fit, "least squares")):
-        found = result.parameters
+        found = result.si.parameters
         for row in found.itertuples():
             caption = f"Parameters of joint {row.joint} ({'prismatic' if row.joint == 3 else 'rotary'})"
             unit = "" if row.unit == "1" else row.unit
@@ -177,7 +177,7 @@ def test_claims_are_the_published_ones():
 def test_the_claims_table_counts_traverses(whole, joint):
     from stickslip_fit.estimation import held_out_errors as errors_of
 
-    errors = errors_of(whole.log, whole.calibration, whole.constant)
+    errors = errors_of(whole.log, whole.calibration, whole.constant).si
     subset = errors[errors["joint"] == joint]
     limit, scale = (100.0, 1e9) if joint == 3 else (1.0, 1e6)
     within = sum(abs(row.law - row.measured) * scale <= limit for row in subset.itertuples()) / len(subset)

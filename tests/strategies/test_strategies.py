@@ -39,7 +39,7 @@ def trials(log):
 def test_the_closed_form_is_that_of_fit(log, trials):
     calibrated = fit.fit_closed_form(log)
     errors = evaluate_strategies(trials, [ClosedForm()]).errors.set_index("traverse")
-    wanted = calibrated.predict(log.usable.loc[errors.index])["step_size"]
+    wanted = calibrated.si.predict(log.usable.loc[errors.index])["step_size"]
     assert errors["predicted"].to_numpy() == pytest.approx(wanted.to_numpy(), rel=1e-8)
     assert not calibrated.residuals["used"].loc[errors.index].any()
 
@@ -63,7 +63,7 @@ def test_the_constant_step_is_measured_in_the_first_configuration(log, trials):
 def test_the_constant_step_is_that_of_fit(log, trials):
     constant = fit.fit_constant_step(log, fit.fit_closed_form(log))
     errors = evaluate_strategies(trials, [ConstantStepStrategy()]).errors.set_index("traverse")
-    wanted = constant.predict(log.usable.loc[errors.index])["step_size"]
+    wanted = constant.si.predict(log.usable.loc[errors.index])["step_size"]
     assert errors["predicted"].to_numpy() == pytest.approx(wanted.to_numpy(), rel=1e-8)
     assert not constant.residuals["used"].loc[errors.index].any()
 
@@ -86,7 +86,7 @@ def test_the_hierarchy_agrees_with_draws_from_its_posterior(today, log, trials):
     strategy = Hierarchical(today)
     made = trial.rows.loc[trial.task.offered.index[strategy.choose(trial.task)]]
     known = log.usable.index.isin(np.concatenate([trial.task.others.index, made.index]))
-    drawn = fit_bayes(replace(log, rows=log.usable[known]), progress=False).predict(trial.rows)
+    drawn = fit_bayes(replace(log, rows=log.usable[known]), progress=False).si.predict(trial.rows)
     mean, sd = strategy.calibrate(trial.task, made)(trial.rows)
     assert np.all(np.abs(np.exp(mean) / drawn["steps"] - 1.0) < 0.35 * drawn["relative_error"])
     assert np.all(np.abs(np.log(sd / drawn["relative_error"])) < np.log(1.6))

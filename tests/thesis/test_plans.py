@@ -93,7 +93,7 @@ def test_without_noise_the_calibration_returns_the_printed_parameters(write_plan
     path.write_text(path.read_text("utf-8").replace("repeatability_pct = 0.27", "repeatability_pct = 0"))
     machine = load_machine()
     result = fit_closed_form(simulate(read_plan(path, machine), read_law_values(law, machine), machine))
-    table = result.parameters.set_index(["joint", "direction", "name"])["estimate"]
+    table = result.si.parameters.set_index(["joint", "direction", "name"])["estimate"]
     for name, scale in (("a", 1e-9), ("b", 1.0), ("c", 1e-9)):
         for direction, printed in zip("+-", value(name), strict=True):
             assert table.loc[3, direction, name].to_numpy() == pytest.approx(scale * printed, rel=2e-3)
