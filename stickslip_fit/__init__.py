@@ -32,7 +32,14 @@ if TYPE_CHECKING:
     from stickslip_fit.laws import Law
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
-    from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move, predict
+    from stickslip_fit.moves import (
+        DriveCommand,
+        calibrated_arm,
+        dead_reckon,
+        map_accuracy,
+        plan_move,
+        predict,
+    )
     from stickslip_fit.reporting import Report, report
     from stickslip_fit.simulation import LawValues, read_law_values, simulate
     from stickslip_fit.strategies import Comparison, compare_strategies
@@ -51,7 +58,7 @@ _HOMES = {
     "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),
-    "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "plan_move", "predict"),
+    "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "map_accuracy", "plan_move", "predict"),
     "reporting": ("Report", "report"),
     "simulation": ("LawValues", "read_law_values", "simulate"),
     "strategies": ("Comparison", "compare_strategies"),

@@ -92,7 +92,7 @@ def campaign() -> pd.DataFrame:
         full=np.isclose(length, np.where(rows["joint"] == 3, 0.012, FULL_TURN)),
         zeta_deg=-middle.round(6),
         step=scale * length / (rows["steps"] - 2.5),
-        predicted=scale * law.predict(rows)["step_size"],
+        predicted=scale * law.si.predict(rows)["step_size"],
     )
 
 

@@ -103,12 +103,12 @@ def _adjusted(test: PositionTest) -> str:
 def positions_table(analysis: PositionAnalysis) -> Table:
     """The tests of one joint's stretches."""
     columns = (
-        *words("question", "largest against smallest"),
+        *words("factor", "largest against smallest"),
         Column("difference (95 %)", "%"),
         Column("rms", "%"),
         Column("F (degrees)"),
         *numbers("F test", "adjusted", group="p"),
-        Column("would show", "%"),
+        Column("detectable", "%"),
     )
     ends = "the same ends" if analysis.repeated else "middles in the same class"
     left_out = ""
@@ -133,7 +133,7 @@ def positions_table(analysis: PositionAnalysis) -> Table:
         f"{pluralize(len(analysis.rows), 'traverse')} over {len(analysis.stretches)} stretches; traverses of "
         f"one stretch have {ends}. All factors together, of the logarithm of the step size; sums of squares "
         f"of type II. Compared: {against}. Rms: without what noise adds. Degrees of freedom are fewer where "
-        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Would show: "
+        "neighbouring stretches err alike. Adjusted: for everything asked of this log (Holm). Detectable: "
         f"the rms that is seen at 5 % in 80 of 100 such logs.{load}{left_out}"
     )
     rows = tuple(map(_row, analysis.tests))

@@ -70,7 +70,7 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
     price = (
         f"the calibration of another session is off by {format_value(cost, unit)} a step rms "
         f"({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, unit)}), "
-        f"{cost / replicate:.2g} times what one reading differs from the next"
+        f"{cost / replicate:.2g} times what one traverse differs from the next"
     )
     if changes:
         return f"Recalibrate each session: {price}."
@@ -153,7 +153,7 @@ def _conclude_normal_force(factor_tests: Sequence[FactorTest]) -> str:
     if _may_be_drift(differing):
         return (
             f"between orientations of the base about the joint's axis the step size differs, by {size}; but "
-            "readings drift, or may, within their session, which alone could do that."
+            "repeated traverses drift, or may, within their session, which alone could do that."
         )
     return f"turning the base about the joint's axis changes the step size, by {size}."
 
@@ -280,16 +280,16 @@ def _tables(joint: int, anova: Anova) -> list[Table]:
 def _tests_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     unit = tests[0].design.unit
     columns = (
-        *words("question", "session", "largest less smallest"),
+        *words("factor", "session", "largest minus smallest"),
         Column("difference (95 %)", unit),
-        *numbers("omega²", "F (degrees)"),
-        *numbers("F test", "adjusted", "permuted", group="p"),
-        Column("would show", unit),
+        *numbers("omega²", "F (df)"),
+        *numbers("F test", "adjusted", "permutation", group="p"),
+        Column("detectable", unit),
     )
     shown = [test for test in tests if len(tests) <= MAX_ROWS or test.design.session is None]
     note = (
-        "Adjusted: for everything asked of this log (Holm). Permuted: from relabelled readings; "
-        f"{AT_FLOOR} the smallest that so few can give. Would show: the smallest difference that is seen at "
+        "Adjusted: for everything asked of this log (Holm). Permutation: p from relabelled traverses; "
+        f"{AT_FLOOR} the smallest that so few can give. Detectable: the minimum difference detected at "
         f"5 % in 80 of 100 such logs. {_places(shown)}"
     )
     if len(shown) < len(tests):
@@ -320,7 +320,7 @@ def _test_row(test: FactorTest) -> tuple[str, ...]:
     statistic = f"{test.statistic:.3g}" if test.statistic < 1000 else f"{test.statistic:,.0f}"
     return (
         *_design_cells(test),
-        _less(largest, smallest),
+        _difference_label(largest, smallest),
         f"{format_number(effect.difference, unit)} ({format_range(effect.low, effect.high, unit)})",
         f"{float(test.sums.omega_squared):.2f}",
         f"{statistic} ({', '.join(str(df) for df in test.sums.df[1:])})",
@@ -336,10 +336,10 @@ def _design_cells(test: FactorTest) -> tuple[str, str]:
     return f"{design.analysis} {format_direction(design.direction)}".strip(), design.session or "all"
 
 
-def _less(largest: str, smallest: str) -> str:
-    """Two levels, without the repeated name: theta −90° less 0°."""
+def _difference_label(largest: str, smallest: str) -> str:
+    """Two levels, without the repeated name: theta −90° minus 0°."""
     first, _, rest = smallest.partition(" ")
-    return f"{largest} less {rest if rest and largest.startswith(f'{first} ') else smallest}"
+    return f"{largest} minus {rest if rest and largest.startswith(f'{first} ') else smallest}"
 
 
 def _places(tests: Sequence[FactorTest]) -> str:
@@ -356,7 +356,7 @@ def _places(tests: Sequence[FactorTest]) -> str:
 def _squares_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     unit = tests[0].design.unit
     columns = (
-        *words("question", "session", "term"),
+        *words("factor", "session", "term"),
         Column("SS", f"{unit}²"),
         Column("df"),
         Column("MS", f"{unit}²"),
@@ -395,7 +395,7 @@ def _components_table(components: VarianceComponents) -> Table:
         ("day, both directions alike", components.day),
         ("day, each direction by itself", components.day_direction),
         ("day, in one direction altogether", components.total),
-        ("reading to reading", components.replicate),
+        ("traverse to traverse", components.replicate),
     ]
     sizes = [(name, part.deviation, part.low, part.high) for name, part in parts if part is not None]
     if (
@@ -404,7 +404,7 @@ def _components_table(components: VarianceComponents) -> Table:
         and components.direction_high is not None
     ):
         direction = (components.direction, components.direction_low, components.direction_high)
-        sizes.append((f"direction, + less {MINUS}", *direction))
+        sizes.append((f"direction, + minus {MINUS}", *direction))
     body = tuple(
         (
             name,
@@ -433,8 +433,8 @@ def summarize_formula(result: FormulaTable) -> Summary:
         total = sum(line.sum_of_squares for line in result.lines)
         rows.append(("total", f"{total:.6g}", str(result.count - 1), *[""] * 5))
     note = (
-        f"{result.formula}, type {result.kind}, {pluralize(result.count, 'reading')}. Sums of squares in the "
-        "response's SI unit; adjusted for all terms (Holm); omega² partial."
+        f"{result.formula}, type {result.kind}, {pluralize(result.count, 'traverse')}. Sums of squares in "
+        "the response's SI unit; adjusted for all terms (Holm); omega² partial."
     )
     columns = (Column("term", text=True), *map(Column, heads))
     caption = f"Analysis of variance, {joint_name(result.joint, result.machine)}"

@@ -24,7 +24,7 @@ from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine, load_machine, published_load
 from stickslip_fit.units import from_si
 
-WITHIN_SESSION_ERROR = "readings within session"
+WITHIN_SESSION_ERROR = "traverses within session"
 ConfigurationChooser = Callable[[pd.DataFrame, list[str]], Iterable[pd.DataFrame]]
 
 
@@ -158,7 +158,7 @@ def design_session_tests(
     n_levels = rows.groupby("session", sort=False)["level"].nunique()
     sessions = [session for session, count in n_levels.items() if count > 1]
     if not sessions:
-        reason = f"no session has readings of more than one {factor} here"
+        reason = f"no session has traverses of more than one {factor} here"
         return [NotTestable(analysis, joint, direction, None, configuration, reason)]
 
     def design(session: str | None, error_term: str, subset: pd.DataFrame) -> FactorTestDesign:
@@ -174,7 +174,7 @@ def design_session_tests(
     for session in sessions if len(sessions) <= MAX_SESSIONS else ():
         within = design(session, WITHIN_SESSION_ERROR, rows[rows["session"] == session])
         replicated = len(within.observations) > within.observations["level"].nunique()
-        reason = f"one reading of each {factor} says nothing of scatter: repeat one in this session"
+        reason = f"one traverse of each {factor} says nothing of scatter: repeat one in this session"
         designs.append(within if replicated else within.not_testable(reason))
     return designs
 
@@ -319,10 +319,10 @@ def design_day_tests(
             n_sessions = observations["session"].nunique()
             common = ("day", int(rows["joint"].iloc[0]), str(direction), None, configuration)
             if n_sessions < 2:
-                reason = "all readings are of one session: repeat this configuration in another"
+                reason = "all traverses are of one session: repeat this configuration in another"
                 designs.append(NotTestable(*common, reason))
             elif len(observations) == n_sessions:
-                reason = "one reading in each session says nothing of scatter: read it twice in one session "
+                reason = "one traverse in each session says nothing of scatter: repeat it in one session "
                 designs.append(NotTestable(*common, f"{reason}at least"))
             else:
                 levels = observations.assign(level=observations["session"])

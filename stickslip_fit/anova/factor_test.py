@@ -129,10 +129,10 @@ TIME_CHECKS = ("drift within a session", "levels in turn")
 def _check_normality(values: Array, cell: IntArray) -> AssumptionCheck:
     name = "normal scatter"
     if _residual_df(cell) < MIN_RESIDUAL_DF or not np.any(cell_residuals(values, cell)):
-        return AssumptionCheck(name, "cannot tell", "too few readings to tell whether they scatter normally")
-    doubt = "the readings do not scatter normally: trust the permutation p more than the F test's"
+        return AssumptionCheck(name, "cannot tell", "too few traverses to tell whether they scatter normally")
+    doubt = "the traverses do not scatter normally: trust the permutation p more than the F test's"
     p_value = monte_carlo_p(shapiro_francia, values, cell)
-    return _conclude(name, p_value, "the readings scatter as normal ones would", doubt)
+    return _conclude(name, p_value, "the traverses scatter as normal ones would", doubt)
 
 
 def _check_equal_variance(values: Array, cell: IntArray) -> AssumptionCheck:
@@ -142,9 +142,9 @@ def _check_equal_variance(values: Array, cell: IntArray) -> AssumptionCheck:
     readings, cells = values[used], np.unique(cell[used], return_inverse=True)[1]
     if cells.max(initial=0) < 1 or not np.any(cell_residuals(readings, cells)):
         return AssumptionCheck(
-            name, "cannot tell", "too few readings at one level to tell whether all levels scatter alike"
+            name, "cannot tell", "too few traverses at one level to tell whether all levels scatter alike"
         )
-    doubt = "levels do not scatter alike: where their numbers of readings differ, the F test's p may be off"
+    doubt = "levels do not scatter alike: where their numbers of traverses differ, the F test's p may be off"
     return _conclude(name, monte_carlo_p(brown_forsythe, readings, cells), "all levels scatter alike", doubt)
 
 
@@ -155,15 +155,15 @@ def _check_drift(values: Array, time: Array, cell: IntArray) -> AssumptionCheck:
     observed = abs(float(residuals @ time))
     if _residual_df(cell) < MIN_RESIDUAL_DF or observed == 0.0:
         return AssumptionCheck(
-            name, "cannot tell", "too few repeated readings to tell whether they drift within a session"
+            name, "cannot tell", "too few repeated traverses to tell whether they drift within a session"
         )
     home = np.argsort(cell, kind="stable")
     count = max(199, min(SIMULATION_DRAWS, MAX_SIMULATED_NUMBERS // len(cell)))
     keys = np.random.default_rng(0).random((count, len(cell))) + cell[home]
     shuffled = residuals[home][np.argsort(keys, axis=1)] @ time[home]
     p_value = (1 + np.sum(np.abs(shuffled) >= observed * (1 - 1e-9))) / (1 + count)
-    doubt = "repeated readings drift within their session: what looks like an effect may be the hour"
-    return _conclude(name, float(p_value), "repeated readings show no drift within a session", doubt)
+    doubt = "repeated traverses drift within their session: what looks like an effect may be the hour"
+    return _conclude(name, float(p_value), "repeated traverses show no drift within a session", doubt)
 
 
 def _check_interleaving(time: Array, level: IntArray, block: IntArray) -> AssumptionCheck:
@@ -403,6 +403,6 @@ def _assumption_checks(design: FactorTestDesign, spread: float) -> tuple[Assumpt
     )
     rounding = float(np.sqrt(np.mean(rows["rounding"] ** 2)))
     if design.error_term == WITHIN_SESSION_ERROR and spread < MIN_ROUNDING_RATIO * rounding:
-        message = "readings scatter hardly more than the counts are rounded: check the end stop more often"
+        message = "traverses scatter hardly more than the counts are rounded: check the end stop more often"
         checks = (*checks, AssumptionCheck("finer than the count", "doubtful", message))
     return checks

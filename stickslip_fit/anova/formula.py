@@ -193,7 +193,7 @@ def _check_estimable(terms: Sequence[ModelTerm], lines: Sequence[AnovaRow]) -> N
     for term, line in zip(terms, lines, strict=False):
         if line.df < term.columns.shape[1]:
             raise InputError(
-                f"type 3 cannot separate {term.name} from the other terms, or lacks readings of some "
+                f"type 3 cannot separate {term.name} from the other terms, or lacks traverses of some "
                 "combination of its levels; ask for type 1 or 2 (--type)"
             )
 

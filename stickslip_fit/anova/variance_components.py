@@ -237,7 +237,7 @@ def estimate_components(
     cells, rounding = build_cell_statistics(subset), EXACT_REPEAT_TOL * float(subset["step_size"].max())
     scatters = cells.within_df > 0 and cells.within > cells.within_df * rounding**2
     if cells.complete.sum() < 2 or not scatters:
-        reason = "needs two sessions with every direction at one configuration, and readings that scatter"
+        reason = "needs two sessions with every direction at one configuration, and traverses that scatter"
         return NotTestable("components", joint, None, None, None, reason)
     variances, intervals = fit_reml(cells), generalized_pivotal_intervals(cells)
     two = cells.count.shape[1] > 1

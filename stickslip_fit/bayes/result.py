@@ -150,7 +150,7 @@ def _build_dataset(
 
 
 FEW_REPLICATES = (
-    "no traverse is left over to show how well one repeats, so the repeatability, and with it every "
+    "no traverse is repeated to show how much one scatters, so the repeatability, and with it every "
     "interval, leans on the prior; make each calibration traverse twice"
 )
 MAX_POSTERIOR_SD = 0.8  # standard deviations of the prior; wider, the data tell nothing

@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis._unknown_summary import (
     caption_parameters,
     describe_company,
     describe_proposals,
+    describe_scatter,
     describe_shape,
     describe_unknown_gain,
     explains_tables,
@@ -109,8 +110,7 @@ def _describe_no_misfit(diagnosis: Diagnosis) -> str:
         return f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
     return (
         f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
-        f"{format_percent(diagnosis.misfit)} rms, and a traverse repeats to "
-        f"{format_percent(diagnosis.repeatability)} "
+        f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)} "
         f"(p {format_p_value(diagnosis.p_value, relation=True)})."
     )
 
@@ -157,7 +157,7 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
         following = " The traverses that would separate them are below."
     elif finding.equivalent:
         following = " No candidate traverse would separate them."
-    return f"{what} {cut}; the repeatability is {format_percent(diagnosis.repeatability)}.{following}"
+    return f"{what} {cut}; {describe_scatter(diagnosis)}.{following}"
 
 
 def _describe_side_effects(finding: Finding) -> str:

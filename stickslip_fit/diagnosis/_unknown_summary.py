@@ -28,6 +28,7 @@ from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.logs.log import count_configurations
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import from_si
@@ -194,20 +195,28 @@ def _describe_worth(finding: Finding) -> str:
     return f"it lowers the held-out error from {before} to {after}"
 
 
+def describe_scatter(diagnosis: Diagnosis) -> str:
+    """The error that the true law would leave, as a clause; only what was repeated has a repeatability."""
+    size = format_percent(diagnosis.repeatability)
+    if count_configurations(diagnosis.selection.problem.rows)["replicates"].any():
+        return f"the repeatability is {size}"
+    return f"the scatter that no law explains is {size} (no traverse was repeated)"
+
+
 def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     """What to do about structure without a name, as sentences."""
-    repeats = f"a traverse repeats to {format_percent(diagnosis.repeatability)}"
+    scatter = describe_scatter(diagnosis)
     if finding.version is None:
         return (
             "The figures show it: compare them with whatever changed meanwhile, and log that as a column of "
             "its own; until it has a name, count on errors of "
-            f"{format_percent(diagnosis.misfit)}, where {repeats}."
+            f"{format_percent(diagnosis.misfit)}; {scatter}."
         )
     test = describe_test(finding, diagnosis)
     what = "term" if finding.term else "function"
     return (
         f"{test + ' ' if test else ''}The {what} is a proposal, no cause: find out what it stands for, and "
-        f"log that as a column of its own. Meanwhile the extended law has it; {repeats}."
+        f"log that as a column of its own. Meanwhile the extended law has it; {scatter}."
     )
 
 

@@ -101,7 +101,7 @@ def _parameters(result: Result, joint: int) -> Table:
     )
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
-    note = " ".join(filter(None, ["± one standard error.", _repeatability(fit), latest(len(sessions))]))
+    note = " ".join(filter(None, ["± one standard error.", _scatter(fit), latest(len(sessions))]))
     return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
 
 
@@ -128,19 +128,29 @@ def _flags(table: pd.DataFrame) -> str:
     )
 
 
-def _repeatability(fit: JointFit) -> str:
-    known = [
-        f"{format_percent(noise.value)} ({format_direction(sign)}, {_source_text(noise)})"
-        for sign, noise in fit.repeatability.items()
-        if noise.df > 0
-    ]
-    return f"Repeatability {join_words(known)}." if known else "Repeatability not known."
+SCATTER_NAMES = {
+    "replicates": "Replicate scatter",
+    "residuals": "Residual scatter",
+    "given": "Repeatability, as given,",
+}
 
 
-def _source_text(repeatability: NoiseLevel) -> str:
-    if repeatability.source == "given":
-        return "given"
-    return f"{repeatability.source}, {pluralize(repeatability.df, 'degree')} of freedom"
+def _scatter(fit: JointFit) -> str:
+    """What the error bars are made of, by direction: scatter of replicates, of residuals, or as given."""
+    sentences = []
+    for source, name in SCATTER_NAMES.items():
+        levels = [
+            f"{format_percent(noise.value)} ({format_direction(sign)}{_df_text(noise)})"
+            for sign, noise in fit.repeatability.items()
+            if noise.df > 0 and noise.source == source
+        ]
+        if levels:
+            sentences.append(f"{name} {join_words(levels)}.")
+    return " ".join(sentences) or "No scatter is known: nothing was repeated, and the fit leaves no residual."
+
+
+def _df_text(noise: NoiseLevel) -> str:
+    return "" if noise.source == "given" else f", {noise.df:,} df"
 
 
 def own_parameters(fit: JointFit) -> list[Parameter]:

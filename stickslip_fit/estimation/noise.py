@@ -123,7 +123,7 @@ GAUSSIAN = Gaussian()
 GIVEN_DF = 10**9  # degrees of freedom of a repeatability that somebody knows
 DOUBT_LEVEL = 1e-3
 FEW_REPLICATES = (
-    "no error bars, since no traverse is left over to show how well one repeats; make each calibration "
+    "no error bars, since no traverse is repeated to show how much one scatters; make each calibration "
     "traverse twice"
 )
 

@@ -1,5 +1,6 @@
 """The law in use: steps for a move, the tip after so many steps, when to go back to a stop."""
 
+from stickslip_fit.moves.accuracy_map import AccuracyMap, map_accuracy
 from stickslip_fit.moves.arm import CalibratedArm, calibrated_arm
 from stickslip_fit.moves.dead_reckoning import (
     DriveCommand,
@@ -24,6 +25,7 @@ from stickslip_fit.moves.planning import (
 from stickslip_fit.moves.prediction import predict
 
 __all__ = [
+    "AccuracyMap",
     "CalibratedArm",
     "DriveCommand",
     "MovePlan",
@@ -35,6 +37,7 @@ __all__ = [
     "calibrated_arm",
     "dead_reckon",
     "draw_random_paths",
+    "map_accuracy",
     "plan_drives",
     "plan_move",
     "plan_steps",

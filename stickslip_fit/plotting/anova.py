@@ -1,4 +1,4 @@
-"""Figures of the analysis of variance: readings by day, direction and rotation (Figs. 4.4, 5.1, 4.6)."""
+"""Figures of the analysis of variance: step sizes by day, direction and rotation (Figs. 4.4, 5.1, 4.6)."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _prefer_over_sessions(factor_tests: Sequence[FactorTest]) -> list[FactorTest
 def _describe_days(factor_tests: Sequence[FactorTest]) -> str:
     return (
         f"{_describe_points(factor_tests)}; bars: the session's mean with its 95 % interval, for the scatter "
-        "of readings alone. Means further apart than their bars are days that differ."
+        "of traverses alone. Means further apart than their bars are days that differ."
     )
 
 
@@ -102,9 +102,9 @@ def _describe_rotations(factor_tests: Sequence[FactorTest]) -> str:
     over = _prefer_over_sessions(factor_tests)
     n_rows = sum(len(test.design.observations) for test in over)
     return (
-        f"{pluralize(n_rows, 'reading')} at {typeset_text(over[0].design.configuration)}, each less the mean "
-        "of its session; bars: the mean of each orientation with its 95 % interval. The load along the axis "
-        "is the same in all of them, so that a level row says that the force across it does not matter."
+        f"{pluralize(n_rows, 'traverse')} at {typeset_text(over[0].design.configuration)}, each minus the "
+        "mean of its session; bars: the mean of each orientation with its 95 % interval. The load along the "
+        "axis is the same in all of them, so that a level row says that the force across it does not matter."
     )
 
 
@@ -218,7 +218,7 @@ def _draw_means(axis: Axes, test: FactorTest, places: Sequence[int], *, centred:
 
 def _legend_entries(factor_tests: Sequence[FactorTest]) -> list[Line2D]:
     signs = dict.fromkeys(str(test.design.direction) for test in factor_tests)
-    entries = direction_entries(marker="o", label="reading, direction {}", signs=signs)
+    entries = direction_entries(marker="o", label="traverse, direction {}", signs=signs)
     return [*entries, make_legend_entry("mean with 95 % interval", INK, marker="_", line="-")]
 
 
@@ -230,7 +230,7 @@ def _list_sessions(factor_tests: Sequence[FactorTest]) -> list[str]:
 def _describe_points(factor_tests: Sequence[FactorTest]) -> str:
     n_sessions, where = len(_list_sessions(factor_tests)), factor_tests[0].design.configuration
     latest = f"The latest {MAX_SESSIONS} of {pluralize(n_sessions, 'session')}. "
-    return f"{latest if n_sessions > MAX_SESSIONS else ''}Points: single readings at {typeset_text(where)}"
+    return f"{latest if n_sessions > MAX_SESSIONS else ''}Points: single traverses at {typeset_text(where)}"
 
 
 def _number_places(names: pd.Series[str], order: Sequence[str]) -> np.ndarray:

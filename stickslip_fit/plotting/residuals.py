@@ -50,7 +50,7 @@ LIMIT_QUANTILE, FIT_LIMIT_ZOOM = 0.98, 1.6  # of a scale, see `robust_limit`
 def fit_residuals_picture(rows: pd.DataFrame, machine: Machine) -> Picture:
     """All traverses of a joint, by how far they are from the least-squares law."""
     joint = int(rows["joint"].iloc[0])
-    key, title = f"departures-{joint}", f"What the law leaves over, {joint_name(joint, machine)}"
+    key, title = f"departures-{joint}", f"Residuals of the law, {joint_name(joint, machine)}"
     if not _fit_covariates(rows, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
     sample, sizes = thin_rows(rows, FIT_MAX_POINTS), rows["departure"].abs()
@@ -246,7 +246,7 @@ def finding_picture(
     machine : Machine
     """
     is_named = selected.version is not None
-    title = f"{finding.cause}: what is left over{' before and after' if is_named else ''}"
+    title = f"{finding.cause}: residuals{' before and after' if is_named else ''}"
     key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
     label, figure = draw_finding(finding, selected, shape, comparison, machine)
     before, after = (

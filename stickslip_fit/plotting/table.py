@@ -155,7 +155,7 @@ def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
         else:
             caption += f"{after} rms; noise alone would keep the lines within the grey band."
         key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
-        title = f"{finding.cause}: what is left over{' before and after' if is_named else ''}"
+        title = f"{finding.cause}: residuals{' before and after' if is_named else ''}"
         pictures.append(make_picture(key, title, caption, figure))
     return pictures
 

@@ -27,19 +27,19 @@ from stickslip_fit.units import PRISMATIC, from_si
 
 
 def format_move(arm: CalibratedArm, move: MovePlan) -> str:
-    """The legs of a move, and where the tip ends."""
+    """The segments of a move, and where the tip ends."""
     if not move.segments:
         return "the joints are there already: nothing to drive"
     rows = [
         [
-            f"{leg.joint} {leg.direction}",
-            format_joint_value(leg.joint, leg.start),
-            format_joint_value(leg.joint, leg.stop),
-            f"{leg.steps:,}",
-            f"{leg.low:,.0f} to {leg.high:,.0f}",
-            format_joint_error(leg.joint, leg.error),
+            f"{segment.joint} {segment.direction}",
+            format_joint_value(segment.joint, segment.start),
+            format_joint_value(segment.joint, segment.stop),
+            f"{segment.steps:,}",
+            f"{segment.low:,.0f} to {segment.high:,.0f}",
+            format_joint_error(segment.joint, segment.error),
         ]
-        for leg in move.segments
+        for segment in move.segments
     ]
     header = ["joint", "from", "to", "steps", "95 % of moves need", "ends within ±"]
     return "\n".join(
@@ -49,7 +49,7 @@ def format_move(arm: CalibratedArm, move: MovePlan) -> str:
             text_table(header, rows),
             "",
             f"tip at {format_tip(move.tip)}; known to ± {_format_micrometres(Z_95 * move.tip_error)} (95 %)",
-            "drive the legs in this order: a step depends on where the other joints stand",
+            "drive the joints in this order: a step depends on where the other joints stand",
         ]
     )
 

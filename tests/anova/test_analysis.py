@@ -47,7 +47,7 @@ def test_each_question_is_the_test_that_a_textbook_has_for_it(told):
     by_day = stats.f_oneway(*(nm[d, "+", 0.0] for d in DAYS))
     day = records["day", "+", None]
     assert (day["F"], day["p_value"]) == pytest.approx((by_day.statistic, by_day.pvalue))
-    assert (day["df"], day["error_term"]) == ([3, 8], "readings within session")
+    assert (day["df"], day["error_term"]) == ([3, 8], "traverses within session")
 
     means = {key: values.mean() for key, values in nm.items()}
     paired = stats.ttest_rel([means[d, "+", 0.0] for d in DAYS], [means[d, "-", 0.0] for d in DAYS])
@@ -156,7 +156,7 @@ POOR = {
     "directions on different days": (
         {("Mon", "+", 0.0): 2, ("Tue", "-", 0.0): 2},
         "direction",
-        "no session has readings of more than one direction",
+        "no session has traverses of more than one direction",
     ),
     "orientations on different days": (
         {(d, s, t): 2 for d, t in zip(DAYS, TURNS, strict=False) for s in "+-"},

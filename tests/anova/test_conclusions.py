@@ -81,7 +81,7 @@ def test_a_drift_that_could_pass_for_the_normal_force_is_told_with_it(log_of_rea
         for sign in "+-"
     ]
     text = " ".join(str(analyze_variance(log_of_readings(readings))).split())
-    assert "but readings drift, or may, within their session, which alone could do that" in text
+    assert "but repeated traverses drift, or may, within their session, which alone could do that" in text
 
 
 def test_the_table_of_questions_is_a_data_frame(log_of_readings, readings_of):

@@ -44,7 +44,7 @@ def test_a_formula_prints_and_saves_its_table(run, tmp_path):
     how = ("--formula", "step_size ~ C(session) * direction", "--type", 1, "--json", tmp_path / "f.json")
     status, out, _ = run(REFERENCE, "--joint", 3, *how)
     assert status == 0
-    assert "step_size ~ C(session) * direction, type 1, 456 readings" in " ".join(out.split())
+    assert "step_size ~ C(session) * direction, type 1, 456 traverses" in " ".join(out.split())
     assert len(json.loads((tmp_path / "f.json").read_text("utf-8"))) == 3
 
 

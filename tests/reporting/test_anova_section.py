@@ -36,7 +36,7 @@ def drawn(axis):
 
 def test_the_table_is_the_analysis(turned, found):
     caption = "Factors of joint 3 (prismatic)"
-    names = turned.page.column(caption, "question")
+    names = turned.page.column(caption, "factor")
     seen = turned.page.column(caption, "difference (95 %)nm")
     sizes = [(each.effect.difference, each.effect.low, each.effect.high) for each in found.factor_tests]
     expected = ["{:.1f} ({:.1f} to {:.1f})".format(*(1e9 * size for size in each)) for each in sizes]
@@ -50,7 +50,7 @@ def test_the_page_says_what_to_do(turned):
     assert "recalibrate each session" in turned.page.text.lower()
     assert "separate parameters for each direction: one set for both is off by" in turned.page.text
     captions = "Where the variation of joint 3 (prismatic) comes from"
-    assert turned.page.column(captions, "source")[-1] == "direction, + less −"
+    assert turned.page.column(captions, "source")[-1] == "direction, + minus −"
 
 
 def test_every_reading_is_drawn_where_its_count_puts_it(turned, found):
@@ -82,7 +82,7 @@ def test_figures_stand_only_where_there_are_answers(found, campaign, fitted):
 
 def test_a_log_that_answers_nothing_says_why(campaign, reported):
     page = reported(campaign(DAYS[:1], ROTATION[:1], directions=("+",), replicates=1)).page
-    assert "all readings are of one session" in page.text
+    assert "all traverses are of one session" in page.text
     assert "driven in direction + only" in page.text
     assert "Factors of joint 3 (prismatic)" not in page.tables
 

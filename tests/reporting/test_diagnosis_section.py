@@ -143,7 +143,7 @@ def test_markup_in_a_session_stays_text(page):
 def test_every_figure_says_in_words_what_to_see(page, found):
     cards = [attrs for _, attrs in page.elements if attrs.get("role") == "img"]
     labels = " ".join(card["aria-label"] for card in cards)
-    assert "drift: what is left over before and after" in labels
+    assert "drift: residuals before and after" in labels
     assert "Residuals against each quantity, joint 3" in labels
     assert "How likely each cause is" in labels
     assert "Errors on held-out traverses" in labels

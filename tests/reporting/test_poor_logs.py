@@ -30,7 +30,7 @@ POOR = {
     ),
     "one traverse": (
         {"settings": PSI[:1], "directions": ("+",), "replicates": 1, "sessions": ONE_DAY},
-        "What the law leaves over, joint 3 (prismatic). It would need a second traverse.",
+        "Residuals of the law, joint 3 (prismatic). It would need a second traverse.",
     ),
     "never without load": (
         {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0})},
