@@ -44,6 +44,7 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
+MAX_DENSE = 128**2  # entries
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
@@ -103,7 +104,13 @@ class LeftOut:
         n_own, own = self.own.shape[1], self.own[inside]
         used = np.unique(own.indices)
         coordinates = np.concatenate([used, np.arange(n_own, n_own + self.shared.shape[1])])
-        return Restriction(inside, coordinates, csr_array(own[:, used]), self.shared[inside])
+        onto = csr_array(own[:, used].T)
+        # A product with few entries is faster without the sparse index.
+        dense = onto.toarray() if onto.shape[0] * onto.shape[1] <= MAX_DENSE else None
+        shared = np.ascontiguousarray(self.shared[inside].T)
+        if dense is not None:
+            return Restriction(inside, coordinates, np.concatenate([dense, shared]), shared[:0])
+        return Restriction(inside, coordinates, onto, shared)
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
@@ -124,19 +131,21 @@ class Restriction:
     inside : array of int, shape (h'',)
     coordinates : array of int, shape (c + k,)
         Those of a column that may differ from zero.
-    own : sparse array, shape (h'', c)
-    shared : array, shape (h'', k)
-        Both as of `LeftOut`.
+    own : array or sparse array, shape (c, h'')
+    shared : array, shape (k, h'')
+        Both as of `LeftOut`, transposed; if dense, `own` has them all.
     """
 
     inside: IntArray
     coordinates: IntArray
-    own: csr_array
+    own: Array | csr_array
     shared: Array
 
     def select(self, columns: Array) -> Array:
         """Coordinates of projected columns, (h'', m) -> (c + k, m)."""
-        return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
+        if not len(self.shared):
+            return np.asarray(self.own @ columns)
+        return np.concatenate([self.own @ columns, self.shared @ columns])
 
 
 @dataclass(frozen=True, eq=False)
