@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -98,6 +99,17 @@ def test_what_cannot_be_told_apart_is_named_together(named):
     assert "The traverses that would separate them" in " ".join(text.split())
     assert re.search(r"3 − +4 +0° +0° +– +0° +0° +stop +stop +after 5 h", text)
     assert "No traverse within reach" not in text
+
+
+def test_without_a_repeated_traverse_nothing_is_said_to_repeat(named):
+    assert "the repeatability is" in told(named)
+    selection = copy(named.selection)
+    rows = named.selection.problem.rows
+    once = rows.drop_duplicates(["session", "joint", "direction", "q1", "q2", "q3", "theta", "psi"])
+    object.__setattr__(selection, "problem", replace(selection.problem, rows=once))
+    said = told(replace(named, selection=selection))
+    assert "repeatab" not in said
+    assert re.search(r"scatter that no law explains is \d\.\d+ % \(no traverse was repeated\)", said)
 
 
 def test_what_has_no_name_is_shown_as_it_is(unnamed):
