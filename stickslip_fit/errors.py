@@ -14,7 +14,8 @@ from numbers import Integral, Real
 class InputIssue:
     """What is wrong with an input and what to do about it, in one or two sentences, and where it is.
 
-    `line` counts from 1, the header; for Parquet it is the row.
+    `line` counts from 1, the header; for Parquet it is the row. `place` is shown instead where the file's own
+    program numbers otherwise, as ``sheet 'Log', cell E7``.
     """
 
     message: str
@@ -22,11 +23,12 @@ class InputIssue:
     line: int | None = None
     column: str | None = None
     value: str | None = None
+    place: str | None = None
 
     def __str__(self) -> str:
         place = self.file or ""
-        if self.line is not None:
-            place += f"{', ' if place else ''}line {self.line}"
+        if self.place is not None or self.line is not None:
+            place += f"{', ' if place else ''}{self.place or f'line {self.line}'}"
         if self.column is not None:
             place += f"{', ' if place else ''}column {shorten(self.column, 100)}"
         if self.value is not None:

@@ -18,7 +18,7 @@ from typing import Any, get_args, get_type_hints
 from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_stream
 from stickslip_fit.errors import InputError, InputIssue
 
-LOG_SUFFIXES = (".csv", ".parquet")
+LOG_SUFFIXES = (".csv", ".parquet", ".xlsx")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,9 @@ def parse_path(text: str) -> Path:
 LogPath = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG", parser=parse_path, help="Campaign log: CSV or Parquet files, or a folder of them."
+        metavar="LOG",
+        parser=parse_path,
+        help="Campaign log: CSV, Excel or Parquet files, or a folder of them.",
     ),
     INPUT,
 ]
@@ -50,6 +52,9 @@ MachinePath = Annotated[
 ]
 Since = Annotated[str | None, typer.Option(help="Only sessions that began at or after this date.")]
 Until = Annotated[str | None, typer.Option(help="Only sessions that began before this date.")]
+Sheet = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Sheet of an Excel workbook; the first one without it.")
+]
 Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here."), Output()]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that exist already.")]
 Chart = Annotated[
@@ -162,13 +167,17 @@ def command_line() -> str:
 
 
 def load_log(
-    paths: list[Path], machine: Path | None, since: str | None = None, until: str | None = None
+    paths: list[Path],
+    machine: Path | None,
+    since: str | None = None,
+    until: str | None = None,
+    sheet: str | None = None,
 ) -> Log:
     """Read the log that the paths name."""
     from stickslip_fit.logs import read_log
     from stickslip_fit.machine import load_machine
 
-    return read_log(paths, machine=load_machine(machine), since=since, until=until)
+    return read_log(paths, machine=load_machine(machine), since=since, until=until, sheet=sheet)
 
 
 _LAW_PATTERN = re.compile(r"(?:(\d{1,3})=)?(.+)", re.DOTALL)

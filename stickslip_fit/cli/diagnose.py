@@ -18,6 +18,7 @@ from stickslip_fit.cli._options import (
     LawNames,
     LogPath,
     MachinePath,
+    Sheet,
     Since,
     Until,
     check_chart,
@@ -57,12 +58,13 @@ def anova(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
     json: Json = None,
 ) -> None:
     """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
-    campaign = load_log(log, machine, since, until)
+    campaign = load_log(log, machine, since, until, sheet)
     if formula is None:
         result = analyze_variance(campaign, joint=joint, session=session)
         text, records = result.summary().as_text(full=True), result.to_json()
@@ -95,9 +97,10 @@ def diagnose(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
-    campaign = load_log(log, machine, since, until)
+    campaign = load_log(log, machine, since, until, sheet)
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
     result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
@@ -111,7 +114,9 @@ def diagnose_table(
     data: Annotated[
         Path,
         typer.Argument(
-            metavar="DATA", parser=parse_path, help="Table: CSV or Parquet, a row for each measurement."
+            metavar="DATA",
+            parser=parse_path,
+            help="Table: CSV, Excel or Parquet, a row for each measurement.",
         ),
         INPUT,
     ],

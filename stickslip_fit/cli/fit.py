@@ -24,6 +24,7 @@ from stickslip_fit.cli._options import (
     PlanPath,
     Psi,
     Session,
+    Sheet,
     Since,
     Theta,
     Until,
@@ -335,13 +336,14 @@ def calibrate(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
     causes_from: CausesFrom = None,
     json: Json = None,
     chart: Chart = None,
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
-    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart))
+    _fit_and_print((log, machine, since, until, sheet), law, options, FitOutputs(json, chart))
 
 
 def fit(
@@ -351,6 +353,7 @@ def fit(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
     json: Json = None,
     chart: Chart = None,
     cause: CauseNames = None,
@@ -392,7 +395,7 @@ def fit(
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
-    _fit_and_print((log, machine, since, until), law, options, FitOutputs(json, chart, tree))
+    _fit_and_print((log, machine, since, until, sheet), law, options, FitOutputs(json, chart, tree))
 
 
 def predict(
@@ -425,7 +428,7 @@ def predict(
 
 
 def _fit_and_print(
-    source: tuple[list[Path], Path | None, str | None, str | None],
+    source: tuple[list[Path], Path | None, str | None, str | None, str | None],
     law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,

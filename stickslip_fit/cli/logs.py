@@ -17,6 +17,7 @@ from stickslip_fit.cli._options import (
     LogPath,
     MachinePath,
     PlanPath,
+    Sheet,
     Since,
     Until,
     command_line,
@@ -33,9 +34,15 @@ from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
 
-def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
+def check(
+    log: LogPath,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    sheet: Sheet = None,
+) -> None:
     """Check a log for faults and summarize it."""
-    print(load_log(log, machine, since, until).summary())
+    print(load_log(log, machine, since, until, sheet).summary())
 
 
 def simulate(
@@ -111,12 +118,13 @@ def report(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
 ) -> None:
     """Write the whole report of a log: one HTML page."""
     from stickslip_fit.reporting import report as make_report
 
     wanted = output or default_output(log)
-    campaign = load_log(log, machine, since, until)
+    campaign = load_log(log, machine, since, until, sheet)
     causes, laws = (
         select_named_causes(cause or (), campaign, load_causes(law)),
         load_laws(law, campaign.joints),

@@ -13,6 +13,7 @@ from stickslip_fit.cli._options import (
     LawNames,
     LogPath,
     MachinePath,
+    Sheet,
     Since,
     Until,
     check_chart,
@@ -59,6 +60,7 @@ def compare(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
 ) -> None:
     """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
@@ -78,7 +80,7 @@ def compare(
     check_chart(chart)
     if cause and causes_from is not None:
         raise InputError("--cause and --causes-from exclude each other: give one of them")
-    campaign = load_log(log, machine, since, until)
+    campaign = load_log(log, machine, since, until, sheet)
     laws = load_laws(law, campaign.joints)
     session_selector = earlier_sessions if earlier else other_sessions
     strategies = default_strategies(more, seed)

@@ -42,6 +42,8 @@ from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.laws import Law
+from stickslip_fit.logs._decimals import guess_dialect
+from stickslip_fit.logs._sheet import is_workbook
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 MAX_BYTES = 2**29  # of a file
@@ -75,7 +77,7 @@ def diagnose_table(
 
     Parameters
     ----------
-    frame : DataFrame or path of a CSV or Parquet file
+    frame : DataFrame or path of a CSV, Excel or Parquet file
         One row for each measurement.
     law : Law or str
         A formula such as ``"F ~ M*acc + Fv*vel + offset"``, or a `Law`.
@@ -275,17 +277,26 @@ def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str
         return frame, {"sha256": _hash_frame(frame)}
     if not isinstance(frame, str | Path):
         raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
-    raw, name = read_file(frame, "table (CSV or Parquet)", MAX_BYTES), format_path(frame)
+    raw, name = read_file(frame, "table (CSV, Excel or Parquet)", MAX_BYTES), format_path(frame)
     if not raw:
         raise InputError(InputIssue("is empty; name a table with a header and rows", name))
     try:
         if raw[:4] == b"PAR1":
             table = pd.read_parquet(io.BytesIO(raw))
+        elif is_workbook(raw):
+            table = pd.read_excel(io.BytesIO(raw))
         else:
-            table = pd.read_csv(io.BytesIO(raw), header=None, nrows=1, dtype=str, encoding="utf-8-sig")
+            separator, decimal = guess_dialect(raw)
+            table = pd.read_csv(
+                io.BytesIO(raw), sep=separator, header=None, nrows=1, dtype=str, encoding="utf-8-sig"
+            )
             header = [str(cell) for cell in table.iloc[0]]
-            table = pd.read_csv(io.BytesIO(raw), engine="pyarrow", encoding="utf-8")
+            table = pd.read_csv(
+                io.BytesIO(raw), sep=separator, decimal=decimal, engine="pyarrow", encoding="utf-8"
+            )
             table = table.set_axis([cell.strip().removeprefix("\ufeff") for cell in header], axis=1)
+    except InputError as error:
+        raise InputError([replace(issue, file=name) for issue in error.problems]) from None
     # pandas and pyarrow raise several kinds, all of them about the file.
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

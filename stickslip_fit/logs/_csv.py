@@ -1,15 +1,17 @@
 """CSV bytes into a table of cells, with the line of every record.
 
 pyarrow parses the cells; records are scanned a second time only to locate an issue. A
-quoted cell may hold commas, line ends and doubled quotation marks; a quotation mark elsewhere is an
-ordinary character. Lines end in LF, CR LF or CR. Bytes that are not UTF-8 are reported line by line.
+quoted cell may hold separators, line ends and doubled quotation marks; a quotation mark elsewhere is an
+ordinary character. Lines end in LF, CR LF or CR. Cells are separated by commas, or by what the header has
+instead; then numbers may have decimal commas.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +19,9 @@ import pyarrow as pa
 from pyarrow import csv
 
 from stickslip_fit._typing import Int64Array
+from stickslip_fit.errors import shorten
+from stickslip_fit.logs._decimals import find_decimals, with_points
+from stickslip_fit.logs._encoding import decode
 from stickslip_fit.logs._table import (
     MAX_COLUMNS,
     MAX_ROWS,
@@ -24,16 +29,31 @@ from stickslip_fit.logs._table import (
     FileTable,
     IssueCollector,
     combine_chunks,
+    is_shared,
     report_excess,
 )
 from stickslip_fit.logs.schema import holds_numbers, is_known
 
-_CELL_PATTERN = rb'(?>"(?:[^"]++|"")*+(?:"|\Z)[^,\r\n]*+|[^,"\r\n][^,\r\n]*+|)'
 _END_PATTERN = rb"(?:\r\n|\r|\n|\Z)"
-_RECORD_PATTERN = re.compile(_CELL_PATTERN + rb"(?:," + _CELL_PATTERN + rb")*+" + _END_PATTERN)
-_ONE_CELL_PATTERN = re.compile(_CELL_PATTERN)
+COMMA = b","
 _NOT_EMPTY_PATTERN = re.compile(rb"[^\r\n]")
 _UNCLOSED_PATTERN = re.compile(rb'"(?:[^"]++|"")*+\Z')
+
+
+def _cell_pattern(separator: bytes) -> bytes:
+    other = rb"[^" + re.escape(separator) + rb"\r\n]*+"
+    return rb'(?>"(?:[^"]++|"")*+(?:"|\Z)' + other + rb"|(?!\")" + other + rb")"
+
+
+@cache
+def _one_cell(separator: bytes) -> re.Pattern[bytes]:
+    return re.compile(_cell_pattern(separator))
+
+
+@cache
+def _record(separator: bytes, repeat: bytes = b"*+") -> re.Pattern[bytes]:
+    cell = _cell_pattern(separator)
+    return re.compile(cell + rb"(?:" + re.escape(separator) + cell + rb")" + repeat + _END_PATTERN)
 
 
 @dataclass(frozen=True)
@@ -67,6 +87,7 @@ class CsvRecords:
     start: int
     first_line: int
     width: int
+    separator: bytes = COMMA
 
     @cached_property
     def quoted(self) -> bool:
@@ -76,8 +97,7 @@ class CsvRecords:
     @cached_property
     def scan(self) -> CsvScan:
         """Every record visited once."""
-        pattern = _CELL_PATTERN + rb"(?:," + _CELL_PATTERN + rb"){%d}" % (self.width - 1) + _END_PATTERN
-        full_width = re.compile(pattern)
+        full_width = _record(self.separator, b"{%d}" % (self.width - 1))
         lines: list[int] = []
         ragged: list[RaggedRecord] = []
         unclosed = None
@@ -86,27 +106,29 @@ class CsvRecords:
             line += count_lines(self.raw[position : found.start()])
             position = found.start()
             match = full_width.match(self.raw, position)
-            end = (match or next_record(self.raw, position)).end()
+            end = (match or next_record(self.raw, position, self.separator)).end()
             record = self.raw[position:end]
             text = record.rstrip(b"\r\n")
             if match:
                 lines.append(line)
             else:
                 ragged.append(RaggedRecord(line, text))
-            if end == len(self.raw) and any(map(_UNCLOSED_PATTERN.fullmatch, split_cells(record))):
+            if end == len(self.raw) and any(
+                map(_UNCLOSED_PATTERN.fullmatch, split_cells(record, self.separator))
+            ):
                 unclosed = line
             position, line = end, line + count_lines(record)
         return CsvScan(np.array(lines, dtype=np.int64), ragged, unclosed)
 
 
-def next_record(raw: bytes, position: int) -> re.Match[bytes]:
+def next_record(raw: bytes, position: int, separator: bytes = COMMA) -> re.Match[bytes]:
     """The record that begins at `position`, its line end included."""
-    record = _RECORD_PATTERN.match(raw, position)
+    record = _record(separator).match(raw, position)
     assert record is not None, "the pattern also matches nothing"
     return record
 
 
-def split_cells(record: bytes) -> list[bytes]:
+def split_cells(record: bytes, separator: bytes = COMMA) -> list[bytes]:
     """Cells of one record, quotation marks and all.
 
     Examples
@@ -115,8 +137,8 @@ def split_cells(record: bytes) -> list[bytes]:
     [b'3', b'"a,b"', b'']
     """
     cells, position = [], -1
-    while position < 0 or record[position : position + 1] == b",":
-        cell = _ONE_CELL_PATTERN.match(record, position + 1)
+    while position < 0 or record[position : position + 1] == separator:
+        cell = _one_cell(separator).match(record, position + 1)
         assert cell is not None, "the pattern also matches nothing"
         cells.append(cell[0])
         position = cell.end()
@@ -137,63 +159,16 @@ def unquote(cell: bytes) -> str:
     return quoted.replace("\0", '"') + rest.replace("\0", '""')
 
 
-_OTHER_BYTE_ORDER_MARKS = {
-    b"\xff\xfe\x00\x00": "UTF-32",
-    b"\x00\x00\xfe\xff": "UTF-32",
-    b"\xff\xfe": "UTF-16",
-    b"\xfe\xff": "UTF-16",
-}
-_ENCODING_ADVICE = "save the file as UTF-8 (in a spreadsheet: 'CSV UTF-8')"
-
-
-def check_encoding(raw: bytes, file: str, issues: IssueCollector) -> bool:
-    """Whether bytes may be text of one byte for each ASCII character; adds an issue if not."""
-    for mark, encoding in _OTHER_BYTE_ORDER_MARKS.items():
-        if raw.startswith(mark):
-            issues.add(file, f"is {encoding}; {_ENCODING_ADVICE}", line=1)
-            return False
-    position = raw.find(b"\0")
-    if position >= 0:
-        message = f"holds a zero byte, so it is damaged, or UTF-16, or no text at all; {_ENCODING_ADVICE}"
-        issues.add(file, message, line=1 + count_lines(raw[:position]), value=r"\x00")
-    return position < 0
-
-
-def replace_invalid_utf8(raw: bytes) -> bytes:
-    """Replace bytes that are not UTF-8, so that reading can go on."""
-    if raw.isascii():
-        return raw
-    try:
-        raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("utf-8", "replace").encode("utf-8")
-    return raw
-
-
-def report_invalid_bytes(raw: bytes, names: tuple[str, ...], file: str, issues: IssueCollector) -> None:
-    """Add an issue for the first byte of each line that is not UTF-8."""
-    located = []
-    lines = re.split(r"\r\n|\r|\n", raw.decode("utf-8", "surrogateescape"))
-    for line, text in enumerate(lines, start=1):
-        foreign = re.search("[\udc80-\udcff]", text)
-        if foreign:
-            before = split_cells(text[: foreign.end()].encode("utf-8", "surrogateescape"))
-            column = names[len(before) - 1] if line > 1 and len(before) <= len(names) else None
-            cell = text[text.rfind(",", 0, foreign.start()) + 1 :].partition(",")[0]
-            value = cell.encode("utf-8", "surrogateescape").decode("latin-1")
-            message = f"byte 0x{ord(foreign[0]) - 0xDC00:02X} is not UTF-8; {_ENCODING_ADVICE}"
-            located.append((line, column, value, message))
-    issues.add_lines(file, located)
-
-
 _BLOCK_SIZE = 2 << 20
 _MAX_BLOCK_SIZE = 2**31 - 1
 _MAX_LINE = 2**24  # bytes
 _MAX_RAGGED = 10_000
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NUMBER_PATTERN = re.compile(rb"[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 _UNCLOSED_MESSAGE = "has a quotation mark that opens a cell and is never closed; close it, or write it twice"
-_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+_SEPARATORS = {b",": "commas", b";": "semicolons", b"\t": "tabs", b"|": "bars"}
+_POSITION_COLUMN = re.compile(r"q[0-9]+_")  # of any machine
+# What Excel writes above the header, to tell itself the separator.
+_SEPARATOR_LINE = re.compile(rb"sep=([,;\t|])(?:\r\n|\r|\n)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -211,13 +186,15 @@ class CsvCells:
 
 @dataclass(frozen=True)
 class CsvTable(FileTable):
-    """A CSV file."""
+    """A CSV file; numbers in its text may have a decimal comma where `decimal_comma` says so."""
 
     file: str
     names: tuple[str, ...]
     header_line: int
     cells: CsvCells
     rows: Int64Array | None = None
+    decimal_comma: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def n_in_file(self) -> int:
@@ -226,12 +203,14 @@ class CsvTable(FileTable):
 
     def column(self, name: str) -> pa.Array:
         """See `FileTable`."""
-        return self._select_column(self.cells.read, name)
+        cells = self._select_column(self.cells.read, name)
+        return with_points(cells) if self.decimal_comma else cells
 
     def text(self, name: str) -> pa.Array:
         """See `FileTable`."""
-        if pa.types.is_large_string(self.cells.read.column(self.names.index(name)).type):
-            return self.column(name)
+        read = self.cells.read
+        if pa.types.is_large_string(read.column(self.names.index(name)).type):
+            return self._select_column(read, name)
         return self._select_column(self.cells.text, name)
 
     def lines(self, rows: Int64Array) -> Int64Array:
@@ -249,35 +228,35 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     Empty lines are skipped. What cannot be read is added to `issues`; rows with too many or too few cells
     are left out. A byte order mark is accepted.
     """
-    if not check_encoding(raw, file, issues):
+    text, notes = decode(raw, file, issues)
+    if text is None:
         return None
-    text = replace_invalid_utf8(raw)
-    start = len(_BYTE_ORDER_MARK) if text.startswith(_BYTE_ORDER_MARK) else 0
-    first = _NOT_EMPTY_PATTERN.search(text, start)
+    named = _SEPARATOR_LINE.match(text)
+    first = _NOT_EMPTY_PATTERN.search(text, named.end() if named else 0)
     if first is None:
         issues.add(file, "is empty; it needs a header and one line for each traverse")
         return None
     if _report_long_line(text, file, issues):
         return None
-    header = next_record(text, first.start())
-    header_line = 1 + count_lines(text[start : header.start()])
-    columns = len(split_cells(header[0])) if b'"' in header[0] else 1 + header[0].count(b",")
+    header_line = 1 + count_lines(text[: first.start()])
+    separator = named[1] if named else _find_separator(text, first.start(), header_line, file, issues)
+    if separator is None:
+        return None
+    header = next_record(text, first.start(), separator)
+    columns = len(split_cells(header[0], separator)) if b'"' in header[0] else 1 + header[0].count(separator)
     if report_excess(file, columns, MAX_COLUMNS, "columns", issues):
         return None
-    names = tuple(unquote(cell) for cell in split_cells(header[0]))
-    if text is not raw:
-        report_invalid_bytes(raw, names, file, issues)
-    if _report_other_separator(header[0], names, file, header_line, issues):
-        return None
-    records = CsvRecords(text, header.end(), header_line + count_lines(header[0]), len(names))
+    names = tuple(unquote(cell) for cell in split_cells(header[0], separator))
+    records = CsvRecords(text, header.end(), header_line + count_lines(header[0]), len(names), separator)
     first_row = _NOT_EMPTY_PATTERN.search(text, records.start)
     if first_row is None:
-        if records.quoted and CsvRecords(text, header.start(), header_line, len(names)).scan.unclosed:
+        whole = CsvRecords(text, header.start(), header_line, len(names), separator)
+        if records.quoted and whole.scan.unclosed:
             issues.add(file, _UNCLOSED_MESSAGE, line=header_line, value='"')
         else:
             issues.add(file, "has a header and no rows; add one line for each traverse")
         return None
-    first_cells = split_cells(next_record(text, first_row.start())[0])
+    first_cells = split_cells(next_record(text, first_row.start(), separator)[0], separator)
     try:
         read, any_ragged = _read_columns(records, _numeric_columns(names, first_cells))
     except pa.ArrowInvalid:
@@ -287,10 +266,52 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     if report_excess(file, read.num_rows, MAX_ROWS, "rows", issues):
         return None
     if any_ragged:
-        _report_ragged(records.scan.ragged, len(names), file, issues)
+        _report_ragged(records, read.num_rows, file, issues)
     if _may_be_unclosed(records, read) and records.scan.unclosed is not None:
         issues.add(file, _UNCLOSED_MESSAGE, line=records.scan.unclosed, value='"')
-    return CsvTable(file, names, header_line, CsvCells(records, read))
+    table = CsvTable(file, names, header_line, CsvCells(records, read), notes=notes)
+    return table if separator == COMMA else _with_decimals(table, separator, issues)
+
+
+def _find_separator(text: bytes, start: int, line: int, file: str, issues: IssueCollector) -> bytes | None:
+    """What separates the cells of the header, by the columns that are then known; None if two things may."""
+    header = text[start : next_record(text, start).end()].splitlines()[0]
+    known = {
+        separator: sum(is_known(unquote(part.strip())) for part in header.split(separator))
+        for separator in _SEPARATORS
+        if separator in header
+    }
+    best = max(known, key=lambda separator: known[separator], default=COMMA)
+    if not known.get(best):
+        return COMMA
+    rivals = [_SEPARATORS[separator] for separator in known if known[separator] == known[best]]
+    if len(rivals) > 1:
+        message = f"has {' and '.join(rivals)} between the names of columns; separate all of them by one"
+        issues.add(file, message, line=line, value=header.decode())
+        return None
+    return best
+
+
+def _with_decimals(table: CsvTable, separator: bytes, issues: IssueCollector) -> CsvTable | None:
+    """A table without commas between its cells, with the note that says so; None where decimals differ."""
+    columns = {name: table.text(name) for name in dict.fromkeys(table.names) if _may_hold_numbers(name)}
+    decimals = find_decimals(columns) if not _all_numbers(table, columns) else find_decimals({})
+    if decimals.comma and decimals.point:
+        decimals.report_both(table, issues)
+        return None
+    commas = ", and decimals by commas" if decimals.comma else ""
+    note = f"{table.file}: cells are separated by {_SEPARATORS[separator]}{commas}; it was read so"
+    return replace(table, decimal_comma=bool(decimals.comma), notes=(*table.notes, note))
+
+
+def _all_numbers(table: CsvTable, columns: Iterable[str]) -> bool:
+    """Whether all these columns were read as numbers, whose decimals then have points."""
+    kinds = [table.cells.read.column(table.names.index(name)).type for name in columns]
+    return not any(map(pa.types.is_large_string, kinds))
+
+
+def _may_hold_numbers(name: str) -> bool:
+    return holds_numbers(name) or _POSITION_COLUMN.match(name) is not None
 
 
 def _report_long_line(text: bytes, file: str, issues: IssueCollector) -> bool:
@@ -302,19 +323,6 @@ def _report_long_line(text: bytes, file: str, issues: IssueCollector) -> bool:
         if not end:
             message = f"has more than {_MAX_LINE >> 20} MiB, so the file is damaged, or no table"
             issues.add(file, message, line=1 + count_lines(text[:start]))
-            return True
-    return False
-
-
-def _report_other_separator(
-    header: bytes, names: tuple[str, ...], file: str, line: int, issues: IssueCollector
-) -> bool:
-    text = header.decode("utf-8").rstrip("\r\n")
-    for separator, name in _SEPARATORS.items():
-        parts = [part.strip().strip('"') for part in text.split(separator)]
-        if sum(map(is_known, parts)) > sum(map(is_known, names)):
-            message = f"cells are separated by {name}; save the file with commas, and numbers with points"
-            issues.add(file, message, line=line, value=text)
             return True
     return False
 
@@ -354,7 +362,11 @@ def _parse_block(records: CsvRecords, numeric: list[int], block: int) -> tuple[p
             # Threads gain nothing on one block, and may outlive the program on a faulty log.
             use_threads=len(records.raw) > block,
         ),
-        parse_options=csv.ParseOptions(newlines_in_values=records.quoted, invalid_row_handler=skip),
+        parse_options=csv.ParseOptions(
+            delimiter=records.separator.decode(),
+            newlines_in_values=records.quoted,
+            invalid_row_handler=skip,
+        ),
         convert_options=csv.ConvertOptions(
             column_types=kinds, null_values=[""], strings_can_be_null=False, check_utf8=False
         ),
@@ -370,13 +382,23 @@ def _may_be_unclosed(records: CsvRecords, cells: pa.Table) -> bool:
     return "\n" in last or "\r" in last or not records.raw.endswith((b"\n", b"\r"))
 
 
-def _report_ragged(ragged: list[RaggedRecord], width: int, file: str, issues: IssueCollector) -> None:
+def _report_ragged(records: CsvRecords, good: int, file: str, issues: IssueCollector) -> None:
+    ragged, separator = records.scan.ragged, records.separator
+    mark = {b"\t": "tab"}.get(separator, _SEPARATORS[separator][:-1])
     located = []
     for record in ragged[:MAX_SHOWN]:
-        count = len(split_cells(record.text)) if b'"' in record.text else 1 + record.text.count(b",")
-        advice = "write decimals with a point, and quote text that holds a comma"
-        if count < width:
-            advice = "fill in what is missing, or add commas"
-        message = f"has {count} cells where the header has {width}; {advice}"
+        quoted = b'"' in record.text
+        count = len(split_cells(record.text, separator)) if quoted else 1 + record.text.count(separator)
+        advice = f"quote text that holds a {mark}"
+        if separator == COMMA:
+            advice = "write decimals with a point, or separate cells by semicolons, and " + advice
+        if count < records.width:
+            advice = f"fill in what is missing, or add {_SEPARATORS[separator]}"
+        message = f"has {count} cells where the header has {records.width}; {advice}"
         located.append((record.line, None, record.text.decode("utf-8", "replace"), message))
+    if is_shared(len(ragged), good + len(ragged)):
+        line, _, value, message = located[0]
+        counted = f"{len(ragged):,} of {good + len(ragged):,} rows are faulty, the first one in line {line}"
+        issues.add(file, f"{counted}: {shorten(value)!r} {message}")
+        return
     issues.add_lines(file, located, more=len(ragged) - len(located))

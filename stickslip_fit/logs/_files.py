@@ -1,4 +1,4 @@
-"""Finds and opens the files of a log, CSV or Parquet, and hashes their content.
+"""Finds and opens the files of a log, CSV, Excel or Parquet, and hashes their content.
 
 A Parquet file is read column by column, and only those row groups that are asked for. Of a folder everything
 is read or named in a note or an issue, but for hidden entries, editors' backups (``day.csv~``, ``#day.csv#``)
@@ -25,6 +25,7 @@ from stickslip_fit._input import explain_os_error, format_path, read_file
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._csv import parse_csv
+from stickslip_fit.logs._sheet import SheetTable, is_workbook, parse_sheet
 from stickslip_fit.logs._table import (
     MAX_COLUMNS,
     MAX_ROWS,
@@ -181,16 +182,15 @@ def to_cells(column: pa.Array) -> pa.Array:
 SourcePath = str | Path
 MAX_BYTES = 2**29  # of all files; as CSV some eight million traverses
 MAX_NAMES = 10  # of files in a note
-_LOG_SUFFIXES = (".csv", ".parquet")
+LOG_SUFFIXES = (".csv", ".parquet", ".xlsx")
 _LEFT_OUT = re.compile(r"[.#]|~\$|.*~$")
-# What a file begins with that is neither CSV nor Parquet.
+# What a file begins with that is no log.
 _FOREIGN_CONTENT = {
     rb"\x1f\x8b": "is packed with gzip; unpack it, and name the file inside",
     rb"BZh\d1AY&SY|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!": "is packed; unpack it, name what is inside",
     rb"PK\x03\x04(?s:.{0,60})opendocument": "is an OpenDocument file; save its sheet as 'CSV UTF-8'",
-    rb"PK\x03\x04(?s:.{0,4000})(\[Content_Types\]|xl/)": "is an Excel workbook; save it as 'CSV UTF-8'",
     rb"PK\x03\x04": "is a zip archive; unpack it, and name the file or folder inside",
-    rb"\xd0\xcf\x11\xe0": "is an Excel workbook, old or protected; save its sheet as 'CSV UTF-8'",
+    rb"\xd0\xcf\x11\xe0": "is an Excel workbook, old or protected; save it as .xlsx without a password",
     rb"%PDF-": "is a PDF; give the table that it was printed from, as CSV",
     rb"(?i)(\xef\xbb\xbf)?\s*<(!doctype html|html)": "is a web page; download the file itself",
     rb"(\xef\xbb\xbf)?\s*<\?xml": "is XML; save the table in it as CSV",
@@ -222,14 +222,16 @@ class Listing:
             self.files.extend(self._new([path], issues))
             return
         entries = list(self._walk(path, issues))
-        logs = [entry for entry in entries if entry.suffix.lower() in _LOG_SUFFIXES]
+        logs = [entry for entry in entries if entry.suffix.lower() in LOG_SUFFIXES]
         others = [format_path(entry.relative_to(path)) for entry in entries if entry not in set(logs)]
         named = join_words(
             others[:MAX_NAMES] + [f"{len(others) - MAX_NAMES} more"] * (len(others) > MAX_NAMES)
         )
         if not logs:
             hint = f"; neither is {named}" if others else ""
-            message = f"is a folder without logs{hint}; put .csv or .parquet files there, or name another"
+            message = (
+                f"is a folder without logs{hint}; put .csv, .xlsx or .parquet files there, or name another"
+            )
             issues.add(format_path(path), message)
         elif others:
             self.notes.append(
@@ -283,13 +285,17 @@ class Sources:
     notes: tuple[str, ...]
 
 
-def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollector) -> Sources:
-    """Open files, and the ``*.csv`` and ``*.parquet`` in folders and their subfolders.
+def open_sources(
+    source: SourcePath | Iterable[SourcePath], issues: IssueCollector, sheet: str | None = None
+) -> Sources:
+    """Open files, and the ``*.csv``, ``*.xlsx`` and ``*.parquet`` in folders and their subfolders.
+
+    `sheet` is the sheet of workbooks that is read, by default the first one.
 
     Raises
     ------
     InputError
-        If no path is given; issues of a file are added to `issues`.
+        If no path is given, or a sheet and no workbook; issues of a file are added to `issues`.
     """
     paths = [source] if isinstance(source, str | Path) else list(source)
     if not paths or "" in paths:
@@ -301,8 +307,13 @@ def open_sources(source: SourcePath | Iterable[SourcePath], issues: IssueCollect
     if len(listing.files) > 1 and size > MAX_BYTES:
         most = f"{MAX_BYTES / 2**20:,.0f} MiB"
         raise InputError(f"the files have {size / 2**20:,.0f} MiB together; name fewer, {most} at most")
-    files = [_open_file(file, issues) for file in listing.files]
-    return Sources([file for file in files if file is not None], tuple(listing.notes))
+    opened = [_open_file(file, issues, sheet) for file in listing.files]
+    files = [file for file in opened if file is not None]
+    workbooks = any(isinstance(file.table, SheetTable) for file in files)
+    if sheet is not None and len(files) == len(opened) and not workbooks:
+        message = "names a sheet, and no file is an Excel workbook; leave it out"
+        raise InputError(InputIssue(message, column="sheet", value=sheet))
+    return Sources(files, tuple(listing.notes))
 
 
 def hash_sources(sources: Sequence[SourceFile]) -> str:
@@ -311,20 +322,24 @@ def hash_sources(sources: Sequence[SourceFile]) -> str:
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
-def _open_file(path: Path, issues: IssueCollector) -> SourceFile | None:
+def _open_file(path: Path, issues: IssueCollector, sheet: str | None) -> SourceFile | None:
     file = format_path(path)
     try:
         raw = read_file(path, "log", MAX_BYTES)
     except InputError as error:
         issues.add_error(error)
         return None
-    for beginning, message in _FOREIGN_CONTENT.items():
-        if re.match(beginning, raw):
+    foreign = (message for beginning, message in _FOREIGN_CONTENT.items() if re.match(beginning, raw))
+
+    def parse() -> FileTable | None:
+        if is_workbook(raw):
+            return parse_sheet(raw, file, sheet, issues)
+        if message := next(foreign, None):
             issues.add(file, message)
             return None
-    parquet = path.suffix.lower() == ".parquet" or raw.startswith(b"PAR1")
-    parse = open_parquet if parquet else parse_csv
-    source = run_in_threads(
-        {"table": lambda: parse(raw, file, issues), "sha256": lambda: hashlib.sha256(raw).hexdigest()}
-    )
+        if path.suffix.lower() == ".parquet" or raw.startswith(b"PAR1"):
+            return open_parquet(raw, file, issues)
+        return parse_csv(raw, file, issues)
+
+    source = run_in_threads({"table": parse, "sha256": lambda: hashlib.sha256(raw).hexdigest()})
     return None if source["table"] is None else SourceFile(**source)

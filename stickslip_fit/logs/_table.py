@@ -20,11 +20,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, shorten
 
 
 class FileTable(ABC):
-    """Rows of one file, CSV or Parquet: all of them, or those at the ascending indices `rows`.
+    """Rows of one file, CSV, Excel or Parquet: all of them, or those at the ascending indices `rows`.
 
     `header_line` is None for Parquet, which has no lines. A cell is a string, a number or a timestamp.
     """
@@ -33,6 +33,11 @@ class FileTable(ABC):
     names: tuple[str, ...]
     header_line: int | None
     rows: Int64Array | None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """On how the file was read."""
+        return ()
 
     @property
     def type_faults(self) -> Mapping[str, str]:
@@ -63,8 +68,11 @@ class FileTable(ABC):
 
     def locate(self, row: int) -> str:
         """Where a row stands, in words."""
-        kind = "row" if self.header_line is None else "line"
-        return f"{kind} {self.lines(np.array([row]))[0]} of {self.file}"
+        return f"{self.describe_place(int(self.lines(np.array([row]))[0]))} of {self.file}"
+
+    def describe_place(self, line: int, column: str | None = None) -> str:
+        """A line, or the cell of a column in it, as people find it in the file."""
+        return f"{'row' if self.header_line is None else 'line'} {line}"
 
     def select(self, rows: Int64Array) -> FileTable:
         """Only these rows of the whole file, in ascending order."""
@@ -93,6 +101,14 @@ def combine_chunks(column: pa.ChunkedArray) -> pa.Array:
 
 
 MAX_SHOWN = 20
+MIN_SHARED, MIN_SHARE = 6, 0.1  # of the rows: faults of one kind from which they are told once
+
+
+def is_shared(faulty: int, rows: int) -> bool:
+    """Whether so many rows have one fault that it is told once, with their number and the first of them."""
+    return faulty >= max(MIN_SHARED, MIN_SHARE * rows)
+
+
 # Line, column, value and message of one issue.
 IssueLocation = tuple[int | None, str | None, str | None, str]
 IssueMessage = str | Callable[[int, str], str]
@@ -109,11 +125,12 @@ class _CellIssues:
 
 
 class IssueCollector:
-    """Collects issues; of a million in one column the first 20 are shown, the others counted."""
+    """Collects issues; a fault that much of a column shares is one issue, of others 20 are shown."""
 
     def __init__(self) -> None:
         self._located: list[tuple[str, float, int, InputIssue]] = []
         self._cells: list[_CellIssues] = []
+        self._sheets: dict[str, FileTable] = {}
 
     def __bool__(self) -> bool:
         return bool(self._located or self._cells)
@@ -128,6 +145,10 @@ class IssueCollector:
     ) -> None:
         """Add one issue."""
         self._located.append((file, line or 0, 0, InputIssue(message, file, line, column, value)))
+
+    def add_sheet(self, table: FileTable) -> None:
+        """Say the places of this file's issues as its sheet has them, not by lines."""
+        self._sheets[table.file] = table
 
     def add_error(self, error: InputError) -> None:
         """Add the issues of an error."""
@@ -158,19 +179,34 @@ class IssueCollector:
         # Lines and cells are looked up only now: a file without issues is never searched for them.
         located = self._located + [issue for cells in self._cells for issue in _locate_issues(cells)]
         if located:
-            raise InputError(issue for *_, issue in sorted(located, key=lambda entry: entry[:3]))
+            raise InputError(
+                self._in_sheet(issue) for *_, issue in sorted(located, key=lambda entry: entry[:3])
+            )
+
+    def _in_sheet(self, issue: InputIssue) -> InputIssue:
+        sheet = self._sheets.get(issue.file or "")
+        if sheet is None or issue.line is None:
+            return issue
+        return replace(issue, place=sheet.describe_place(issue.line, issue.column))
 
 
 def _locate_issues(cells: _CellIssues) -> Iterator[tuple[str, float, int, InputIssue]]:
-    table, column, shown = cells.table, cells.column, cells.rows[:MAX_SHOWN]
+    table, column, shared = cells.table, cells.column, is_shared(len(cells.rows), cells.table.count)
+    shown = cells.rows[: 1 if shared else MAX_SHOWN]
     position = table.names.index(column)
     values = table.text(column).take(pa.array(shown)).to_pylist()
     for row, line, value in zip(shown.tolist(), table.lines(shown).tolist(), values, strict=True):
         message = cells.message if isinstance(cells.message, str) else cells.message(row, value)
+        if shared:
+            count = f"{len(cells.rows):,} of {table.count:,} values"
+            where = table.describe_place(line, column)
+            told = f"{count} are faulty, the first one in {where}: {shorten(value)!r} {message}"
+            yield table.file, line, position, InputIssue(told, table.file, column=column)
+            continue
         if table.header_line is None:
             message += f" (row {line}; Parquet has no lines)"
         yield table.file, line, position, InputIssue(message, table.file, line, column, value)
-    if len(cells.rows) > MAX_SHOWN:
+    if not shared and len(cells.rows) > MAX_SHOWN:
         rest = f"... and {len(cells.rows) - MAX_SHOWN:,} more in this column"
         yield table.file, math.inf, position, InputIssue(rest, table.file, column=column)
 

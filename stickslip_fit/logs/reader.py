@@ -7,6 +7,7 @@ the rows are put in order and `history` is added. All faults are raised in one I
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -23,6 +24,7 @@ from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._files import SourcePath, hash_sources, open_sources
 from stickslip_fit.logs._table import IssueCollector, IssueMessage, label_codes, run_in_threads
+from stickslip_fit.logs._units import doubt_units
 from stickslip_fit.logs.history import add_session_history, add_unknown_history, steps_before
 from stickslip_fit.logs.log import Log
 from stickslip_fit.logs.plan import read_traverses, report_outside_range
@@ -337,18 +339,22 @@ def read_log(
     machine: Machine | None = None,
     since: TimeLike | None = None,
     until: TimeLike | None = None,
+    sheet: str | None = None,
 ) -> Log:
-    """Read and check a campaign log, CSV or Parquet, in one file or many.
+    """Read and check a campaign log, CSV, Excel or Parquet, in one file or many.
 
     Parameters
     ----------
     source : path or iterable of paths
-        Files, or folders, which are searched for ``*.csv`` and ``*.parquet`` (hidden files left out).
+        Files, or folders, which are searched for ``*.csv``, ``*.xlsx`` and ``*.parquet`` (hidden files left
+        out).
     machine : Machine, optional
         The nominal one if not given.
     since, until : str, date or datetime, optional
         Select the sessions whose first traverse is in [since, until); without a zone, they are UTC where
         the log has zones. Of other sessions only session, time, joint and steps are read, for history.
+    sheet : str, optional
+        The sheet of a workbook; the first one if not given.
 
     Returns
     -------
@@ -358,10 +364,15 @@ def read_log(
     ------
     InputError
         With every fault of every file: file, line, column, value and what to do.
+
+    Warns
+    -----
+    UserWarning
+        For a column whose numbers look as if they were in another unit than its name says.
     """
     machine = machine or load_machine()
     issues = IssueCollector()
-    sources, form = open_sources(source, issues), log_format(machine)
+    sources, form = open_sources(source, issues, sheet), log_format(machine)
     tables = [source.table for source in sources.files]
     layouts = [
         match_columns(table.names, table.file, table.header_line, issues, table.type_faults, form)
@@ -378,9 +389,13 @@ def read_log(
         files, kept = _select_rows(files, chosen), identity.select(chosen)
     columns, notes = _build_columns(files, kept, machine)
     issues.raise_if_any()
+    doubts = [doubt for cells in files for doubt in doubt_units(cells, machine)]
+    for doubt in doubts:
+        warnings.warn(doubt, UserWarning, stacklevel=2)
     notes = (
         *sources.notes,
-        *(note for cells in files for note in cells.layout.notes),
+        *(note for cells in files for note in (*cells.table.notes, *cells.layout.notes)),
+        *doubts,
         *notes,
         *note_similar_sessions(identity),
     )

@@ -177,18 +177,43 @@ def test_rows_that_are_never_fitted_are_checked_all_the_same(sheet, problems):
     assert [problem.line for problem in problems(sheet)] == [interrupted, excluded]
 
 
-def test_many_faults_of_one_kind_are_shown_twenty_times_and_counted(sheet, problems):
+@pytest.fixture
+def long_sheet(sheet):
+    """Three thousand good traverses."""
     row = sheet.rows[0]
     sheet.rows = [
-        [*row[:1], f"2012-03-05T09:{minute:02d}:{second:02d}", *row[2:4], "12x", *row[5:]]
+        [*row[:1], f"2012-03-05T09:{minute:02d}:{second:02d}", *row[2:]]
         for minute in range(50)
         for second in range(60)
     ]
-    told = problems(sheet)
+    return sheet
+
+
+def test_many_faults_of_one_kind_are_shown_twenty_times_and_counted(long_sheet, problems):
+    for row in range(0, 3000, 20):
+        long_sheet.set(row, "steps", "12x")
+    told = problems(long_sheet)
     assert len(told) == 21
-    assert [problem.line for problem in told[:20]] == list(range(2, 22))
-    assert "2,980 more" in told[-1].message
+    assert [problem.line for problem in told[:20]] == list(range(2, 402, 20))
+    assert "130 more" in told[-1].message
     assert told[-1].column == "steps"
+
+
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_fault_that_much_of_a_column_shares_is_told_once(long_sheet, problems, every):
+    for row in range(0, 3000, every):
+        long_sheet.set(row, "q2_deg", "abc")
+    (told,) = problems(long_sheet)
+    count = f"{3000 // every:,} of 3,000 values are faulty, the first one in line 2: 'abc' is no number"
+    assert count in str(told)
+    assert "column q2_deg" in str(told)
+
+
+def test_rows_of_another_width_are_told_once(long_sheet, problems):
+    text = long_sheet.text().replace("990.25", "990,25")
+    (told,) = problems(text)
+    assert "3,000 of 3,000 rows are faulty, the first one in line 2" in told.message
+    assert "has 21 cells where the header has 20; write decimals with a point, or" in told.message
 
 
 def test_a_double_is_told_with_both_lines(sheet, problems):

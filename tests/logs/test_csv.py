@@ -79,12 +79,41 @@ def test_a_header_with_a_quotation_mark_that_is_never_closed(sheet, problems):
 
 
 @pytest.mark.parametrize(("separator", "called"), [(";", "semicolons"), ("\t", "tabs"), ("|", "bars")])
-def test_a_spreadsheet_saved_with_another_separator_says_what_to_change(sheet, problems, separator, called):
-    text = sheet.text().replace(",", separator).replace(".", ",")
-    (told,) = problems(text)
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_other_separators_and_decimal_commas_are_read_and_noted(sheet, read, separator, called, decimal):
+    sheet.set(3, "note", "one; two")
+    expected = read(sheet)
+    sheet.set(3, "note", '"one; two"')
+    sheet.set(2, "theta_deg", "-30.0")
+    log = read(sheet.text().replace(",", separator).replace(".", decimal))
+    pd.testing.assert_frame_equal(log.rows, expected.rows)
+    (note,) = log.notes
+    assert f"separated by {called}" in note
+    assert ("decimals by commas" in note) == (decimal == ",")
+
+
+def test_what_excel_writes_above_the_header_names_the_separator(sheet, read, problems):
+    expected = read(sheet).rows
+    pd.testing.assert_frame_equal(read("sep=;\r\n" + sheet.text().replace(",", ";")).rows, expected)
+    line = sheet.set(2, "steps", "x")
+    (told,) = problems("sep=;\n" + sheet.text().replace(",", ";"))
+    assert told.line == line + 1
+
+
+def test_decimal_commas_and_points_in_one_file_are_one_error(sheet, problems):
+    sheet.set(0, "steps", "12.540")  # twelve thousand as Germans write it, among decimal commas
+    sheet.set(2, "theta_deg", "-30,5")
+    (told,) = problems(sheet.text().replace(",", ";").replace("-30;5", "-30,5").replace("21.5", "21,5"))
+    assert (told.line, told.column, told.value) == (2, "steps", "12.540")
+    assert "'21,5' in line 2, column temperature_C, a decimal comma; write all numbers in one way" in str(
+        told
+    )
+
+
+def test_two_separators_in_a_header_are_one_error(problems):
+    (told,) = problems("session,time,joint;direction;steps\n1,2,3;4;5\n")
     assert told.line == 1
-    assert called in told.message
-    assert "points" in told.message
+    assert "commas and semicolons between the names of columns; separate all of them by one" in told.message
 
 
 def test_a_decimal_comma_in_quotes_is_told_with_the_number_to_write(sheet, problems):
@@ -94,22 +123,36 @@ def test_a_decimal_comma_in_quotes_is_told_with_the_number_to_write(sheet, probl
     assert "-30.5" in told.message
 
 
-def test_bytes_of_another_encoding_are_told_with_line_column_and_byte(sheet, problems):
-    first = sheet.set(1, "note", "caf\xe9")
-    second = sheet.set(5, "note", "\xb5m")
-    sheet.set(5, "steps", "x")
-    found = problems(sheet.text().encode("latin-1"))
-    assert [(told.line, told.column, told.value) for told in found] == [
-        (first, "note", "caf\xe9"),
-        (second, "note", "\xb5m"),
-        (second, "steps", "x"),
-    ]
-    assert "0xE9" in found[0].message
-    assert "UTF-8" in found[0].message
+def test_windows_1252_is_read_and_noted(sheet, read):
+    sheet.set(1, "note", "caf\xe9")
+    sheet.set(5, "note", "\xb5m \u2013 \u20ac")
+    expected = read(sheet).rows
+    log = read(sheet.text().encode("cp1252"))
+    pd.testing.assert_frame_equal(log.rows, expected)
+    (note,) = log.notes
+    assert "not UTF-8, and was read as Windows-1252" in note
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
-def test_wide_encodings_are_named(sheet, problems, encoding):
+@pytest.mark.parametrize("foreign", [b"\xe9", b"\x81"])
+def test_bytes_that_no_encoding_explains_are_told_by_line(sheet, problems, foreign):
+    first = sheet.set(1, "note", "FOREIGN")
+    sheet.set(2, "note", "5 \xb5m")  # in UTF-8, so that the other byte is damage
+    (told,) = problems(sheet.text().encode().replace(b"FOREIGN", foreign))
+    assert told.line == first
+    assert f"0x{foreign[0]:02X} is not UTF-8" in told.message
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-32"])
+def test_wide_encodings_with_a_mark_are_read_and_noted(sheet, read, encoding):
+    sheet.set(1, "note", "5 \xb5m")
+    expected = read(sheet).rows
+    log = read(sheet.text().replace(",", "\t").encode(encoding))
+    pd.testing.assert_frame_equal(log.rows, expected)
+    assert [encoding.upper() in note for note in log.notes] == [True, False]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be", "utf-32-be"])
+def test_wide_encodings_without_a_mark_are_named(sheet, problems, encoding):
     (told,) = problems(sheet.text().encode(encoding))
     assert "UTF-8" in told.message
     assert told.line == 1

@@ -40,7 +40,7 @@ def refusal(source) -> str:
 
 
 def test_other_files_of_a_folder_are_named_in_the_log_and_by_the_command(folder):
-    for name in ("day.xlsx", "day.csv.gz", "old/notes.txt"):
+    for name in ("day.ods", "day.csv.gz", "old/notes.txt"):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(b"content")
     for name in (".hidden.csv", ".git/x.csv", "day.csv~", "#day.csv#", "~$day.xlsx"):
@@ -49,7 +49,7 @@ def test_other_files_of_a_folder_are_named_in_the_log_and_by_the_command(folder)
     log = read_log(folder)
     assert len(log) == 6
     rest = os.path.join("old", "notes.txt")
-    assert log.notes == (f"{folder}: 3 other files not read: day.csv.gz, day.xlsx and {rest}",)
+    assert log.notes == (f"{folder}: 3 other files not read: day.csv.gz, day.ods and {rest}",)
     assert "day.csv.gz" in CliRunner().invoke(app, ["check", str(folder)], env={"COLUMNS": "500"}).output
 
 
@@ -152,7 +152,7 @@ FOREIGN = {
     "PDF": b"%PDF-1.7\n1 0 obj",
     "web page": b"\n<!DOCTYPE html>\n<html><body>sign in</body></html>",
     "JSON": b"[" * 200_000,
-    "UTF-16": "session,time\n".encode("utf-16"),
+    "UTF-16": "session,time\n".encode("utf-16-le"),
     "is empty": b"",
 }
 
