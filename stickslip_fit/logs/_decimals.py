@@ -50,7 +50,7 @@ def find_decimals(columns: Mapping[str, pa.Array]) -> Decimals:
 
     Examples
     --------
-    >>> find_decimals({"q1_deg": pa.array(["3", "", "-1,5"])})
+    >>> find_decimals({"q1_deg": pa.array(["3", "", "-1,5"], pa.large_string())})
     Decimals(comma=FirstNumber(row=2, column='q1_deg', text='-1,5'), point=None)
     """
     texts = {name: cells for name, cells in columns.items() if pa.types.is_large_string(cells.type)}

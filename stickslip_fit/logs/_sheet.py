@@ -169,7 +169,7 @@ def _open_sheet(
             return None
         workbook = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
         sheets = {one.title: one for one in workbook.worksheets}
-        name = sheet or next(iter(sheets), None)
+        name = sheet or next(iter(sheets), "")
         if name not in sheets:
             message = f"has no sheet {name!r}, but {join_words(list(map(repr, sheets)))}; name one of these"
             issues.add(file, message)
