@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stickslip_fit.bayes import Posterior, load_posterior
     from stickslip_fit.causes import FormulaCause as Cause
     from stickslip_fit.causes.law_file import LawsAndCauses, read_law_file
+    from stickslip_fit.changes import Changes, detect_changes
     from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, fit_table, next_experiment
     from stickslip_fit.errors import InputError
     from stickslip_fit.estimation import Result, TableFit, held_out_errors, load_result, load_table_fit
@@ -52,6 +53,7 @@ _HOMES = {
     "anova": ("Anova", "analyze_formula", "analyze_variance"),
     "bayes": ("Posterior", "load_posterior"),
     "causes.law_file": ("LawsAndCauses", "read_law_file"),
+    "changes": ("Changes", "detect_changes"),
     "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
     "errors": ("InputError",),
     "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit"),

@@ -32,7 +32,7 @@ LAYERS = (
     ("diagnosis",),
     ("moves",),
     ("strategies",),
-    ("capture", "studies"),
+    ("capture", "studies", "changes"),
     ("plotting",),
     ("reporting",),
     ("_workflow",),

@@ -12,6 +12,7 @@ from stickslip_fit import __version__
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
+from stickslip_fit.cli.changes import changed
 from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
 from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
@@ -23,6 +24,7 @@ VERBS = (
         calibrate,
         fit,
         predict,
+        changed,
         anova,
         diagnose,
         diagnose_table,

@@ -1,0 +1,197 @@
+"""What changed, in a few lines: the verdict, what it means for moves, and one table."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+
+from stickslip_fit._format import (
+    MISSING,
+    decimals_for,
+    format_direction,
+    format_p_value,
+    format_percent,
+    format_percent_range,
+    format_range,
+    format_uncertain,
+    format_value,
+    join_words,
+    pluralize,
+)
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.changes.detection import STEP_SIZE, Change, Changes
+from stickslip_fit.changes.difference import POWER
+from stickslip_fit.logs.log import file_names
+from stickslip_fit.units import from_si
+
+MAX_ROWS = 14  # of the table; further parameters that show no change are folded
+MAX_NAMED = 4  # sessions, and changes
+
+
+@summarize.register
+def summarize_changes(changes: Changes) -> Summary:
+    """Verdict first; then a table of step sizes and of the parameters that changed."""
+    shown = list(changes.changes)
+    if len(shown) > MAX_ROWS:
+        shown = [one for one in shown if one.name == STEP_SIZE or one.is_significant]
+    others = [one for one in changes.changes if one not in shown]
+    tables = [_table("Differences", shown, changes)]
+    if others:
+        tables.append(_table("Parameters that show no change", others, changes, folded=True))
+    paragraphs = tuple(changes.not_compared)
+    old, new = (file_names(list(one.log_files)) for one in changes.provenance)
+    return Summary(
+        title=f"{old} against {new}" if old != new else f"Changes within {old}",
+        headline=tuple(_headline(changes)),
+        sections=(Section(paragraphs=paragraphs, tables=tuple(tables)),),
+        flags=tuple(f"{flag.message}." for flag in changes.flags[:MAX_NAMED]),
+        provenance=tuple(
+            (f"{age}: {name}", value)
+            for age, one in zip(("old", "new"), changes.provenance, strict=True)
+            for name, value in one.lines()
+        ),
+    )
+
+
+def _headline(changes: Changes) -> list[str]:
+    old, new = map(_describe_sessions, changes.sessions)
+    compared = f"{old} against {new}"
+    if not changes.knows_scatter:
+        return [
+            f"Cannot tell a change from a day's scatter: {compared}. With one session in each log nothing is "
+            "known of the scatter from day to day; measure at least one more day.",
+            _beyond_repeatability(changes),
+        ]
+    rate = _rate(changes.alpha)
+    lines = []
+    if not changes.significant:
+        lines.append(
+            f"No change shows: {compared}, at a rate of false alarms of {rate} over everything below."
+        )
+        lines.append(_least_detectable(changes))
+    else:
+        drives = dict.fromkeys((one.joint, one.direction) for one in changes.significant)
+        named = join_words([f"joint {joint} {format_direction(direction)}" for joint, direction in drives])
+        lines.append(
+            f"Changed: {named}, {compared}, at a rate of false alarms of {rate} over everything below."
+        )
+        lines += [_describe_drive(changes, *drive) for drive in list(drives)[:MAX_NAMED]]
+    alone = [len(sessions) == 1 for sessions in changes.sessions]
+    if any(alone):
+        one, other = ("old", "new") if alone[0] else ("new", "old")
+        lines.append(
+            f"The {one} log has a single session: the scatter from day to day is that of the {other} log."
+        )
+    return lines
+
+
+def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
+    """What changed of one drive, and what it means for its moves."""
+    own = [one for one in changes.changes if (one.joint, one.direction) == (joint, direction)]
+    size = next((one for one in own if one.name == STEP_SIZE), None)
+    parameters = [one for one in own if one.name != STEP_SIZE and one.is_significant]
+    parts = []
+    if size is not None:
+        way = "longer" if size.difference.estimate > 0 else "shorter"
+        amount = format_percent(abs(np.expm1(size.difference.estimate)))
+        extent = f"{_percent(size.difference.low)} to {_percent(size.difference.high)}"
+        parts.append(
+            f"steps are {amount} {way} ({extent} %)"
+            if size.is_significant
+            else f"the mean step size shows no change ({extent} %)"
+        )
+    if parameters:
+        parts.append(f"{join_words([f'{one.name} by {_difference(one)}' for one in parameters])} changed")
+    elif size is not None:
+        parts.append("no single parameter can be named for it")
+    return f"Joint {joint} {format_direction(direction)}: {'; '.join(parts)}."
+
+
+def _beyond_repeatability(changes: Changes) -> str:
+    """What differs by more than traverses repeat."""
+    differ = [one for one in changes.changes if one.difference.p_repeatability < changes.alpha]
+    if not differ:
+        return "No difference is larger than traverses repeat."
+    named = [f"joint {one.joint} {format_direction(one.direction)} {one.name}" for one in differ[:MAX_NAMED]]
+    if len(differ) > MAX_NAMED:
+        named.append(f"{len(differ) - MAX_NAMED} more")
+    return (
+        f"By more than traverses repeat within a day differ: {join_words(named)}. Days of one actuator "
+        "commonly differ by that much too."
+    )
+
+
+def _least_detectable(changes: Changes) -> str:
+    sizes = [one.difference.detectable for one in changes.changes if one.name == STEP_SIZE]
+    if not sizes or not np.isfinite(sizes).any():
+        return "A change of any size would not have been detected: measure more days."
+    low, high = np.nanmin(sizes), np.nanmax(sizes)
+    extent = format_percent(low) if high < 1.2 * low else f"{format_percent_range(low, high)} %"
+    return (
+        f"A change of the step size by {extent}, by joint and direction, would have been detected with "
+        f"{_rate(POWER)} probability."
+    )
+
+
+def _table(caption: str, shown: list[Change], changes: Changes, *, folded: bool = False) -> Table:
+    columns = (
+        *words("joint", "quantity"),
+        *numbers("old", "new", "difference"),
+        Column(f"{_rate(1 - changes.alpha)} interval"),
+        *numbers("p", "detectable"),
+    )
+    note = (
+        "Step size: mean over the configurations of a calibration, its difference in %. ± one standard "
+        "error, the scatter from day to day included. The intervals hold all together, and p is adjusted for "
+        f"all (Holm). Detectable: what would be found with {_rate(POWER)} probability."
+    )
+    hidden = len(changes.changes) - len(shown)
+    if hidden and not folded:
+        note += (
+            f" {pluralize(hidden, 'parameter')} that {'show' if hidden > 1 else 'shows'} no change: --json."
+        )
+    return Table(caption, columns, tuple(map(_row, shown)), stubs=2, note=note, folded=folded)
+
+
+def _row(change: Change) -> tuple[str, ...]:
+    difference, unit = change.difference, change.difference_unit
+    decimals = decimals_for(from_si(difference.standard_error, unit))
+    size = decimals_for(from_si(_size_of_error(change), change.unit))
+    return (
+        f"{change.joint} {format_direction(change.direction)}",
+        change.name,
+        format_value(change.old, change.unit, size),
+        format_value(change.new, change.unit, size),
+        _difference(change),
+        format_range(difference.low, difference.high, unit, decimals),
+        MISSING if isnan(difference.p_adjusted) else format_p_value(difference.p_adjusted),
+        format_value(difference.detectable, unit, decimals),
+    )
+
+
+def _difference(change: Change) -> str:
+    difference = change.difference
+    sign = "+" if difference.estimate > 0 else ""
+    return sign + format_uncertain(difference.estimate, difference.standard_error, change.difference_unit)
+
+
+def _size_of_error(change: Change) -> float:
+    """The standard error of the difference in the unit of the quantity."""
+    error = change.difference.standard_error
+    return error * change.old if change.name == STEP_SIZE else error
+
+
+def _rate(share: float) -> str:
+    """A chosen probability, as it was chosen."""
+    return f"{100 * share:g} %"
+
+
+def _percent(share: float) -> str:
+    return format_percent(share, with_unit=False, signed=True)
+
+
+def _describe_sessions(sessions: tuple[str, ...]) -> str:
+    if len(sessions) == 1:
+        return f"session {sessions[0]}"
+    return f"{pluralize(len(sessions), 'session')} ({sessions[0]} to {sessions[-1]})"

@@ -1,0 +1,60 @@
+"""The command that compares an actuator with its past: changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stickslip_fit.cli._files import INPUT
+from stickslip_fit.cli._options import (
+    Json,
+    LawNames,
+    MachinePath,
+    Sheet,
+    check_savable,
+    command_line,
+    load_laws,
+    load_log,
+    parse_path,
+)
+from stickslip_fit.errors import InputError
+
+
+def changed(
+    old: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OLD", parser=parse_path, help="Log of the past, or with --since of all time."
+        ),
+        INPUT,
+    ],
+    new: Annotated[
+        Path | None, typer.Argument(metavar="[NEW]", parser=parse_path, help="Log of the present."), INPUT
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option(help="Instead of NEW: sessions of OLD from this date on against those before it."),
+    ] = None,
+    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    law: LawNames = None,
+    machine: MachinePath = None,
+    sheet: Sheet = None,
+    json: Json = None,
+) -> None:
+    """Test whether an actuator has changed from one log to another, beyond its scatter from day to day."""
+    from stickslip_fit.changes import detect_changes
+
+    if (new is None) == (since is None):
+        raise InputError("name what to compare with: a second log, or the date of the change with --since")
+    before = load_log([old], machine, until=since, sheet=sheet)
+    after = load_log([new or old], machine, since=since, sheet=sheet)
+    laws = load_laws(law, before.joints)
+    check_savable(before, laws, json)
+    changes = detect_changes(before, after, laws=laws, alpha=alpha, command=command_line())
+    if json is not None:
+        changes.save(json)
+    print(changes)
+    if json is not None:
+        print(f"\nsaved to {json}")
