@@ -42,7 +42,7 @@ def summarize_changes(changes: Changes) -> Summary:
     paragraphs = tuple(changes.not_compared)
     old, new = (file_names(list(one.log_files)) for one in changes.provenance)
     return Summary(
-        title=f"{old} against {new}" if old != new else f"Changes within {old}",
+        title=f"Changes from {old} to {new}" if old != new else f"Changes within {old}" if old else "Changes",
         headline=tuple(_headline(changes)),
         sections=(Section(paragraphs=paragraphs, tables=tuple(tables)),),
         flags=tuple(f"{flag.message}." for flag in changes.flags[:MAX_NAMED]),
@@ -94,7 +94,7 @@ def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
     parts = []
     if size is not None:
         way = "longer" if size.difference.estimate > 0 else "shorter"
-        amount = format_percent(abs(np.expm1(size.difference.estimate)))
+        amount = format_percent(abs(size.difference.estimate))
         extent = f"{_percent(size.difference.low)} to {_percent(size.difference.high)}"
         parts.append(
             f"steps are {amount} {way} ({extent} %)"
@@ -102,7 +102,7 @@ def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
             else f"the mean step size shows no change ({extent} %)"
         )
     if parameters:
-        parts.append(f"{join_words([f'{one.name} by {_difference(one)}' for one in parameters])} changed")
+        parts += [f"{one.name} changed by {_difference(one)}" for one in parameters]
     elif size is not None:
         parts.append("no single parameter can be named for it")
     return f"Joint {joint} {format_direction(direction)}: {'; '.join(parts)}."
@@ -138,20 +138,25 @@ def _table(caption: str, shown: list[Change], changes: Changes, *, folded: bool 
     columns = (
         *words("joint", "quantity"),
         *numbers("old", "new", "difference"),
-        Column(f"{_rate(1 - changes.alpha)} interval"),
-        *numbers("p", "detectable"),
     )
     note = (
-        "Step size: mean over the configurations of a calibration, its difference in %. ± one standard "
-        "error, the scatter from day to day included. The intervals hold all together, and p is adjusted for "
-        f"all (Holm). Detectable: what would be found with {_rate(POWER)} probability."
+        "Step size: mean over the configurations of a calibration, its difference in %. ± one standard error"
     )
+    if changes.knows_scatter:
+        columns += (Column(f"{_rate(1 - changes.alpha)} interval"), *numbers("p", "detectable"))
+        note += (
+            ", the scatter from day to day included. The intervals hold all together, and p is adjusted for "
+            f"all (Holm). Detectable: what would be found with {_rate(POWER)} probability."
+        )
+    else:
+        note += ", by the repeatability alone."
     hidden = len(changes.changes) - len(shown)
     if hidden and not folded:
         note += (
             f" {pluralize(hidden, 'parameter')} that {'show' if hidden > 1 else 'shows'} no change: --json."
         )
-    return Table(caption, columns, tuple(map(_row, shown)), stubs=2, note=note, folded=folded)
+    rows = tuple(_row(one)[: len(columns)] for one in shown)
+    return Table(caption, columns, rows, stubs=2, note=note, folded=folded)
 
 
 def _row(change: Change) -> tuple[str, ...]:
@@ -161,8 +166,8 @@ def _row(change: Change) -> tuple[str, ...]:
     return (
         f"{change.joint} {format_direction(change.direction)}",
         change.name,
-        format_value(change.old, change.unit, size),
-        format_value(change.new, change.unit, size),
+        format_value(difference.old, change.unit, size),
+        format_value(difference.new, change.unit, size),
         _difference(change),
         format_range(difference.low, difference.high, unit, decimals),
         MISSING if isnan(difference.p_adjusted) else format_p_value(difference.p_adjusted),
@@ -179,7 +184,7 @@ def _difference(change: Change) -> str:
 def _size_of_error(change: Change) -> float:
     """The standard error of the difference in the unit of the quantity."""
     error = change.difference.standard_error
-    return error * change.old if change.name == STEP_SIZE else error
+    return error * change.difference.old if change.name == STEP_SIZE else error
 
 
 def _rate(share: float) -> str:

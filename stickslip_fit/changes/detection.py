@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +50,11 @@ class Change:
     name : str
         ``step size`` or a parameter of the law.
     unit : str
-        Of `old` and `new`, which are SI; the difference of a step size is relative, that of a parameter in
-        its unit.
+        For display; all numbers are SI.
     sessions : tuple of (int, int)
         How many sessions of the old and the new log determine it.
-    old, new : float
-        Means of the sessions.
     difference : Difference
-        Of step sizes, of their logarithm.
+        That of step sizes, which are geometric means, is relative to the old one.
     is_significant : bool
         Whether its adjusted p-value is below the rate of false alarms.
     """
@@ -67,8 +64,6 @@ class Change:
     name: str
     unit: str
     sessions: tuple[int, int]
-    old: float
-    new: float
     difference: Difference
     is_significant: bool
 
@@ -127,8 +122,6 @@ class Changes(Summarized):
                 "old_sessions": change.sessions[0],
                 "new_sessions": change.sessions[1],
                 **asdict(change.difference),
-                "old": change.old,
-                "new": change.new,
                 "is_significant": change.is_significant,
             }
             for change in self.changes
@@ -320,9 +313,8 @@ def _log_step_sizes(drive: _Drive, rows: pd.DataFrame) -> tuple[Array, Array]:
 
 
 def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> Change:
-    old, new = difference.old, difference.new
     if quantity.name == STEP_SIZE:
-        old, new = float(np.exp(old)), float(np.exp(new))
+        difference = _of_sizes(difference)
     drive, counts = quantity.drive, quantity.estimates.counts
     significant = bool(difference.p_adjusted < alpha)
     return Change(
@@ -331,10 +323,24 @@ def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> C
         quantity.name,
         quantity.unit,
         counts,
-        old,
-        new,
         difference,
         significant,
+    )
+
+
+def _of_sizes(log_size: Difference) -> Difference:
+    """The difference of step sizes, relative to the old one, from that of their logarithms."""
+    with np.errstate(over="ignore"):
+        relative = {
+            name: float(np.expm1(getattr(log_size, name)))
+            for name in ("estimate", "low", "high", "detectable")
+        }
+    return replace(
+        log_size,
+        **relative,
+        old=float(np.exp(log_size.old)),
+        new=float(np.exp(log_size.new)),
+        standard_error=log_size.standard_error * (1 + relative["estimate"]),
     )
 
 
@@ -357,10 +363,9 @@ def _change_to_json(change: Change) -> dict[str, Any]:
     difference = asdict(change.difference)
     for name in ("estimate", "standard_error", "low", "high", "detectable"):
         difference[name] = from_si(difference[name], change.difference_unit)
-    sizes = {"old": from_si(change.old, change.unit), "new": from_si(change.new, change.unit)}
-    numbers = {
-        name: float(value) if np.isfinite(value) else None for name, value in (difference | sizes).items()
-    }
+    for name in ("old", "new"):
+        difference[name] = from_si(difference[name], change.unit)
+    numbers = {name: float(value) if np.isfinite(value) else None for name, value in difference.items()}
     return {
         "joint": change.joint,
         "direction": change.direction,
