@@ -496,7 +496,7 @@ class OutlyingValues(GenericCause):
     )
     shows_best = "replicates: an outlier does not come back"
     sentence = "About one value in {one_in} is off by {size} or so"
-    remedy = "excluding those values and measuring them again"
+    remedy = "measuring those values again"
     columns = ()
 
     @property

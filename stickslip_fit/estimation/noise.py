@@ -28,10 +28,10 @@ class Flag:
     ----------
     flag : str
         ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted``,
-        ``outlier``, ``no_times`` or ``other_stretches``.
+        ``outlier``, ``outlier_pattern``, ``no_times`` or ``other_stretches``.
     joint : int
     direction, session : str
-        An empty session stands for all of them.
+        An empty one stands for all of them.
     parameters : tuple of str
         Names of the parameters concerned.
     message : str

@@ -14,6 +14,7 @@ than parameters can show no outlier.
 1,200 logs of a prismatic joint, 400 rows each, with Student's t noise (df = 5) and no outlier, thresholds of
 12, 15, 18 and 21 flag 27, 8, 3 and 1: a false-flag rate of 0.25 % at 18. Of 400 with Gaussian noise,
 none has a residual beyond 9. Residuals below 18 TYPICAL_SIGMA = 5.4 % are never flagged.
+Outliers that have something in common are told as one pattern, see `outlier_pattern`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._format import format_configuration, format_percent, pluralize
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._optimize import Minimum
 from stickslip_fit.estimation._problem import (
@@ -43,11 +45,13 @@ from stickslip_fit.estimation.noise import (
     pool_residuals,
     row_variance,
 )
+from stickslip_fit.estimation.outlier_pattern import OutlierPattern, find_pattern
 from stickslip_fit.estimation.result import ALL_JOINTS, Result
 from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import NO_TIMES, has_times
+from stickslip_fit.machine import Machine
 
 UNTIMED = "no_times"
 NO_TIMES_TEXT = f"{NO_TIMES}: what changes with time or from one traverse to the next stays unknown"
@@ -156,6 +160,9 @@ SUSPICIOUS_Z = 5.0  # in a fit that an outlier may have pulled towards it
 SEARCH_ITERATIONS = 50  # of one pass; where the law suits no count, more would take long and show no outlier
 TYPICAL_SIGMA = 0.003  # of log steps; the least scatter that a few small residuals may show
 SIGMA_PER_MAD = 1.4826
+NORMAL_REACH = 1.96  # standard deviations of 95 %
+PATTERN = "outlier_pattern"
+ADVICE = "repeat the traverse; the Student-t fit (--heavy-tails) needs none excluded"
 
 
 def flag_outliers(result: Result, log: Log) -> Result:
@@ -168,12 +175,15 @@ def flag_outliers(result: Result, log: Log) -> Result:
         rows = log.usable[log.usable["joint"] == joint]
         residual = result.residuals.loc[rows.index, "residual"].to_numpy()
         if not np.all(np.abs(residual) < SUSPICIOUS_Z * TYPICAL_SIGMA):
-            flags += outliers(law_without_causes(fit.law), rows)
+            flags += outliers(law_without_causes(fit.law), rows, log.machine)
     return replace(result, flags=(*result.flags, *flags))
 
 
-def outliers(law: StepLaw, rows: pd.DataFrame) -> list[Flag]:
-    """A flag on each outlying count of one joint, with the count that the other rows predict."""
+def outliers(law: StepLaw, rows: pd.DataFrame, machine: Machine | None = None) -> list[Flag]:
+    """A flag on each outlying count of one joint, with the count that the other rows predict.
+
+    Counts that have something in common are one flag: they are a pattern, which the law leaves out.
+    """
     names = tuple(parameter.name for parameter in law.parameters)
     campaign = single_problem(law, rows, FitOptions(StudentT(), shared=names))
     sessions, heavy_tails = single_problem(law, rows, FitOptions()), FitOptions(StudentT())
@@ -183,16 +193,33 @@ def outliers(law: StepLaw, rows: pd.DataFrame) -> list[Flag]:
     df = {direction: sigma[direction].df for direction in sigma}
     z = robust_z(residual, rows["direction"].to_numpy(dtype=object), df)
     outlying = np.abs(z) > ROBUST_Z
+    if not outlying.any():
+        return []
     y, _ = law.response(rows)
+    log_expected, scatter = (y - residual)[outlying], (residual / z)[outlying]
+    pattern = find_pattern(rows, outlying)
+    if pattern is not None:
+        text = describe_pattern(pattern, int(outlying.sum()), np.exp(np.abs(residual[outlying])).max() - 1)
+        return [Flag(PATTERN, law.joint, "", "", (), f"joint {law.joint}: {text}")]
     flags = []
-    for row in rows[outlying].assign(expected=np.exp(y - residual)[outlying], z=z[outlying]).itertuples():
+    for (_, row), center, sd in zip(rows[outlying].iterrows(), log_expected, scatter, strict=True):
+        place = f" ({format_configuration(row, machine)})" if machine else ""
+        low, high = np.exp(center + NORMAL_REACH * sd * np.array([-1.0, 1.0]))
         text = (
-            f"the count {row.steps} of {row.time} is an outlier ({abs(row.z):.0f} robust standard "
-            f"deviations); the other traverses predict {row.expected:.0f}; correct it, or exclude the "
-            "traverse"
+            f"the count {row['steps']} of {row['time']}{place} is far from the {low:.0f} to "
+            f"{high:.0f} (95 %) that the others predict, and stands alone: {ADVICE}"
         )
-        flags.append(Flag.at("outlier", law.joint, str(row.direction), str(row.session), names, text))
+        flags.append(Flag.at("outlier", law.joint, str(row["direction"]), str(row["session"]), names, text))
     return flags
+
+
+def describe_pattern(pattern: OutlierPattern, count: int, largest: float) -> str:
+    """What outlying counts have in common, and what to do."""
+    return (
+        f"{pluralize(count, 'count')} are far from what the others predict, by up to "
+        f"{format_percent(largest)}, and {pattern.text}: no slips, but a pattern that the law leaves out. "
+        "Leave them in, and let `stickslip-fit diagnose` name its cause"
+    )
 
 
 def robust_z(residual: Array, direction: npt.NDArray[np.object_], df: Mapping[str, int]) -> Array:

@@ -254,7 +254,9 @@ def test_counts_that_are_wildly_off_are_handed_back(table, read):
     seen = found.findings[0].traverses
     assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
     assert set(seen["steps"]) == set(changed(table, relative)["steps"].iloc[out])
-    assert "Excluding those counts and repeating them takes away" in told(found)
+    assert "Repeating those traverses, or the Student-t fit, which needs none excluded, takes away" in told(
+        found
+    )
 
 
 def test_a_jump_is_told_with_its_moment(table, read):
