@@ -46,7 +46,7 @@ class OutlierPattern:
 
 
 @dataclass(frozen=True, eq=False)
-class _Kind:
+class _CommonProperty:
     """A thing that rows may have in common.
 
     `measure` gives how much of it choices of rows have, (m, k) -> (m,), and `describe` says it of one choice.
@@ -93,7 +93,7 @@ def _find_neighbours(rows: pd.DataFrame, chosen: IntArray) -> OutlierPattern | N
     return None
 
 
-def _kinds(rows: pd.DataFrame) -> Iterator[_Kind]:
+def _kinds(rows: pd.DataFrame) -> Iterator[_CommonProperty]:
     session = pd.factorize(rows["session"])[0]
     if has_times(rows):
         yield from _kinds_of_time(session)
@@ -110,7 +110,7 @@ def _kinds(rows: pd.DataFrame) -> Iterator[_Kind]:
     yield _of_place(positions)
 
 
-def _kinds_of_time(session: IntArray) -> Iterator[_Kind]:
+def _kinds_of_time(session: IntArray) -> Iterator[_CommonProperty]:
     """Early in their session; one after the other. `session` is that of each row."""
     order = pd.Series(session).groupby(session).cumcount().to_numpy()
     share = order / np.bincount(session)[session]
@@ -129,20 +129,20 @@ def _kinds_of_time(session: IntArray) -> Iterator[_Kind]:
             f"follow each other ({int(follow_each_other(chosen[None])[0])} of {len(chosen)} the one before)"
         )
 
-    yield _Kind("begin", lambda chosen: -share[chosen].mean(axis=1), describe_early)
-    yield _Kind("time", follow_each_other, describe_row)
+    yield _CommonProperty("begin", lambda chosen: -share[chosen].mean(axis=1), describe_early)
+    yield _CommonProperty("time", follow_each_other, describe_row)
 
 
-def _of_group(name: str, group: IntArray, text: str) -> _Kind:
+def _of_group(name: str, group: IntArray, text: str) -> _CommonProperty:
     """Rows that have a label in common, as the number of pairs that have it."""
 
     def describe(chosen: IntArray) -> str:
         return f"{text} ({int(np.bincount(group[chosen]).max())} of {len(chosen)})"
 
-    return _Kind(name, lambda chosen: _count_pairs(group[chosen]), describe)
+    return _CommonProperty(name, lambda chosen: _count_pairs(group[chosen]), describe)
 
 
-def _of_place(positions: pd.DataFrame) -> _Kind:
+def _of_place(positions: pd.DataFrame) -> _CommonProperty:
     """Rows that have one coordinate in common, whichever it is: the pairs beyond what chance gives."""
     labels = {str(name): pd.factorize(positions[name], use_na_sentinel=False)[0] for name in positions}
     shares = {name: np.bincount(label) / len(label) for name, label in labels.items()}
@@ -162,7 +162,7 @@ def _of_place(positions: pd.DataFrame) -> _Kind:
         where = {"start": "beginning", "stop": "end"}.get(name, name)
         return f"have the same {where} ({count} of {len(chosen)})"
 
-    return _Kind("place", measure, describe)
+    return _CommonProperty("place", measure, describe)
 
 
 def _count_pairs(labels: IntArray) -> Array:
