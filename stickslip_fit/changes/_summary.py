@@ -61,7 +61,7 @@ def _headline(changes: Changes) -> list[str]:
         return [
             f"Cannot tell a change from a day's scatter: {compared}. With one session in each log nothing is "
             "known of the scatter from day to day; measure at least one more day.",
-            _beyond_repeatability(changes),
+            _beyond_traverses(changes),
         ]
     rate = _rate(changes.alpha)
     lines = []
@@ -108,9 +108,9 @@ def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
     return f"Joint {joint} {format_direction(direction)}: {'; '.join(parts)}."
 
 
-def _beyond_repeatability(changes: Changes) -> str:
+def _beyond_traverses(changes: Changes) -> str:
     """What differs by more than traverses repeat."""
-    differ = [one for one in changes.changes if one.difference.p_repeatability < changes.alpha]
+    differ = [one for one in changes.changes if one.difference.p_within_days < changes.alpha]
     if not differ:
         return "No difference is larger than traverses repeat."
     named = [f"joint {one.joint} {format_direction(one.direction)} {one.name}" for one in differ[:MAX_NAMED]]
@@ -149,7 +149,7 @@ def _table(caption: str, shown: list[Change], changes: Changes, *, folded: bool 
             f"all (Holm). Detectable: what would be found with {_rate(POWER)} probability."
         )
     else:
-        note += ", by the repeatability alone."
+        note += ", of a day's traverses alone."
     hidden = len(changes.changes) - len(shown)
     if hidden and not folded:
         note += (

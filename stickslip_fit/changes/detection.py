@@ -111,22 +111,10 @@ class Changes(Summarized):
         """Whether either log has two sessions, without which a change is no other than a day's scatter."""
         return any(change.difference.df > 0 for change in self.changes)
 
+    @property
     def table(self) -> pd.DataFrame:
-        """One row for each change: its fields and those of its difference, SI."""
-        records = [
-            {
-                "joint": change.joint,
-                "direction": change.direction,
-                "name": change.name,
-                "unit": change.unit,
-                "old_sessions": change.sessions[0],
-                "new_sessions": change.sessions[1],
-                **asdict(change.difference),
-                "is_significant": change.is_significant,
-            }
-            for change in self.changes
-        ]
-        return pd.DataFrame(records)
+        """One row for each change, in the units beside each number, with the fields of the saved JSON."""
+        return pd.DataFrame([_change_to_json(change) for change in self.changes])
 
     def save(self, path: str | Path) -> None:
         """Write everything as JSON, in people's units.

@@ -1,11 +1,11 @@
 """The difference of two groups of sessions, for many quantities together.
 
 Each quantity has an estimate in every session. These scatter about the mean of their group by what changes
-from day to day and by the repeatability. The means are compared by Student's t with the variance between
-sessions within the groups, so that the scatter from day to day is in it, whatever its size. Two things are
-known beside that variance, which has few degrees of freedom:
+from day to day and by the scatter of a day's traverses. The means are compared by Student's t with the
+variance between sessions within the groups, so that the scatter from day to day is in it, whatever its size.
+Two things are known beside that variance, which has few degrees of freedom:
 
-- It is no smaller than the repeatability makes it.
+- It is no smaller than the scatter of a day's traverses makes it.
 - Quantities of one kind, such as the step sizes of all joints and directions, have similar scatter: their
   variances are shrunk towards each other by empirical Bayes (G. Smyth, Stat. Appl. Genet. Mol. Biol. 3:3,
   2004). As drives may differ more than that supposes, the others count at most as much as the own sessions.
@@ -26,7 +26,7 @@ from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.strategies.statistics import MIN_VARIANCES, shrink_variances
 
 MAX_SHARE_OF_OTHERS = 1.0  # degrees of freedom that the others add, at most, relative to the own ones
-POWER = 0.9  # with which the least detectable difference is detected
+POWER = 0.8  # with which the least detectable difference is detected
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class SessionEstimates:
         Quantities of one kind have similar scatter from session to session, once it is divided by `scale`.
     values : array, shape (n,)
     variances : array, shape (n,)
-        Of each by the repeatability; NaN where that is not known.
+        Of each by the residual scatter; NaN where that is not known.
     is_new : array of bool, shape (n,)
         Which of the two groups a session belongs to.
     scale : float
@@ -71,7 +71,7 @@ class Difference:
     ----------
     old, new, estimate : float
     standard_error : float
-        Scatter from day to day included; that of the repeatability alone where `df` is 0.
+        Scatter from day to day included; that of a day's traverses alone where `df` is 0.
     df : float
         Degrees of freedom of `standard_error`; 0 where nothing is known of the scatter from day to day.
     low, high : float
@@ -81,9 +81,9 @@ class Difference:
         Of no difference, for it alone and for all quantities together; NaN where `df` is 0.
     detectable : float
         The least difference that would be detected with a probability of `POWER`; NaN where `df` is 0.
-    p_repeatability : float
-        Of no difference if days did not differ, adjusted as `p_adjusted`; NaN where the repeatability is not
-        known.
+    p_within_days : float
+        Of no difference if days did not differ, adjusted as `p_adjusted`; NaN where the residual scatter is
+        not known.
     """
 
     old: float
@@ -96,7 +96,7 @@ class Difference:
     p_value: float
     p_adjusted: float
     detectable: float
-    p_repeatability: float
+    p_within_days: float
 
 
 def compare_means(estimates: Sequence[SessionEstimates], alpha: float) -> list[Difference]:
@@ -122,7 +122,7 @@ def compare_means(estimates: Sequence[SessionEstimates], alpha: float) -> list[D
         return []
     old = np.array([one.values[~one.is_new].mean() for one in estimates])
     new = np.array([one.values[one.is_new].mean() for one in estimates])
-    floor = np.array([_repeatability_variance(one) for one in estimates])
+    floor = np.array([_variance_of_days(one) for one in estimates])
     variance, df = _pool_variances(estimates)
     inverse = np.array([1 / one.counts[0] + 1 / one.counts[1] for one in estimates])
     known, difference = df > 0, new - old
@@ -141,8 +141,8 @@ def compare_means(estimates: Sequence[SessionEstimates], alpha: float) -> list[D
     return [Difference(*map(float, row)) for row in zip(*columns, strict=True)]
 
 
-def _repeatability_variance(one: SessionEstimates) -> float:
-    """The variance of a session that the repeatability explains, as the means of the groups have it."""
+def _variance_of_days(one: SessionEstimates) -> float:
+    """The variance of a session by the scatter of its traverses, as the means of the groups have it."""
     sides = [one.variances[subset] for subset in (one.is_new, ~one.is_new)]
     weights = [1 / len(side) for side in sides]
     means = [float(side.mean()) for side in sides]

@@ -52,7 +52,7 @@ def test_where_nothing_changed_the_least_change_that_would_show_is_said(make_log
     said = " ".join(str(detect_changes(make_log(3), make_log(4, month=6, seed=1))).split())
     assert said.startswith("No change shows")
     assert "A change of the step size by " in said
-    assert "would have been detected with 90 % probability" in said
+    assert "would have been detected with 80 % probability" in said
 
 
 def test_one_session_each_cannot_tell_a_change_from_a_day(make_log):

@@ -12,7 +12,7 @@ ALPHA = 0.01
 # From day to day, as the drives of the thesis scatter; and of its most uniform ones.
 UNEVEN = np.array([1.838, 1.344, 0.498, 0.625, 0.498, 0.625]) / 100
 EVEN = np.full(6, 0.005)
-REPEATABILITY = 0.0009  # of a session's step size
+OF_TRAVERSES = 0.0009  # of a session's step size
 PARAMETERS = (("a", 0.0015, True), ("b", 0.01, False), ("c", 0.02, False))  # the day is in the first one
 
 
@@ -22,8 +22,8 @@ def estimates_of(random, scatter, old, new, change=0.0):
     is_new, found = np.arange(n) >= old, []
     for drive, sd in enumerate(scatter):
         day = sd * random.normal(size=n) + (change * is_new if drive == 0 else 0.0)
-        size = day + REPEATABILITY * random.normal(size=n)
-        found.append(SessionEstimates("step size", size, np.full(n, REPEATABILITY**2), is_new, 1.0))
+        size = day + OF_TRAVERSES * random.normal(size=n)
+        found.append(SessionEstimates("step size", size, np.full(n, OF_TRAVERSES**2), is_new, 1.0))
         for name, error, of_day in PARAMETERS:
             values = day * of_day + error * random.normal(size=n)
             found.append(SessionEstimates(name, values, np.full(n, error**2), is_new, error))
@@ -67,31 +67,27 @@ def test_the_intervals_hold_all_true_differences_together():
 
 
 def test_a_change_as_large_as_said_is_detected_as_often_as_said():
-    random = np.random.default_rng(4)
-    # One quantity with no prior of others: the least change by its mean standard error is near the truth.
-    found = []
-    for _ in range(300):
-        values = random.normal(size=10)
+    random, found, change = np.random.default_rng(4), [], 2.68
+    for _ in range(400):
         is_new = np.arange(10) >= 5
-        change = 3.6  # of which 90 % are found with a known standard deviation of 1 at 8 degrees of freedom
-        quantity = SessionEstimates("x", values + change * is_new, np.full(10, 1e-6), is_new, 1.0)
-        (one,) = compare_means([quantity], ALPHA)
+        values = random.normal(size=10) + change * is_new
+        (one,) = compare_means([SessionEstimates("x", values, np.full(10, 1e-6), is_new, 1.0)], ALPHA)
         found.append((one.p_adjusted < ALPHA, one.detectable))
     hits, detectable = np.array(found).T
-    assert np.median(detectable) == pytest.approx(change * 0.84, rel=0.1)
-    assert hits.mean() > 0.9
+    assert np.sqrt(np.mean(detectable**2)) == pytest.approx(change, rel=0.05)
+    assert binom.ppf(0.001, 400, 0.8) <= hits.sum() <= binom.ppf(0.999, 400, 0.8)
 
 
-def test_one_session_on_either_side_knows_no_scatter_and_still_compares_with_the_repeatability():
+def test_one_session_on_either_side_knows_no_scatter_and_still_compares_with_that_of_traverses():
     is_new = np.array([False, True])
     far = SessionEstimates("a", np.array([0.0, 1.0]), np.full(2, 0.01), is_new, 0.1)
     near = SessionEstimates("b", np.array([0.0, 0.1]), np.full(2, 0.01), is_new, 0.1)
     differences = compare_means([far, near], ALPHA)
     assert all(np.isnan(one.p_adjusted) and np.isnan(one.detectable) and one.df == 0 for one in differences)
-    assert [one.p_repeatability < ALPHA for one in differences] == [True, False]
+    assert [one.p_within_days < ALPHA for one in differences] == [True, False]
 
 
-def test_scatter_is_no_smaller_than_the_repeatability():
+def test_scatter_is_no_smaller_than_that_of_traverses():
     is_new = np.arange(6) >= 3
     agree = SessionEstimates("a", np.where(is_new, 1.0, 0.0), np.full(6, 1.0), is_new, 1.0)
     (one,) = compare_means([agree], ALPHA)
