@@ -124,8 +124,8 @@ def _beyond_traverses(changes: Changes) -> str:
 
 def _least_detectable(changes: Changes) -> str:
     sizes = [one.difference.detectable for one in changes.changes if one.name == STEP_SIZE]
-    if not sizes or not np.isfinite(sizes).any():
-        return "A change of any size would not have been detected: measure more days."
+    if not np.isfinite(sizes).any():
+        return "What change would have been detected is below."
     low, high = np.nanmin(sizes), np.nanmax(sizes)
     extent = format_percent(low) if high < 1.2 * low else f"{format_percent_range(low, high)} %"
     return (

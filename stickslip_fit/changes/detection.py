@@ -266,7 +266,7 @@ def _typical_rows(drive: _Drive, logs: tuple[Log, Log]) -> pd.DataFrame:
     """Traverses over which step sizes are compared.
 
     The law's calibration configurations, where every session determines the law; else, and for a law without
-    any, the configurations that both logs have.
+    any, the configurations that both logs have, or without any those of the old log.
     """
     law = drive.law
     if law.calibration() and drive.known.all():
@@ -285,7 +285,9 @@ def _typical_rows(drive: _Drive, logs: tuple[Log, Log]) -> pd.DataFrame:
     both = set(map(tuple, features[1].tolist()))
     first = ~pd.DataFrame(features[0]).duplicated().to_numpy()
     shared = np.array([tuple(one) in both for one in features[0].tolist()], bool)
-    return old[first & shared].head(MAX_CONFIGURATIONS)
+    # A law that every session determines predicts configurations that only one log has, too.
+    usable = first & shared if (first & shared).any() or not drive.known.all() else first
+    return old[usable].head(MAX_CONFIGURATIONS)
 
 
 def _log_step_sizes(drive: _Drive, rows: pd.DataFrame) -> tuple[Array, Array]:

@@ -116,3 +116,20 @@ def test_what_needs_an_arm_is_refused_in_one_sentence(make, what):
     read = ssf.read_log(log, machine=load_machine(machine))
     with pytest.raises(InputError, match="an arm of two rotary joints"):
         REFUSED[what](read, ssf.fit(read))
+
+
+@pytest.mark.parametrize("name", ["one slide", "two turns"])
+def test_a_joint_that_has_changed_is_named_on_any_machine(make, tmp_path, name):
+    machine, old = make(name, sessions=3)
+    lines = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
+    column = lines[0].split(",").index("steps")
+    changed = [lines[0]]
+    for line in lines[1:]:
+        cells = line.replace("2026-03-", "2026-06-").split(",")
+        cells[column] = str(round(int(cells[column]) / 1.5))
+        changed.append(",".join(cells))
+    new = tmp_path / "new.csv"
+    new.write_text("\n".join(changed), encoding="utf-8")
+    said = run("changed", machine, old, str(new))
+    assert said.startswith(f"Changed: joint 1 +{' and' if name == 'one slide' else ','} joint 1 −")
+    assert re.search(r"Joint 1 \+: steps are (4[5-9]|5[0-5])\.\d % longer", said)
