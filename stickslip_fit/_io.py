@@ -63,6 +63,21 @@ def write_atomically(path: str | Path, content: str | bytes, sources: Iterable[s
         raise InputError(InputIssue(_describe_failure(error), str(path))) from None
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder in an existing one, unless it exists.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        message = f"cannot be made ({error.strerror}); name a folder in an existing one"
+        raise InputError(InputIssue(message, str(folder))) from None
+
+
 def find_source(path: str | Path, sources: Iterable[str | Path]) -> InputIssue | None:
     """That a file to be written is one of the sources; None if it is not."""
     if os.path.lexists(path) and identify_file(path) in map(identify_file, sources):

@@ -11,13 +11,14 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, singledispatch
 from importlib.resources import files
 from itertools import groupby
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol
 
+from stickslip_fit._export import csv_names, table_as_csv, table_as_latex, tables_as_latex
 from stickslip_fit._format import NO_BREAK_SPACE, keep_units
 
 if TYPE_CHECKING:
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 WIDTH = 110
+SCREEN = 25  # lines
 GAP = "  "  # between columns
+ROOM_FOR_TITLES = 3  # an empty line, and two that name what is left out
 _UNSAFE_IN_SCRIPT = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")
 
@@ -85,6 +88,8 @@ class Table:
         Below the table: what a mark in a cell means, what was left out.
     folded : bool
         Whether the caption alone is shown: HTML opens the table at a click, text leaves it out unless full.
+    short : slice or None
+        The rows that stand for all of them where there is no room; None if none do.
     """
 
     caption: str
@@ -93,6 +98,7 @@ class Table:
     stubs: int = 1
     note: str = ""
     folded: bool = False
+    short: slice | None = None
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -114,6 +120,21 @@ class Table:
             first = end
         body = _aligned(lines, widths, [column.text for column in self.columns])
         return "\n".join(filter(None, [self.caption, upper.rstrip(), *body, paragraph(self.note, width)]))
+
+    def as_csv(self) -> str:
+        """Heads with units, then rows: plain numbers, with ± and intervals as two columns each."""
+        return table_as_csv(self)
+
+    def as_latex(self) -> str:
+        """A `table` environment for the LaTeX package booktabs."""
+        return table_as_latex(self)
+
+    def shortened(self) -> Table:
+        """The rows alone that stand for all; the table as it is where none do."""
+        rows = self.rows[self.short] if self.short is not None else self.rows
+        if len(rows) == len(self.rows):
+            return self
+        return replace(self, caption=f"{self.caption} ({len(rows)} of {len(self.rows):,} rows)", rows=rows)
 
 
 @dataclass(frozen=True)
@@ -174,6 +195,66 @@ class Summary:
         """For a terminal of `width` letters; a table may be wider. `full` shows folded tables too."""
         return "\n\n".join(filter(None, self._blocks(width, full)))
 
+    def as_screen(self, width: int = WIDTH, lines: int = SCREEN) -> tuple[str, tuple[str, ...]]:
+        """The beginning of the text that fits on a screen, and the titles of what is left out.
+
+        The headline and the flags are whole even where they are longer. Tables and paragraphs follow in
+        order up to the first that has no room; tables give only their last rows where these stand for all.
+
+        Parameters
+        ----------
+        width, lines : int
+            Of the screen, in letters.
+
+        Returns
+        -------
+        text : str
+        left_out : tuple of str
+            Captions of tables, titles of sections whose paragraphs are not shown.
+        """
+        head = [paragraph(text, width) for text in self.headline]
+        head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
+        whole, folded = self._parts(width, short=False)
+        text = "\n\n".join(filter(None, [*head, *(block for _, block in whole)]))
+        if not folded and text.count("\n") < lines:
+            return text, ()
+        parts, folded = self._parts(width, short=text.count("\n") >= lines)
+        shown = list(filter(None, head))
+        for place, (_, block) in enumerate(parts):
+            if "\n\n".join([*shown, block]).count("\n") + 1 + ROOM_FOR_TITLES > lines:
+                folded = [title for title, _ in parts[place:]] + folded
+                break
+            shown.append(block)
+        return "\n\n".join(shown), tuple(dict.fromkeys(folded))
+
+    def as_csv(self) -> dict[str, str]:
+        """The tables as CSV, each by the name of a file."""
+        return dict(
+            zip(
+                csv_names(table.caption for table in self.tables),
+                (table.as_csv() for table in self.tables),
+                strict=True,
+            )
+        )
+
+    def as_latex(self) -> str:
+        """All tables for LaTeX's input command; they need the package booktabs."""
+        return tables_as_latex(self.tables)
+
+    def _parts(self, width: int, *, short: bool) -> tuple[list[tuple[str, str]], list[str]]:
+        """Paragraphs and open tables with their titles, in order; titles of the folded tables."""
+        parts, folded = [], []
+        for section in self.sections:
+            if section.paragraphs:
+                text = [section.title, *(paragraph(each, width) for each in section.paragraphs)]
+                parts.append((section.title or "notes", "\n".join(filter(None, text))))
+            for table in section.tables:
+                if table.folded:
+                    folded.append(table.caption)
+                else:
+                    parts.append((table.caption, (table.shortened() if short else table).as_text(width)))
+        return parts, folded
+
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(text, width) for text in self.headline)
         yield self.title if self.flags or self.sections else ""
@@ -186,6 +267,17 @@ class Summary:
     def as_html(self) -> str:
         """A self-contained fragment, for light and dark backgrounds."""
         return load_template("summary.html.j2").render(summary=self)
+
+
+def join_summaries(title: str, parts: Sequence[Summary]) -> Summary:
+    """Several results as one: their headlines, flags and sections one after another."""
+    return Summary(
+        title,
+        tuple(text for part in parts for text in part.headline),
+        tuple(section for part in parts for section in part.sections),
+        tuple(flag for part in parts for flag in part.flags),
+        parts[0].provenance if parts else (),
+    )
 
 
 @singledispatch

@@ -14,7 +14,7 @@ from numbers import Integral, Real
 class InputIssue:
     """What is wrong with an input and what to do about it, in one or two sentences, and where it is.
 
-    `line` counts from 1, the header; for Parquet it is the row.
+    `line` counts from 1, the header; for Parquet it is the row. `column` may be a command's option.
     """
 
     message: str
@@ -28,7 +28,8 @@ class InputIssue:
         if self.line is not None:
             place += f"{', ' if place else ''}line {self.line}"
         if self.column is not None:
-            place += f"{', ' if place else ''}column {shorten(self.column, 100)}"
+            kind = "" if self.column.startswith("--") else "column "
+            place += f"{', ' if place else ''}{kind}{shorten(self.column, 100)}"
         if self.value is not None:
             place += f"{', ' if place else ''}value {shorten(self.value)!r}"
         return f"{place}: {self.message}" if place else self.message

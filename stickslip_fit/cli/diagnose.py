@@ -30,11 +30,13 @@ from stickslip_fit.cli._options import (
     parse_path,
     reference_law,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from stickslip_fit._summary import Summary
     from stickslip_fit.causes import Cause
     from stickslip_fit.diagnosis import Diagnosis
     from stickslip_fit.estimation import Result, TableFit
@@ -58,22 +60,27 @@ def anova(
     since: Since = None,
     until: Until = None,
     json: Json = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
+    from stickslip_fit._summary import join_summaries
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
     campaign = load_log(log, machine, since, until)
     if formula is None:
         result = analyze_variance(campaign, joint=joint, session=session)
-        text, records = result.summary().as_text(full=True), result.to_json()
+        summary, records = result.summary(), result.to_json()
     else:
         tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
-        text = "\n\n".join(map(str, tables))
+        summary = join_summaries(formula, [table.summary() for table in tables])
         records = [record for table in tables for record in table.to_json()]
+    saved = []
     if json is not None:
         save_records(records, json)
-        text += f"\n\nsaved to {json}"
-    print(text)
+        saved.append(f"saved to {json}")
+    show(summary, Display(full, csv, latex, log), saved)
 
 
 def diagnose(
@@ -95,6 +102,9 @@ def diagnose(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     campaign = load_log(log, machine, since, until)
@@ -104,7 +114,7 @@ def diagnose(
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved), extended])))
+    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended]))
 
 
 def diagnose_table(
@@ -145,6 +155,9 @@ def diagnose_table(
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
 
@@ -180,7 +193,7 @@ def diagnose_table(
     if save_law is not None:
         result.extended_law(command=command_line()).save(save_law)
         saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved)])))
+    show(result.summary(), Display(full, csv, latex, [data, law]), saved)
 
 
 def describe_extension(diagnosis: Diagnosis) -> str:
@@ -244,6 +257,9 @@ def plan(
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     if thesis is not None:
@@ -272,7 +288,7 @@ def plan(
         campaign = load_log(source, machine, since, until)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
-    print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
+    show(advice.summary, Display(full, csv, latex, source), saved)
 
 
 def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
@@ -340,9 +356,9 @@ NEXT_SCHEMA = "stickslip-fit/next/1"
 
 @dataclass(frozen=True, eq=False)
 class PlanAdvice:
-    """Printed text, JSON content, and the figure of a plan."""
+    """Its summary, JSON content, and the figure of a plan."""
 
-    text: str
+    summary: Summary
     content: dict[str, Any]
     draw: Callable[[], Figure] | None = None
 
@@ -387,7 +403,7 @@ def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] 
             for suggestion in suggestions
         ],
     }
-    return PlanAdvice(str(summarize_next(diagnosis, traverses, inseparable, suggestions)), content)
+    return PlanAdvice(summarize_next(diagnosis, traverses, inseparable, suggestions), content)
 
 
 def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, seed: int) -> PlanAdvice:
@@ -409,7 +425,7 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
         return plot_separability(separability, SHOWN_AT)
 
     summary = summarize_plan(separability, plan.name, len(problem), len(plan.sessions))
-    return PlanAdvice(str(summary), {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
+    return PlanAdvice(summary, {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
 
 
 def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:

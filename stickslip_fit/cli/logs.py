@@ -29,13 +29,22 @@ from stickslip_fit.cli._options import (
     parse_path,
     reference_campaign,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
 
-def check(log: LogPath, machine: MachinePath = None, since: Since = None, until: Until = None) -> None:
+def check(
+    log: LogPath,
+    machine: MachinePath = None,
+    since: Since = None,
+    until: Until = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
+) -> None:
     """Check a log for faults and summarize it."""
-    print(load_log(log, machine, since, until).summary())
+    show(load_log(log, machine, since, until).summary(), Display(full, csv, latex, log))
 
 
 def simulate(

@@ -102,7 +102,10 @@ def _parameters(result: Result, joint: int) -> Table:
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     note = " ".join(filter(None, ["± one standard error.", _scatter(fit), latest(len(sessions))]))
-    return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
+    last = fit.groups["session"].iloc[-1]
+    own = int((fit.groups["session"] == last).sum()) + shared.any() * fit.groups["direction"].nunique()
+    caption = f"Parameters of {joint_name(joint, result.machine)}"
+    return Table(caption, columns, rows, stubs=2, note=note, short=slice(-own, None))
 
 
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:

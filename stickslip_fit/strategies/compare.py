@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import find_source, write_atomically
+from stickslip_fit._io import find_source, make_folder, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.result import AxesArray, Provenance, build_provenance
 from stickslip_fit.laws import Laws, is_published
 from stickslip_fit.logs import Log
@@ -324,21 +324,6 @@ def save_tables(
         for suffix, content in ((".csv", table.to_csv(index=False)), (".parquet", stream.getvalue())):
             write_atomically(folder / f"{name}{suffix}", content, sources)
     return paths
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder in an existing one, unless it exists.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made.
-    """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        message = f"cannot be made ({error.strerror}); name a folder in an existing one"
-        raise InputError(InputIssue(message, str(folder))) from None
 
 
 def convert_units(table: pd.DataFrame) -> pd.DataFrame:
