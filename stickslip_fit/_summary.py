@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 WIDTH = 110
 SCREEN = 25  # lines
 GAP = "  "  # between columns
-ROOM_FOR_TITLES = 3  # an empty line, and two that name what is left out
+ROOM_FOR_TITLES = 2  # an empty line, and one that names what is left out
 _UNSAFE_IN_SCRIPT = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")
 
@@ -158,6 +158,14 @@ class Section:
     key: str = ""
 
 
+    def parts(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
+        """Paragraphs and open tables, each with a name; `short` tables have only the rows that stand for all."""
+        parts = [("remarks", "\n".join(paragraph(text, width) for text in self.paragraphs))]
+        tables = [table.shortened() if short else table for table in self.tables if not table.folded]
+        parts += [(table.caption, table.as_text(width)) for table in tables]
+        return [part for part in parts if part[1]]
+
+
 @dataclass(frozen=True)
 class Summary:
     """A result for display.
@@ -196,10 +204,10 @@ class Summary:
         return "\n\n".join(filter(None, self._blocks(width, full)))
 
     def as_screen(self, width: int = WIDTH, lines: int = SCREEN) -> tuple[str, tuple[str, ...]]:
-        """The beginning of the text that fits on a screen, and the titles of what is left out.
+        """What fits on a screen: headline and flags, then sections without a title; and what is left out.
 
-        The headline and the flags are whole even where they are longer. Tables and paragraphs follow in
-        order up to the first that has no room; tables give only their last rows where these stand for all.
+        Tables and paragraphs follow in order up to the first that has no room; tables give only some rows
+        where these stand for all. The headline and the flags are whole even where they are longer.
 
         Parameters
         ----------
@@ -210,22 +218,24 @@ class Summary:
         -------
         text : str
         left_out : tuple of str
-            Captions of tables, titles of sections whose paragraphs are not shown.
+            Captions of tables, titles of sections.
         """
-        head = [paragraph(text, width) for text in self.headline]
+        head = ["\n".join(paragraph(text, width) for text in self.headline)]
         head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
-        whole, folded = self._parts(width, short=False)
-        text = "\n\n".join(filter(None, [*head, *(block for _, block in whole)]))
-        if not folded and text.count("\n") < lines:
-            return text, ()
-        parts, folded = self._parts(width, short=text.count("\n") >= lines)
-        shown = list(filter(None, head))
-        for place, (_, block) in enumerate(parts):
-            if "\n\n".join([*shown, block]).count("\n") + 1 + ROOM_FOR_TITLES > lines:
-                folded = [title for title, _ in parts[place:]] + folded
-                break
-            shown.append(block)
-        return "\n\n".join(shown), tuple(dict.fromkeys(folded))
+        head = list(filter(None, head))
+        main = [section for section in self.sections if not section.title]
+        left_out = [table.caption for section in main for table in section.tables if table.folded]
+        left_out += [section.title for section in self.sections if section.title]
+        whole = [block for section in main for _, block in section.parts(width)]
+        room = lines - (ROOM_FOR_TITLES if left_out else 0)
+        if _count_lines([*head, *whole]) <= room:
+            return "\n\n".join([*head, *whole]), tuple(left_out)
+        shown, room = list(head), lines - ROOM_FOR_TITLES
+        parts = [part for section in main for part in section.parts(width, short=True)]
+        while parts and _count_lines([*shown, parts[0][1]]) <= room:
+            shown.append(parts.pop(0)[1])
+        every_row = () if set(shown) <= {*head, *whole} else ("every row",)
+        return "\n\n".join(shown), (*every_row, *(title for title, _ in parts), *left_out)
 
     def as_csv(self) -> dict[str, str]:
         """The tables as CSV, each by the name of a file."""
@@ -240,20 +250,6 @@ class Summary:
     def as_latex(self) -> str:
         """All tables for LaTeX's input command; they need the package booktabs."""
         return tables_as_latex(self.tables)
-
-    def _parts(self, width: int, *, short: bool) -> tuple[list[tuple[str, str]], list[str]]:
-        """Paragraphs and open tables with their titles, in order; titles of the folded tables."""
-        parts, folded = [], []
-        for section in self.sections:
-            if section.paragraphs:
-                text = [section.title, *(paragraph(each, width) for each in section.paragraphs)]
-                parts.append((section.title or "notes", "\n".join(filter(None, text))))
-            for table in section.tables:
-                if table.folded:
-                    folded.append(table.caption)
-                else:
-                    parts.append((table.caption, (table.shortened() if short else table).as_text(width)))
-        return parts, folded
 
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(text, width) for text in self.headline)
@@ -298,6 +294,11 @@ class Summarized:
 
     def _repr_html_(self) -> str:
         return self.summary().as_html()
+
+
+def _count_lines(blocks: Sequence[str]) -> int:
+    """Of blocks with an empty line between each."""
+    return "\n\n".join(blocks).count("\n") + 1
 
 
 def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") -> str:

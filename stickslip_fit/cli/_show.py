@@ -26,7 +26,7 @@ Latex = Annotated[
     typer.Option("--latex", metavar="FILE", help="Also save every table here, as LaTeX (booktabs)."),
     Output(),
 ]
-MAX_TITLES = 170  # letters
+MAX_TITLES = 48  # letters, so that they stand on one line
 
 
 @dataclass(frozen=True)
@@ -85,20 +85,18 @@ def save_tables(summary: Summary, display: Display) -> list[str]:
 
 
 def name_left_out(titles: Sequence[str]) -> str:
-    """A line or two on what --full shows beside.
+    """A line on what --full shows beside.
 
     Examples
     --------
     >>> print(name_left_out(["Sums of squares", "Cautions"]))
-    --full shows also: Sums of squares; Cautions. --csv DIR or --latex FILE saves every table.
+    --full adds: Sums of squares; Cautions. --csv DIR, --latex FILE: every table.
     """
-    from stickslip_fit._summary import paragraph
-
     named: list[str] = []
     for title in titles:
-        if named and len("; ".join([*named, title])) > MAX_TITLES - len("; and 99 more"):
+        if named and len("; ".join([*named, title])) > MAX_TITLES:
             break
         named.append(title)
     more = len(titles) - len(named)
-    text = "; ".join(named) + (f"; and {more} more" if more else "")
-    return paragraph(f"--full shows also: {text}. --csv DIR or --latex FILE saves every table.")
+    text = "; ".join(named) + (f"; {more} more" if more else "")
+    return f"--full adds: {text}. --csv DIR, --latex FILE: every table."
