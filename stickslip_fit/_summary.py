@@ -158,6 +158,14 @@ class Section:
     key: str = ""
 
 
+    def blocks(self, width: int, *, full: bool = False) -> Iterator[str]:
+        """Title with paragraphs, then the tables; `full` for folded ones, too."""
+        paragraphs = [paragraph(text, width) for text in self.paragraphs]
+        tables = [table for table in self.tables if full or not table.folded]
+        if paragraphs or tables:
+            yield "\n".join(filter(None, [self.title, *paragraphs]))
+        yield from (table.as_text(width) for table in tables)
+
     def parts(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
         """Paragraphs and open tables, each with a name; `short` tables have only the rows that stand for all."""
         parts = [("remarks", "\n".join(paragraph(text, width) for text in self.paragraphs))]
@@ -223,12 +231,15 @@ class Summary:
         head = ["\n".join(paragraph(text, width) for text in self.headline)]
         head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
         head = list(filter(None, head))
+        folded = [table.caption for table in self.tables if table.folded]
+        everything = list(filter(None, [*head, *(block for one in self.sections for block in one.blocks(width))]))
+        if _count_lines(everything) <= lines - (ROOM_FOR_TITLES if folded else 0):
+            return "\n\n".join(everything), tuple(folded)
         main = [section for section in self.sections if not section.title]
         left_out = [table.caption for section in main for table in section.tables if table.folded]
         left_out += [section.title for section in self.sections if section.title]
         whole = [block for section in main for _, block in section.parts(width)]
-        room = lines - (ROOM_FOR_TITLES if left_out else 0)
-        if _count_lines([*head, *whole]) <= room:
+        if _count_lines([*head, *whole]) <= lines - (ROOM_FOR_TITLES if left_out else 0):
             return "\n\n".join([*head, *whole]), tuple(left_out)
         shown, room = list(head), lines - ROOM_FOR_TITLES
         parts = [part for section in main for part in section.parts(width, short=True)]
@@ -256,9 +267,7 @@ class Summary:
         yield self.title if self.flags or self.sections else ""
         yield "\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags)
         for section in self.sections:
-            paragraphs = [paragraph(text, width) for text in section.paragraphs]
-            yield "\n".join(filter(None, [section.title, *paragraphs]))
-            yield from (table.as_text(width) for table in section.tables if full or not table.folded)
+            yield from section.blocks(width, full=full)
 
     def as_html(self) -> str:
         """A self-contained fragment, for light and dark backgrounds."""

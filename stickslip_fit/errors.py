@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from numbers import Integral, Real
 
 
@@ -55,6 +56,18 @@ class InputError(Exception):
 def shorten(value: str, width: int = 60) -> str:
     """Cut a value so that a binary blob in a cell does not fill the screen."""
     return value if len(value) <= width else value[: width - 3] + "..."
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """What was perhaps meant, as the end of a message; empty where nothing is similar.
+
+    Examples
+    --------
+    >>> suggest("thermal-warmup", ["drift", "thermal-warm-up"])
+    '; did you mean thermal-warm-up?'
+    """
+    similar = get_close_matches(shorten(name), list(known), 1)
+    return f"; did you mean {similar[0]}?" if similar else ""
 
 
 def check_rate(name: str, value: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import show_progress, write_atomically
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     Force,
@@ -114,7 +115,22 @@ def diagnose(
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended]))
+    following = "" if save_law else suggest_next(result, log)
+    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended, following]))
+
+
+def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
+    """The command that goes on from a diagnosis."""
+    from stickslip_fit.diagnosis._unknown_summary import find_extending
+
+    name = shlex.join(map(str, log))
+    if any(finding.equivalent for finding in diagnosis.findings):
+        return f"To separate the causes: stickslip-fit plan {name}"
+    if find_extending(diagnosis.findings):
+        return f"To save the extended law: stickslip-fit diagnose {name} --save-law law.json"
+    if diagnosis.verdict == "nothing wrong":
+        return f"To save the law as it is: stickslip-fit fit {name} --json fit.json"
+    return f"For traverses that would tell more: stickslip-fit plan {name}"
 
 
 def diagnose_table(
@@ -168,7 +184,6 @@ def diagnose_table(
 
     Roles of columns may stand in the law file, under [roles]; an option goes before.
     """
-    from stickslip_fit._io import show_progress
     from stickslip_fit.causes.law_file import read_law_file
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
@@ -251,9 +266,12 @@ def plan(
             "experiments on joint 3 (prismatic, 4.3) or joint 2 (rotary, 5.3, 5.4)."
         ),
     ] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="Instead: a short plan with comments, to be changed.")
+    ] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Of --thesis: plan to write; printed without it."),
+        typer.Option("-o", "--output", help="Of --thesis, --example: plan to write; printed without it."),
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
@@ -262,16 +280,18 @@ def plan(
     latex: Latex = None,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
-    if thesis is not None:
+    if thesis is not None or example:
+        option = "--thesis" if thesis is not None else "--example"
         given = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
+        given |= {"--example": example} if thesis is not None else {}
         if others := [name for name, value in given.items() if value]:
-            raise InputError(f"--thesis makes a plan, and takes no {', '.join(others)}")
-        write_thesis_plan(thesis, output)
+            raise InputError(f"{option} makes a plan, and takes no {', '.join(others)}")
+        write_template(thesis or "example", output)
         return
     if not source:
-        raise InputError("name a LOG or a PLAN, or a procedure of the thesis with --thesis")
+        raise InputError("name a LOG or a PLAN; --example or --thesis writes a plan to begin with")
     if output is not None:
-        raise InputError("--output is for --thesis; save proposed traverses with --json")
+        raise InputError("--output is for --thesis and --example; save proposed traverses with --json")
     check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until})
     check_chart(chart)
     if is_plan(source):
@@ -291,12 +311,16 @@ def plan(
     show(advice.summary, Display(full, csv, latex, source), saved)
 
 
-def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
-    """Write a plan of the thesis, or print it."""
+def plan_template(name: str) -> str:
+    """The text of a plan of the thesis, or of the example."""
     from importlib.resources import files
 
-    template = files("stickslip_fit").joinpath("templates", f"plan_{procedure}.toml")
-    text = template.read_text("utf-8")
+    return files("stickslip_fit").joinpath("templates", f"plan_{name}.toml").read_text("utf-8")
+
+
+def write_template(name: str, output: Path | None) -> None:
+    """Write a plan, or print it."""
+    text = plan_template(name)
     if output is None:
         print(text, end="")
     else:
@@ -312,7 +336,6 @@ def diagnose_with_progress(
     own_causes: tuple[Cause, ...] = (),
 ) -> Diagnosis:
     """Diagnose a log, with a progress bar at a terminal; candidates are one's own causes, too."""
-    from stickslip_fit._io import show_progress
     from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
@@ -383,7 +406,8 @@ def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] 
     from stickslip_fit.diagnosis._json import traverse_to_json
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 
-    diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False)
+    with show_progress() as progress:
+        diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False, progress=progress)
     traverses = next_experiment(diagnosis)
     inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
     suggestions = suggest_traverses(diagnosis)

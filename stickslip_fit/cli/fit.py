@@ -44,7 +44,7 @@ from stickslip_fit.cli._options import (
     parse_tip_position,
 )
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -209,7 +209,9 @@ def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = (
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
     issues = [
-        InputIssue(missing.get(name, "is no cause that is known"), column="--cause", value=name)
+        InputIssue(
+            missing.get(name, f"is no cause that is known{suggest(name, known)}"), column="--cause", value=name
+        )
         for name in names
         if name not in known or name in missing
     ]

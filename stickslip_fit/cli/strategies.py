@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import make_folder
+from stickslip_fit._io import make_folder, show_progress
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     LawNames,
@@ -95,9 +95,15 @@ def compare(
     if causes_from is not None:
         known = causes_from_result(campaign, load_result(causes_from, load_causes(law), laws=laws))
         strategies += default_strategies_with_causes(known, more)
-    comparison = compare_strategies(
-        campaign, strategies, laws=laws, session_selector=session_selector, command=command_line()
-    )
+    with show_progress() as progress:
+        comparison = compare_strategies(
+            campaign,
+            strategies,
+            laws=laws,
+            session_selector=session_selector,
+            command=command_line(),
+            progress=progress,
+        )
     saved = []
     if numbers is not None:
         saved.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")

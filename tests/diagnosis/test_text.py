@@ -51,13 +51,13 @@ def test_a_named_cause_comes_with_its_size_its_cure_and_the_repeatability(named)
     rate = re.fullmatch(r"Steps shrink by (\d\.\d+) %/h through each session\.", first)
     assert rate
     assert float(rate[1]) == pytest.approx(0.3, abs=0.05)
-    assert second.startswith("Recalibrating within the session, or the extended law, ")
+    assert second.startswith("Remedy: recalibrating within the session, or the extended law, which ")
     noise = re.search(r"the repeatability is (\d\.\d+) %\.$", second)
     assert float(noise[1]) / 100 == pytest.approx(REPEATABILITY, rel=0.15)
 
 
 def test_what_was_gained_on_held_out_traverses_is_said_where_it_is_known(named):
-    assert "the extended law, cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; " in told(
+    assert "the extended law, which cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; " in told(
         replace(named, gain=GAIN)
     )
 
@@ -116,7 +116,7 @@ def test_what_has_no_name_is_shown_as_it_is(unnamed):
     assert unnamed.verdict == "unknown cause"
     first, second = write_headline(unnamed)
     assert re.search(r"come and go with a period of 5\d\.\d min, which no known cause does; a wave", first)
-    assert "The function is a proposal, no cause" in second
+    assert "find out what the function stands for" in second
     (finding,) = unnamed.findings
     first, second = write_headline(replace(unnamed, findings=(replace(finding, version=None),)))
     assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
