@@ -21,8 +21,23 @@ LATEX = {
     **{each: f"\\{each}" for each in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
     **{"<": "$<$", ">": "$>$", "|": r"\textbar{}", '"': r"\textquotedbl{}"},
-    **{MINUS: "$-$", "–": "--", "—": "---", "…": r"\dots{}", "±": r"$\pm$", "×": r"$\times$", "·": r"$\cdot$"},
-    **{"µ": r"\textmu{}", "μ": r"\textmu{}", "°": r"\textdegree{}", "²": "$^2$", "³": "$^3$", "√": r"$\surd$"},
+    **{
+        MINUS: "$-$",
+        "–": "--",
+        "—": "---",
+        "…": r"\dots{}",
+        "±": r"$\pm$",
+        "×": r"$\times$",
+        "·": r"$\cdot$",
+    },
+    **{
+        "µ": r"\textmu{}",
+        "μ": r"\textmu{}",
+        "°": r"\textdegree{}",
+        "²": "$^2$",
+        "³": "$^3$",
+        "√": r"$\surd$",
+    },
     **{"≤": r"$\leq$", "≥": r"$\geq$", "≈": r"$\approx$", "→": r"$\to$", "’": "'", "“": "``", "”": "''"},
     **{
         letter: f"$\\{unicodedata.name(letter).split()[-1].lower()}$"
@@ -139,7 +154,7 @@ def escape_latex(text: str) -> str:
 
 
 def tables_as_latex(tables: Iterable[Cells]) -> str:
-    """All tables, one below the other, to be read by \\input."""
+    r"""All tables, one below the other, to be read by \input."""
     return "\n".join(["% \\usepackage{booktabs}", *map(table_as_latex, tables)])
 
 

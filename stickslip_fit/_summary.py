@@ -157,7 +157,6 @@ class Section:
     figures: tuple[Figure, ...] = ()
     key: str = ""
 
-
     def blocks(self, width: int, *, full: bool = False) -> Iterator[str]:
         """Title with paragraphs, then the tables; `full` for folded ones, too."""
         paragraphs = [paragraph(text, width) for text in self.paragraphs]
@@ -167,7 +166,7 @@ class Section:
         yield from (table.as_text(width) for table in tables)
 
     def parts(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
-        """Paragraphs and open tables, each with a name; `short` tables have only the rows that stand for all."""
+        """Paragraphs and open tables with their names; `short` tables have the rows that stand for all."""
         parts = [("remarks", "\n".join(paragraph(text, width) for text in self.paragraphs))]
         tables = [table.shortened() if short else table for table in self.tables if not table.folded]
         parts += [(table.caption, table.as_text(width)) for table in tables]
@@ -232,7 +231,9 @@ class Summary:
         head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
         head = list(filter(None, head))
         folded = [table.caption for table in self.tables if table.folded]
-        everything = list(filter(None, [*head, *(block for one in self.sections for block in one.blocks(width))]))
+        everything = list(
+            filter(None, [*head, *(block for one in self.sections for block in one.blocks(width))])
+        )
         if _count_lines(everything) <= lines - (ROOM_FOR_TITLES if folded else 0):
             return "\n\n".join(everything), tuple(folded)
         main = [section for section in self.sections if not section.title]

@@ -1,4 +1,4 @@
-"""The analysis of variance on one screen: what changes each joint's step size, and one table of all factors."""
+"""The analysis of variance on one screen: what changes the step sizes, and one table of all factors."""
 
 from __future__ import annotations
 
@@ -98,17 +98,15 @@ def overview_table(joints: Sequence[int], anova: Anova) -> Table:
         *words("effect"),
     )
     note = (
-        "Adjusted for everything asked of this log (Holm). Detectable: the minimum detectable difference, which "
-        "80 of 100 such logs would show."
+        "Adjusted for everything asked of this log (Holm). Detectable: the minimum detectable difference, "
+        "which 80 of 100 such logs would show."
     )
     with_effect = slice(0, max(1, sum(row[-1] == SHOWN for row in rows)))
-    return Table(
-        "What changes the step size", columns, tuple(rows), stubs=2, note=note, short=with_effect
-    )
+    return Table("What changes the step size", columns, tuple(rows), stubs=2, note=note, short=with_effect)
 
 
 def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for analysis in EFFECTS:
         tests = _tests_of(joint, anova, analysis)
         for test in [test for test in tests if test.design.session is None] or tests:
@@ -116,13 +114,13 @@ def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
             largest, smallest = test.extreme_levels
             if analysis != "day":
                 largest, smallest = format_direction(largest), format_direction(smallest)
-            sizes = (value / mean for value in (effect.low, effect.high))
+            low, high = effect.low / mean, effect.high / mean
             rows.append(
                 (
                     str(joint),
                     f"{analysis} {format_direction(test.design.direction)}".strip(),
                     typeset_text(name_difference(largest, smallest)),
-                    f"{format_number(test.relative_difference, '%', 1)} ({format_range(*sizes, '%', 1)})",
+                    f"{format_number(test.relative_difference, '%', 1)} ({format_range(low, high, '%', 1)})",
                     format_number(test.detectable / mean, "%", 1),
                     format_p_value(test.p_holm),
                     SHOWN if _is_significant(test) else "none shown",

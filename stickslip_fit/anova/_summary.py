@@ -84,9 +84,7 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
     return Advice(RECALIBRATE, price, None if too_small else changes)
 
 
-def _recommend_directions(
-    components: VarianceComponents, factor_tests: Sequence[FactorTest]
-) -> list[Advice]:
+def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
     if components.direction is None:
         return []
     differs = any(is_significant(test) for test in factor_tests if test.design.analysis == "direction")
@@ -245,12 +243,10 @@ CAUTIONS = "What to mind, and what cannot be answered"
 
 @summarize.register
 def summarize_anova(anova: Anova) -> Summary:
-    """What changes each joint's step size, a section for each joint, then failed assumptions and tests that cannot be made."""
+    """All factors in one table, a section for each joint, failed assumptions, tests that cannot be made."""
     sentences = sentences_by_joint(anova)
     advice = {each.joint: recommend(each, anova.factor_tests) for each in anova.components}
-    headline = [
-        write_overview(joint, anova, advice.get(joint, [])) for joint in sentences
-    ]
+    headline = [write_overview(joint, anova, advice.get(joint, [])) for joint in sentences]
     overview = overview_table(list(sentences), anova)
     sections = [Section(tables=(overview,))] if overview.rows else []
     sections += [

@@ -13,9 +13,10 @@ from stickslip_fit.cli._examples import example_of
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
+from stickslip_fit.cli.demo import demo
 from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
-from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
+from stickslip_fit.cli.logs import check, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (

@@ -218,7 +218,11 @@ def _find_law(name: str) -> Any:
         installed = installed_laws()
         if name in installed:
             return installed[name]
-        known = f"; installed packages offer {', '.join(installed)}{suggest(name, installed)}" if installed else ""
+        known = (
+            f"; installed packages offer {', '.join(installed)}{suggest(name, installed)}"
+            if installed
+            else ""
+        )
         raise InputError(f"is no law that is known; give MODULE:NAME, or a FILE.toml of formulas{known}")
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as Python itself has it for a script: a file of one's own beside the log

@@ -282,7 +282,7 @@ def plan(
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     if thesis is not None or example:
         option = "--thesis" if thesis is not None else "--example"
-        given = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
+        given: dict[str, object] = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
         given |= {"--example": example} if thesis is not None else {}
         if others := [name for name, value in given.items() if value]:
             raise InputError(f"{option} makes a plan, and takes no {', '.join(others)}")

@@ -155,6 +155,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     from stickslip_fit.estimation.noise import Gaussian, StudentT
     from stickslip_fit.estimation.prediction import format_latest_control, has_order, latest_control
     from stickslip_fit.estimation.profile import make_comparable
+    from stickslip_fit.estimation.scatter import describe_excess_scatter
     from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
@@ -183,6 +184,8 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
         if comparable.note:
             control = format_latest_control(latest_control(comparable.fit))
             summary = replace(summary, headline=(f"{control}\n{comparable.note}",))
+    if hint := describe_excess_scatter(log, result):
+        summary = replace(summary, headline=(hint, *summary.headline))
     if options.profile:
         from stickslip_fit.estimation._summary import profile_section
         from stickslip_fit.estimation.least_squares import profile_intervals
@@ -210,7 +213,9 @@ def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = (
     names = list(dict.fromkeys(names))
     issues = [
         InputIssue(
-            missing.get(name, f"is no cause that is known{suggest(name, known)}"), column="--cause", value=name
+            missing.get(name, f"is no cause that is known{suggest(name, known)}"),
+            column="--cause",
+            value=name,
         )
         for name in names
         if name not in known or name in missing

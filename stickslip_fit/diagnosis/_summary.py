@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import (
-    MINUS,
     MISSING,
     capitalize_first,
     format_angle,
@@ -126,7 +125,7 @@ def describe_untestable(diagnosis: Diagnosis) -> str:
     if len(names) > MAX_UNTESTABLE_NAMED:
         first = names[: MAX_UNTESTABLE_NAMED - 1]
         names = [*first, f"{len(names) - len(first)} others"]
-    return f"It could not have shown {join_words(names)}; the reasons are below."
+    return f"It could not have shown {join_words(names)}."
 
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis) -> str:
@@ -152,10 +151,8 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
             "cuts the prediction error on held-out traverses from "
             f"{format_percent(gain.baseline)} to {format_percent(gain.extended)}"
         )
-    if cure:
-        what = f"Remedy: {f'{cure}, or {law}' if law else cure}, which"
-    else:
-        what = capitalize_first(law)
+    choices = " or ".join(filter(None, [f"{cure}," if cure and law else cure, law]))
+    what = f"Remedy: {choices}, which" if cure else capitalize_first(law)
     following = ""
     if finding.equivalent and diagnosis.next_experiment:
         following = " The traverses that would separate them are below."
@@ -306,7 +303,9 @@ def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
         return []
     heads = (baseline_name(diagnosis), "extended law", "gain", "95 % interval", "noise floor")
     columns = (Column("predicted", text=True), *(Column(head, "%") for head in heads))
-    note = "Rms error of the step size on held-out traverses. Interval: for a fresh replicate of this campaign."
+    note = (
+        "Rms error of the step size on held-out traverses. Interval: for a fresh replicate of this campaign."
+    )
     return [Table("What the extended law gains", columns, rows, note=note)]
 
 

@@ -215,9 +215,9 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     test = describe_test(finding, diagnosis)
     what = "term" if finding.term else "function"
     return (
-        f"{test + ' ' if test else ''}What to do: find out what the {what} stands for{_name_closest(finding)}, "
-        "log that as a column of its own, and diagnose again. Meanwhile the extended law has it; "
-        f"{scatter}."
+        f"{test + ' ' if test else ''}What to do: find out what the {what} stands for"
+        f"{_name_closest(finding)}, log that as a column of its own, and diagnose again. Meanwhile the "
+        f"extended law has it; {scatter}."
     )
 
 

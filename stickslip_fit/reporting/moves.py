@@ -172,7 +172,9 @@ def _predictions_heading(plan: Plan, predicted: pd.DataFrame) -> str:
         f"session {shorten(name, 30)}" if name else NEW_SESSION for name in predicted["calibration"].unique()
     ]
     number = pluralize(len(predicted), "traverse")
-    return f"{plan.name}: counts of {number} as they will be noted, by the calibration of {', '.join(sources)}."
+    return (
+        f"{plan.name}: counts of {number} as they will be noted, by the calibration of {', '.join(sources)}."
+    )
 
 
 def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:

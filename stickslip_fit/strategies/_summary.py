@@ -57,10 +57,12 @@ def write_headline(comparison: Comparison, joint: int) -> str:
         return f"{text}."
     cheapest, scatter = _find_cheapest(comparison, joint)
     if cheapest == best:
-        return f"{text}; no cheaper one is sure to come within a traverse's scatter ({format_percent(scatter)})."
+        return (
+            f"{text}; no cheaper one is sure to come within a traverse's scatter ({format_percent(scatter)})."
+        )
     return (
-        f"{text}; cheapest that is sure to come within a traverse's scatter ({format_percent(scatter)}) of it: "
-        f"{cheapest} ({minutes[cheapest]:.0f} min)."
+        f"{text}; cheapest that is sure to come within a traverse's scatter ({format_percent(scatter)}) of "
+        f"it: {cheapest} ({minutes[cheapest]:.0f} min)."
     )
 
 
@@ -127,8 +129,8 @@ def _describe_cheapest(comparison: Comparison, joint: int, best: str, others: pd
     high = float(others.set_index("strategy").loc[cheapest, "difference_relative_high"])
     return (
         f"The cheapest that is sure to come within a traverse's scatter of it: {cheapest}, "
-        f"{_minutes(comparison, joint)[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of a "
-        "step more (95 %)."
+        f"{_minutes(comparison, joint)[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of "
+        "a step more (95 %)."
     )
 
 
@@ -152,9 +154,7 @@ def overview_table(comparison: Comparison) -> Table:
             else:
                 row += [MISSING, MISSING, ""]
     rows = tuple((name, *row) for name, row in cells.items())
-    note = (
-        "Time a session. Rms of the errors on held-out traverses. As good: not told from the best on this log."
-    )
+    note = "Time a session. Rms of errors on held-out traverses. As good: not told from the best on this log."
     return Table("Strategies", tuple(columns), rows, note=note)
 
 

@@ -158,7 +158,8 @@ def _left_out(study: SimulationStudy) -> Table:
 
 def _describe_limit(study: SimulationStudy) -> str:
     """The limit by which a strategy is accurate enough, as a sentence."""
-    by = "the upper end of the 95 % interval over campaigns" if study.plan.campaigns > 1 else "its one campaign"
+    interval = "the upper end of the 95 % interval over campaigns"
+    by = interval if study.plan.campaigns > 1 else "its one campaign"
     return f"Limit: {100 * study.plan.good_enough:g} % rms (good_enough_pct of the plan), judged by {by}."
 
 
@@ -216,7 +217,7 @@ def overview_table(study: SimulationStudy) -> Table:
         Column("time", "min"),
         *(Column(scenario, "% (joint)") for scenario in study.scenarios),
     )
-    note = "Upper end of the rms error's 95 % interval, of the joint with the largest. Time: all joints, a session."
+    note = "Upper end of the rms error's 95 % interval, of the joint with the largest. Time of all joints."
     return Table("Largest error by scenario", columns, tuple(rows), note=note)
 
 

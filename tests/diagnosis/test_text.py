@@ -57,8 +57,9 @@ def test_a_named_cause_comes_with_its_size_its_cure_and_the_repeatability(named)
 
 
 def test_what_was_gained_on_held_out_traverses_is_said_where_it_is_known(named):
-    assert "the extended law, which cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; " in told(
-        replace(named, gain=GAIN)
+    assert (
+        "the extended law, which cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; "
+        in told(replace(named, gain=GAIN))
     )
 
 
