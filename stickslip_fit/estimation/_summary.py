@@ -40,10 +40,10 @@ FLAGS = {
 
 @summarize.register
 def summarize_fit(result: Result) -> Summary:
-    """Latest session, flags, the parameters of every joint by session and direction, those of causes."""
+    """Latest session, flags, the parameters of causes, of every joint by session and direction."""
     files = file_names(list(result.provenance.log_files))
     method = capitalize_first(result.method.replace("-", " "))
-    tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
+    tables = [*departures_tables(result), *(_parameters(result, joint) for joint in result.joints)]
     return Summary(
         title=f"{method} fit of {files}" if files else f"{method} fit",
         headline=(format_latest_control(latest_control(result)) if has_order(result) else NO_ORDER,),

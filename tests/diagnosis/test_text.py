@@ -245,7 +245,7 @@ def test_a_parameter_that_is_not_known_leaves_the_sentence_true():
     )
 
 
-def test_counts_that_are_wildly_off_are_handed_back(table, read):
+def test_outliers_are_handed_back(table, read):
     rng = np.random.default_rng(8)
     out = np.sort(rng.choice(len(table), 3, replace=False))
     relative = np.zeros(len(table))
@@ -255,7 +255,7 @@ def test_counts_that_are_wildly_off_are_handed_back(table, read):
     seen = found.findings[0].traverses
     assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
     assert set(seen["steps"]) == set(changed(table, relative)["steps"].iloc[out])
-    assert "Excluding those counts and repeating them takes away" in told(found)
+    assert "Remedy: excluding those counts and repeating them, which takes away" in told(found)
 
 
 def test_a_jump_is_told_with_its_moment(table, read):
