@@ -354,7 +354,7 @@ def format_bayes_factor(power: float) -> str:
     Examples
     --------
     >>> [format_bayes_factor(power) for power in (240.7, 1.26, -0.4, -9.0)]
-    ['> 10^6', '18', '0.40', '< 0.01']
+    ['> 10^6', '18', '0.4', '< 0.01']
     """
     if not np.isfinite(power):
         return MISSING
@@ -362,7 +362,8 @@ def format_bayes_factor(power: float) -> str:
         return f"> 10^{MAX_POWER}"
     if power < -2:
         return "< 0.01"
-    return f"{float(f'{10.0**power:.2g}'):,.0f}" if power >= 1 else f"{10.0**power:.2g}".ljust(4, "0")[:4]
+    value = 10.0**power
+    return f"{value:.2g}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}"
 
 
 def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Table]:

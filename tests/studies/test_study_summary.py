@@ -31,7 +31,9 @@ def test_the_answer_names_what_lasts_and_what_is_lost(found):
     assert table["a warm-up"]["constant step"] > 0.1
     assert "In none: constant step." in told
     assert "closed form" not in told.split("In none")[0]
-    assert answer.startswith("Limit: 2 % rms (good_enough_pct of the plan), judged by the upper end of the 95 %")
+    assert answer.startswith(
+        "Limit: 2 % rms (good_enough_pct of the plan), judged by the upper end of the 95 %"
+    )
     assert "hold the truth too rarely with a warm-up (down to" in told
 
 
