@@ -63,8 +63,9 @@ def test_what_is_left_out_stands_on_one_line():
 def test_csv_has_plain_numbers_with_their_units():
     head, first, second = csv.reader(io.StringIO(MIXED.as_csv()))
     assert head == [
-        "session", "fit: a (nm)", "fit: a, standard error (nm)", "fit: range, low (%)", "fit: range, high (%)", "steps",
-    ]  # fmt: skip
+        *("session", "fit: a (nm)", "fit: a, standard error (nm)"),
+        *("fit: range, low (%)", "fit: range, high (%)", "steps"),
+    ]
     assert first == ["[x] 5 %", "-1234.5", "0.5", "-1.0", "2.0", "12150"]
     assert second == ["y", "", "", "", "", ""]
 
