@@ -110,7 +110,7 @@ def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
     for analysis in EFFECTS:
         tests = _tests_of(joint, anova, analysis)
         for test in [test for test in tests if test.design.session is None] or tests:
-            effect, mean = test.effect, test.effect.difference / test.relative_difference
+            effect, mean = test.effect, float(test.design.observations["step_size"].mean())
             largest, smallest = test.extreme_levels
             if analysis != "day":
                 largest, smallest = format_direction(largest), format_direction(smallest)

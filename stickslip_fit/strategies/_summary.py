@@ -53,16 +53,20 @@ def write_headline(comparison: Comparison, joint: int) -> str:
     best, others = compare_with_best(comparison, joint)
     error, minutes = _errors(comparison, joint)[best], _minutes(comparison, joint)
     text = f"least error by {best} ({format_percent(error)} rms, {minutes[best]:.0f} min a session)"
+    caution = ""
+    if comparison.unit(joint) != SESSION_UNIT:
+        caution = " Intervals are over its configurations, since there is one session."
     if not len(others):
-        return f"{text}."
+        return f"{text}.{caution}"
     cheapest, scatter = _find_cheapest(comparison, joint)
     if cheapest == best:
         return (
-            f"{text}; no cheaper one is sure to come within a traverse's scatter ({format_percent(scatter)})."
+            f"{text}; no cheaper one is sure to come within a traverse's scatter "
+            f"({format_percent(scatter)}).{caution}"
         )
     return (
         f"{text}; cheapest that is sure to come within a traverse's scatter ({format_percent(scatter)}) of "
-        f"it: {cheapest} ({minutes[cheapest]:.0f} min)."
+        f"it: {cheapest} ({minutes[cheapest]:.0f} min).{caution}"
     )
 
 
