@@ -12,6 +12,7 @@ import errno
 import os
 import re
 import stat
+import sys
 import tempfile
 import time
 import unicodedata
@@ -61,6 +62,21 @@ def write_atomically(path: str | Path, content: str | bytes, sources: Iterable[s
         _replace(follow_links(path), raw)
     except (OSError, ValueError) as error:
         raise InputError(InputIssue(_describe_failure(error), str(path))) from None
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder in an existing one, unless it exists.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        message = f"cannot be made ({error.strerror}); name a folder in an existing one"
+        raise InputError(InputIssue(message, str(folder))) from None
 
 
 def find_source(path: str | Path, sources: Iterable[str | Path]) -> InputIssue | None:
@@ -235,6 +251,8 @@ def progress_bar(shown: bool, **options: Any) -> tqdm:
     return tqdm(disable=None if shown else True, leave=False, **options)
 
 
+DELAY = 2.0  # s, before a bar is shown
+LINE_EVERY = 10.0  # s, where there is no terminal
 ProgressCallback = Callable[[str, float], None]
 """Called with the step that begins and the share of the work that is done."""
 
@@ -245,12 +263,25 @@ def ignore_progress(step: str, done: float) -> None:
 
 @contextmanager
 def show_progress() -> Iterator[ProgressCallback]:
-    """A progress bar: ``with show_progress() as callback: diagnose(log, progress=callback)``."""
-    with progress_bar(True, total=1.0, bar_format="{desc} {percentage:3.0f}% |{bar}|") as bar:
+    """Progress on standard error: ``with show_progress() as callback: diagnose(log, progress=callback)``.
+
+    At a terminal and in a notebook a bar, from two seconds on; elsewhere a line now and then, so that a file
+    of messages stays one that can be read.
+    """
+    began = shown = time.monotonic()
+    with progress_bar(True, total=1.0, delay=DELAY, bar_format="{desc} {percentage:3.0f}% |{bar}|") as bar:
 
         def update(step: str, done: float) -> None:
-            bar.set_description_str(step, refresh=False)
-            bar.n = done
-            bar.refresh()
+            nonlocal shown
+            now = time.monotonic()
+            if bar.disable:
+                if now - shown > LINE_EVERY:
+                    shown = now
+                    with suppress(OSError):
+                        print(f"{step}: {100 * done:.0f} %", file=sys.stderr, flush=True)
+            elif now - began > DELAY:
+                bar.set_description_str(step, refresh=False)
+                bar.n = done
+                bar.refresh()
 
         yield update

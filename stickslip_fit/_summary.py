@@ -11,13 +11,14 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, singledispatch
 from importlib.resources import files
 from itertools import groupby
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol
 
+from stickslip_fit._export import csv_names, table_as_csv, table_as_latex, tables_as_latex
 from stickslip_fit._format import NO_BREAK_SPACE, keep_units
 
 if TYPE_CHECKING:
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 WIDTH = 110
+SCREEN = 25  # lines
 GAP = "  "  # between columns
+ROOM_FOR_TITLES = 2  # an empty line, and one that names what is left out
 _UNSAFE_IN_SCRIPT = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")
 
@@ -85,6 +88,8 @@ class Table:
         Below the table: what a mark in a cell means, what was left out.
     folded : bool
         Whether the caption alone is shown: HTML opens the table at a click, text leaves it out unless full.
+    short : slice or None
+        The rows that stand for all of them where there is no room; None if none do.
     """
 
     caption: str
@@ -93,6 +98,7 @@ class Table:
     stubs: int = 1
     note: str = ""
     folded: bool = False
+    short: slice | None = None
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -115,6 +121,21 @@ class Table:
         body = _aligned(lines, widths, [column.text for column in self.columns])
         return "\n".join(filter(None, [self.caption, upper.rstrip(), *body, paragraph(self.note, width)]))
 
+    def as_csv(self) -> str:
+        """Heads with units, then rows: plain numbers, with ± and intervals as two columns each."""
+        return table_as_csv(self)
+
+    def as_latex(self) -> str:
+        """A `table` environment for the LaTeX package booktabs."""
+        return table_as_latex(self)
+
+    def shortened(self) -> Table:
+        """The rows alone that stand for all; the table as it is where none do."""
+        rows = self.rows[self.short] if self.short is not None else self.rows
+        if len(rows) == len(self.rows):
+            return self
+        return replace(self, caption=f"{self.caption} ({len(rows)} of {len(self.rows):,} rows)", rows=rows)
+
 
 @dataclass(frozen=True)
 class Section:
@@ -135,6 +156,21 @@ class Section:
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
     key: str = ""
+
+    def blocks(self, width: int, *, full: bool = False) -> Iterator[str]:
+        """Title with paragraphs, then the tables; `full` for folded ones, too."""
+        paragraphs = [paragraph(text, width) for text in self.paragraphs]
+        tables = [table for table in self.tables if full or not table.folded]
+        if paragraphs or tables:
+            yield "\n".join(filter(None, [self.title, *paragraphs]))
+        yield from (table.as_text(width) for table in tables)
+
+    def parts(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
+        """Paragraphs and open tables with their names; `short` tables have the rows that stand for all."""
+        parts = [("remarks", "\n".join(paragraph(text, width) for text in self.paragraphs))]
+        tables = [table.shortened() if short else table for table in self.tables if not table.folded]
+        parts += [(table.caption, table.as_text(width)) for table in tables]
+        return [part for part in parts if part[1]]
 
 
 @dataclass(frozen=True)
@@ -174,18 +210,80 @@ class Summary:
         """For a terminal of `width` letters; a table may be wider. `full` shows folded tables too."""
         return "\n\n".join(filter(None, self._blocks(width, full)))
 
+    def as_screen(self, width: int = WIDTH, lines: int = SCREEN) -> tuple[str, tuple[str, ...]]:
+        """What fits on a screen: headline and flags, then sections without a title; and what is left out.
+
+        Tables and paragraphs follow in order up to the first that has no room; tables give only some rows
+        where these stand for all. The headline and the flags are whole even where they are longer.
+
+        Parameters
+        ----------
+        width, lines : int
+            Of the screen, in letters.
+
+        Returns
+        -------
+        text : str
+        left_out : tuple of str
+            Captions of tables, titles of sections.
+        """
+        head = ["\n".join(paragraph(text, width) for text in self.headline)]
+        head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
+        head = list(filter(None, head))
+        folded = [table.caption for table in self.tables if table.folded]
+        everything = list(
+            filter(None, [*head, *(block for one in self.sections for block in one.blocks(width))])
+        )
+        if _count_lines(everything) <= lines - (ROOM_FOR_TITLES if folded else 0):
+            return "\n\n".join(everything), tuple(folded)
+        main = [section for section in self.sections if not section.title]
+        left_out = [table.caption for section in main for table in section.tables if table.folded]
+        left_out += [section.title for section in self.sections if section.title]
+        whole = [block for section in main for _, block in section.parts(width)]
+        if _count_lines([*head, *whole]) <= lines - (ROOM_FOR_TITLES if left_out else 0):
+            return "\n\n".join([*head, *whole]), tuple(left_out)
+        shown, room = list(head), lines - ROOM_FOR_TITLES
+        parts = [part for section in main for part in section.parts(width, short=True)]
+        while parts and _count_lines([*shown, parts[0][1]]) <= room:
+            shown.append(parts.pop(0)[1])
+        every_row = () if set(shown) <= {*head, *whole} else ("every row",)
+        return "\n\n".join(shown), (*every_row, *(title for title, _ in parts), *left_out)
+
+    def as_csv(self) -> dict[str, str]:
+        """The tables as CSV, each by the name of a file."""
+        return dict(
+            zip(
+                csv_names(table.caption for table in self.tables),
+                (table.as_csv() for table in self.tables),
+                strict=True,
+            )
+        )
+
+    def as_latex(self) -> str:
+        """All tables for LaTeX's input command; they need the package booktabs."""
+        return tables_as_latex(self.tables)
+
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(text, width) for text in self.headline)
         yield self.title if self.flags or self.sections else ""
         yield "\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags)
         for section in self.sections:
-            paragraphs = [paragraph(text, width) for text in section.paragraphs]
-            yield "\n".join(filter(None, [section.title, *paragraphs]))
-            yield from (table.as_text(width) for table in section.tables if full or not table.folded)
+            yield from section.blocks(width, full=full)
 
     def as_html(self) -> str:
         """A self-contained fragment, for light and dark backgrounds."""
         return load_template("summary.html.j2").render(summary=self)
+
+
+def join_summaries(title: str, parts: Sequence[Summary]) -> Summary:
+    """Several results as one: their headlines, flags and sections one after another."""
+    return Summary(
+        title,
+        tuple(text for part in parts for text in part.headline),
+        tuple(section for part in parts for section in part.sections),
+        tuple(flag for part in parts for flag in part.flags),
+        parts[0].provenance if parts else (),
+    )
 
 
 @singledispatch
@@ -206,6 +304,11 @@ class Summarized:
 
     def _repr_html_(self) -> str:
         return self.summary().as_html()
+
+
+def _count_lines(blocks: Sequence[str]) -> int:
+    """Of blocks with an empty line between each."""
+    return "\n\n".join(blocks).count("\n") + 1
 
 
 def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") -> str:

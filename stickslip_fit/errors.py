@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from numbers import Integral, Real
 
 
@@ -15,7 +16,7 @@ class InputIssue:
     """What is wrong with an input and what to do about it, in one or two sentences, and where it is.
 
     `line` counts from 1, the header; for Parquet it is the row. `place` is shown instead where the file's own
-    program numbers otherwise, as ``sheet 'Log', cell E7``.
+    program numbers otherwise, as ``sheet 'Log', cell E7``. `column` may be a command's option.
     """
 
     message: str
@@ -30,7 +31,8 @@ class InputIssue:
         if self.place is not None or self.line is not None:
             place += f"{', ' if place else ''}{self.place or f'line {self.line}'}"
         if self.column is not None:
-            place += f"{', ' if place else ''}column {shorten(self.column, 100)}"
+            kind = "" if self.column.startswith("--") else "column "
+            place += f"{', ' if place else ''}{kind}{shorten(self.column, 100)}"
         if self.value is not None:
             place += f"{', ' if place else ''}value {shorten(self.value)!r}"
         return f"{place}: {self.message}" if place else self.message
@@ -56,6 +58,18 @@ class InputError(Exception):
 def shorten(value: str, width: int = 60) -> str:
     """Cut a value so that a binary blob in a cell does not fill the screen."""
     return value if len(value) <= width else value[: width - 3] + "..."
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """What was perhaps meant, as the end of a message; empty where nothing is similar.
+
+    Examples
+    --------
+    >>> suggest("thermal-warmup", ["drift", "thermal-warm-up"])
+    '; did you mean thermal-warm-up?'
+    """
+    similar = get_close_matches(shorten(name), list(known), 1)
+    return f"; did you mean {similar[0]}?" if similar else ""
 
 
 def check_rate(name: str, value: float) -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.docs.commands import parse
+
 ROOT = Path(__file__).parents[1]
 CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
 REFERENCE = ROOT / "data" / "reference"
@@ -51,7 +53,9 @@ def test_check_says_what_a_log_holds(run, log):
 def test_fit_prints_and_saves(run, log, tmp_path, method):
     status, out, _ = run("fit", log, "--method", method, "--json", tmp_path / "fit.json")
     assert status == 0
-    shown = re.search(r"2012-03-05 +\+ +(\d+\.\d) ± (\d+\.\d)", out.split("joint 3 (prismatic)")[1])
+    full = run("fit", log, "--method", method, "--full")[1]
+    assert len(out.splitlines()) <= 27, "a screen, and what was saved"
+    shown = re.search(r"2012-03-05 +\+ +(\d+\.\d) ± (\d+\.\d)", full.split("joint 3 (prismatic)")[1])
     assert shown
     content = json.loads((tmp_path / "fit.json").read_text("utf-8"))
     assert content["provenance"]["command"].startswith("stickslip-fit fit ")
@@ -75,7 +79,7 @@ def test_a_move_from_a_log_and_from_a_saved_fit_agree(run, log, tmp_path):
 def test_the_tip_goes_where_it_is_sent(run, log):
     status, out, _ = run("plan-move", log, "--at", "-5,-90,0", "--tip", "55,3,-5", "--session", "2012-03-05")
     assert status == 0
-    assert "tip at (55.000, 3.000, -5.000) mm" in out
+    assert "Tip at (55.000, 3.000, -5.000) mm" in out
 
 
 def test_where_says_when_to_go_back_to_a_stop(run, log):
@@ -131,22 +135,23 @@ def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
     status, out, err = run("predict", tmp_path / "fit.json", plan, "-o", tmp_path / "counts.csv")
     assert (status, err) == (0, "")
     assert "by the calibration of session 2012-03-06" in out
-    assert "(the first 40 of 60 traverses; -o writes them all)" in out
-    shown = [line for line in out.splitlines() if line.startswith("2012-03-20")]
-    assert len(shown) == 40
+    assert "Predicted counts (14 of 60 rows)" in out
+    full = run("predict", tmp_path / "fit.json", plan, "--full")[1]
+    shown = [line for line in full.splitlines() if line.startswith("2012-03-20")]
+    assert len(shown) == 60
     assert len({line.rindex(" to ") for line in shown}) == 1, "columns line up"
-    foretold = pd.read_csv(tmp_path / "counts.csv")
-    assert len(foretold) == 60
-    assert re.sub(",", "", shown[0]).split()[-6] == str(foretold.loc[0, "steps"])
+    predicted = pd.read_csv(tmp_path / "counts.csv")
+    assert len(predicted) == 60
+    assert re.sub(",", "", shown[0]).split()[-6] == str(predicted.loc[0, "steps"])
     truth = campaign(
         ("2012-03-06",), ({"joint": 3, "q2_deg": -30.0}, {"joint": 2, "q3_mm": 6.0}), repeatability=0.0
     )
     for row in truth.itertuples():
-        subset = foretold[(foretold["joint"] == row.joint) & (foretold["direction"] == row.direction)]
+        subset = predicted[(predicted["joint"] == row.joint) & (predicted["direction"] == row.direction)]
         assert subset["low"].iloc[0] <= row.steps <= subset["high"].iloc[0]
         assert subset["high"].iloc[0] - subset["low"].iloc[0] < 0.03 * row.steps
-    assert foretold["step_size_nm"].notna().equals(foretold["joint"] == 3)
-    assert foretold["step_size_urad"].notna().equals(foretold["joint"] == 2)
+    assert predicted["step_size_nm"].notna().equals(predicted["joint"] == 3)
+    assert predicted["step_size_urad"].notna().equals(predicted["joint"] == 2)
 
 
 def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
@@ -161,7 +166,9 @@ def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
 def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
     table = campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP))
     table.to_csv(tmp_path / "log.csv", index=False)
-    status, out, _ = run("fit", tmp_path / "log.csv", "--method", "bayes", "--tree", tmp_path / "fit.nc")
+    status, out, _ = run(
+        "fit", tmp_path / "log.csv", "--method", "bayes", "--tree", tmp_path / "fit.nc", "--full"
+    )
     assert status == 0
     assert re.search(r"^3 \+ +0\.\d\d +0\.\d\d +0\.\d\d +-?\d+\.\d ± ", out, re.M)
     assert "The counts look like the model's own." in out
@@ -171,12 +178,23 @@ def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
     assert "by the calibration of a session to come" in out
 
 
-def test_the_demo_ends_with_a_report(run, monkeypatch, tmp_path):
+def test_the_demo_finds_what_is_hidden_and_nothing_else(run, monkeypatch, tmp_path):
+    """The commands that it shows are ones that a user can type; its files are there to look at."""
     monkeypatch.chdir(tmp_path)
     status, out, _ = run("demo")
     assert status == 0
-    assert "report written to" in out
-    assert (tmp_path / "reports" / "campaign.html").stat().st_size > 100_000
+    assert "Found in the first campaign: thermal-warm-up. In the second: nothing." in out
+    assert "cuts the prediction error on held-out traverses from" in " ".join(out.split())
+    steps = re.findall(r"^(\d)\. ", out, re.M)
+    assert steps == [str(number) for number in range(1, 9)]
+    folder = tmp_path / "reports" / "demo"
+    assert 'name = "thermal-warm-up"' in (folder / "hidden-law.toml").read_text()
+    assert (folder / "report.html").stat().st_size > 100_000
+    shown = re.findall(r"^\$ (stickslip-fit .*)", out, re.M)
+    assert len(shown) == 8
+    for line in shown:
+        parse(line.split()[1:])
+    assert run("predict", folder / "law.json", folder / "plan.toml")[0] == 0
 
 
 @pytest.mark.skipif(not CAMPAIGNS.exists(), reason="the measured campaigns are not on this machine")

@@ -21,6 +21,7 @@ LAYERS = (
     ("errors", "_typing"),
     ("units",),
     ("_io", "_input", "_format", "_expression", "_function"),
+    ("_export",),
     ("_summary", "_toml"),
     ("machine",),
     ("logs",),

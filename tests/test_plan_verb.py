@@ -58,7 +58,7 @@ def log(tmp_path) -> Path:
 
 def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_path):
     saved, chart = tmp_path / "out.json", tmp_path / "out.png"
-    status, out, _ = run("plan", plan, "--alpha", 0.05, "--json", saved, "--chart", chart)
+    status, out, _ = run("plan", plan, "--alpha", 0.05, "--json", saved, "--chart", chart, "--full")
     assert status == 0
     answer, _, *tables = out.split("\n\n")
     assert answer.startswith("three loads: 30 traverses in 1 session could show ")

@@ -24,6 +24,14 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.anova._overview import (
+    KEEP_APART,
+    RECALIBRATE,
+    Advice,
+    name_difference,
+    overview_table,
+    write_overview,
+)
 from stickslip_fit.anova._position_summary import conclude_positions, positions_table
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
@@ -57,13 +65,13 @@ def conclude(joint: int, factor_tests: Sequence[FactorTest]) -> list[str]:
     ]
 
 
-def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[str]:
+def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
     """Whether to recalibrate each session and to keep parameters for each direction, with the cost."""
     subset = [each for each in factor_tests if each.design.joint == components.joint]
     return [_recommend_recalibration(components, subset), *_recommend_directions(components, subset)]
 
 
-def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> str:
+def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> Advice:
     changes = any(is_significant(test) for test in factor_tests if test.design.analysis == "day")
     total, replicate, unit = components.total, components.replicate.deviation, components.unit
     cost, low, high = (sqrt(2.0) * value for value in (total.deviation, total.low, total.high))
@@ -72,27 +80,20 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
         f"({format_percent(cost / components.mean)}; 95 %: {format_step_range(low, high, unit)}), "
         f"{cost / replicate:.2g} times what one traverse differs from the next"
     )
-    if changes:
-        return f"Recalibrate each session: {price}."
-    if high > COST_LIMIT * replicate:
-        return f"Whether to recalibrate each session this log is too small to say: {price}."
-    return f"This log gives no reason to recalibrate each session: {price}."
+    too_small = not changes and high > COST_LIMIT * replicate
+    return Advice(RECALIBRATE, price, None if too_small else changes)
 
 
-def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[str]:
+def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
     if components.direction is None:
         return []
     differs = any(is_significant(test) for test in factor_tests if test.design.analysis == "direction")
     cost, limit = abs(components.direction) / 2, COST_LIMIT * components.replicate.deviation
     share = format_percent(cost / components.mean)
     price = f"one set for both is off by {format_value(cost, components.unit)} a step ({share})"
-    if differs:
-        return [f"Keep separate parameters for each direction: {price}."]
-    if max(map(abs, (components.direction_low or 0.0, components.direction_high or 0.0))) / 2 > limit:
-        return [
-            f"Whether to keep separate parameters for each direction this log is too small to say: {price}."
-        ]
-    return [f"This log gives no reason for separate parameters: {price}."]
+    largest = max(map(abs, (components.direction_low or 0.0, components.direction_high or 0.0))) / 2
+    too_small = not differs and largest > limit
+    return [Advice(KEEP_APART, price, None if too_small else differs)]
 
 
 def _conclude_day(factor_tests: Sequence[FactorTest]) -> str:
@@ -242,12 +243,19 @@ CAUTIONS = "What to mind, and what cannot be answered"
 
 @summarize.register
 def summarize_anova(anova: Anova) -> Summary:
-    """A paragraph and a section for each joint, then failed assumptions and tests that cannot be made."""
+    """All factors in one table, a section for each joint, failed assumptions, tests that cannot be made."""
     sentences = sentences_by_joint(anova)
-    headline = [f"Joint {joint}. {' '.join(lines)}" for joint, lines in sentences.items()]
-    sections = [
-        Section(capitalize_first(joint_name(joint, anova.machine)), tables=tuple(_tables(joint, anova)))
-        for joint in sentences
+    advice = {each.joint: recommend(each, anova.factor_tests) for each in anova.components}
+    headline = [write_overview(joint, anova, advice.get(joint, [])) for joint in sentences]
+    overview = overview_table(list(sentences), anova)
+    sections = [Section(tables=(overview,))] if overview.rows else []
+    sections += [
+        Section(
+            capitalize_first(joint_name(joint, anova.machine)),
+            tuple(map(typeset_text, lines)),
+            tuple(_tables(joint, anova)),
+        )
+        for joint, lines in sentences.items()
     ]
     cautions = [*list_failed_assumptions(anova.factor_tests), *list_not_testable(anova.not_testable)]
     if cautions:
@@ -264,7 +272,9 @@ def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
     joints = dict.fromkeys(each.design.joint for each in anova.factor_tests)
     sentences = {joint: conclude(joint, anova.factor_tests) for joint in joints}
     for each in anova.components:
-        sentences.setdefault(each.joint, []).extend(recommend(each, anova.factor_tests))
+        sentences.setdefault(each.joint, []).extend(
+            advice.with_price() for advice in recommend(each, anova.factor_tests)
+        )
     for analysis in anova.positions:
         sentences.setdefault(analysis.joint, []).extend(conclude_positions(analysis))
     return dict(sorted(sentences.items()))
@@ -320,7 +330,7 @@ def _test_row(test: FactorTest) -> tuple[str, ...]:
     statistic = f"{test.statistic:.3g}" if test.statistic < 1000 else f"{test.statistic:,.0f}"
     return (
         *_design_cells(test),
-        _difference_label(largest, smallest),
+        name_difference(largest, smallest),
         f"{format_number(effect.difference, unit)} ({format_range(effect.low, effect.high, unit)})",
         f"{float(test.sums.omega_squared):.2f}",
         f"{statistic} ({', '.join(str(df) for df in test.sums.df[1:])})",
@@ -334,12 +344,6 @@ def _test_row(test: FactorTest) -> tuple[str, ...]:
 def _design_cells(test: FactorTest) -> tuple[str, str]:
     design = test.design
     return f"{design.analysis} {format_direction(design.direction)}".strip(), design.session or "all"
-
-
-def _difference_label(largest: str, smallest: str) -> str:
-    """Two levels, without the repeated name: theta −90° minus 0°."""
-    first, _, rest = smallest.partition(" ")
-    return f"{largest} minus {rest if rest and largest.startswith(f'{first} ') else smallest}"
 
 
 def _places(tests: Sequence[FactorTest]) -> str:

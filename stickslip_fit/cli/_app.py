@@ -9,13 +9,15 @@ from typing import Annotated
 import typer
 
 from stickslip_fit import __version__
+from stickslip_fit.cli._examples import example_of
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.changes import changed
+from stickslip_fit.cli.demo import demo
 from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
-from stickslip_fit.cli.logs import check, demo, report, sheet, simulate
+from stickslip_fit.cli.logs import check, report, sheet, simulate
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (
@@ -47,7 +49,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for verb in VERBS:
-    app.command()(check_files(verb))
+    app.command(epilog=example_of(verb.__name__.replace("_", "-")))(check_files(verb))
 app.add_typer(capture, name="capture")
 
 

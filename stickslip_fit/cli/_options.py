@@ -17,7 +17,7 @@ import typer
 
 from stickslip_fit._io import find_write_fault
 from stickslip_fit.cli._files import INPUT, Output
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
     from stickslip_fit._typing import Array
@@ -227,7 +227,11 @@ def _find_law(name: str) -> Any:
         installed = installed_laws()
         if name in installed:
             return installed[name]
-        known = f"; installed packages offer {', '.join(installed)}" if installed else ""
+        known = (
+            f"; installed packages offer {', '.join(installed)}{suggest(name, installed)}"
+            if installed
+            else ""
+        )
         raise InputError(f"is no law that is known; give MODULE:NAME, or a FILE.toml of formulas{known}")
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as Python itself has it for a script: a file of one's own beside the log

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from stickslip_fit.cli._examples import example_of
 from stickslip_fit.cli._files import INPUT, Output, check_files
 from stickslip_fit.cli._options import (
     Device,
@@ -150,7 +151,7 @@ app = typer.Typer(
 )
 
 for command in (tune, listen):
-    app.command()(check_files(command))
+    app.command(epilog=example_of(f"capture {command.__name__}"))(check_files(command))
 
 
 def _journal_path(log: Path) -> Path:
@@ -159,7 +160,7 @@ def _journal_path(log: Path) -> Path:
     return journal_path(log)
 
 
-@app.command(DEFAULT_COMMAND)
+@app.command(DEFAULT_COMMAND, epilog=example_of("capture plan"))
 @check_files
 def plan(
     plan: PlanPath,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import show_progress, write_atomically
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     Force,
@@ -31,11 +32,13 @@ from stickslip_fit.cli._options import (
     parse_path,
     reference_law,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from stickslip_fit._summary import Summary
     from stickslip_fit.causes import Cause
     from stickslip_fit.diagnosis import Diagnosis
     from stickslip_fit.estimation import Result, TableFit
@@ -60,22 +63,27 @@ def anova(
     until: Until = None,
     sheet: Sheet = None,
     json: Json = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
+    from stickslip_fit._summary import join_summaries
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
     campaign = load_log(log, machine, since, until, sheet)
     if formula is None:
         result = analyze_variance(campaign, joint=joint, session=session)
-        text, records = result.summary().as_text(full=True), result.to_json()
+        summary, records = result.summary(), result.to_json()
     else:
         tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
-        text = "\n\n".join(map(str, tables))
+        summary = join_summaries(formula, [table.summary() for table in tables])
         records = [record for table in tables for record in table.to_json()]
+    saved = []
     if json is not None:
         save_records(records, json)
-        text += f"\n\nsaved to {json}"
-    print(text)
+        saved.append(f"saved to {json}")
+    show(summary, Display(full, csv, latex, log), saved)
 
 
 def diagnose(
@@ -98,6 +106,9 @@ def diagnose(
     since: Since = None,
     until: Until = None,
     sheet: Sheet = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     campaign = load_log(log, machine, since, until, sheet)
@@ -107,7 +118,22 @@ def diagnose(
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved), extended])))
+    following = "" if save_law else suggest_next(result, log)
+    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended, following]))
+
+
+def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
+    """The command that goes on from a diagnosis."""
+    from stickslip_fit.diagnosis._unknown_summary import find_extending
+
+    name = shlex.join(map(str, log))
+    if any(finding.equivalent for finding in diagnosis.findings):
+        return f"To separate the causes: stickslip-fit plan {name}"
+    if find_extending(diagnosis.findings):
+        return f"To save the extended law: stickslip-fit diagnose {name} --save-law law.json"
+    if diagnosis.verdict == "nothing wrong":
+        return f"To save the law as it is: stickslip-fit fit {name} --json fit.json"
+    return f"For traverses that would tell more: stickslip-fit plan {name}"
 
 
 def diagnose_table(
@@ -150,6 +176,9 @@ def diagnose_table(
     ] = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
 
@@ -160,7 +189,6 @@ def diagnose_table(
 
     Roles of columns may stand in the law file, under [roles]; an option goes before.
     """
-    from stickslip_fit._io import show_progress
     from stickslip_fit.causes.law_file import read_law_file
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
@@ -185,7 +213,7 @@ def diagnose_table(
     if save_law is not None:
         result.extended_law(command=command_line()).save(save_law)
         saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
-    print("\n\n".join(filter(None, [str(result), "\n".join(saved)])))
+    show(result.summary(), Display(full, csv, latex, [data, law]), saved)
 
 
 def describe_extension(diagnosis: Diagnosis) -> str:
@@ -243,24 +271,32 @@ def plan(
             "experiments on joint 3 (prismatic, 4.3) or joint 2 (rotary, 5.3, 5.4)."
         ),
     ] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="Instead: a short plan with comments, to be changed.")
+    ] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Of --thesis: plan to write; printed without it."),
+        typer.Option("-o", "--output", help="Of --thesis, --example: plan to write; printed without it."),
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
-    if thesis is not None:
-        given = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
+    if thesis is not None or example:
+        option = "--thesis" if thesis is not None else "--example"
+        given: dict[str, object] = {"LOG|PLAN": source, "--law": law, "--chart": chart, "--json": json}
+        given |= {"--example": example} if thesis is not None else {}
         if others := [name for name, value in given.items() if value]:
-            raise InputError(f"--thesis makes a plan, and takes no {', '.join(others)}")
-        write_thesis_plan(thesis, output)
+            raise InputError(f"{option} makes a plan, and takes no {', '.join(others)}")
+        write_template(thesis or "example", output)
         return
     if not source:
-        raise InputError("name a LOG or a PLAN, or a procedure of the thesis with --thesis")
+        raise InputError("name a LOG or a PLAN; --example or --thesis writes a plan to begin with")
     if output is not None:
-        raise InputError("--output is for --thesis; save proposed traverses with --json")
+        raise InputError("--output is for --thesis and --example; save proposed traverses with --json")
     check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until})
     check_chart(chart)
     if is_plan(source):
@@ -277,15 +313,19 @@ def plan(
         campaign = load_log(source, machine, since, until)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
-    print("\n\n".join(filter(None, [advice.text, "\n".join(saved)])))
+    show(advice.summary, Display(full, csv, latex, source), saved)
 
 
-def write_thesis_plan(procedure: ThesisPlan, output: Path | None) -> None:
-    """Write a plan of the thesis, or print it."""
+def plan_template(name: str) -> str:
+    """The text of a plan of the thesis, or of the example."""
     from importlib.resources import files
 
-    template = files("stickslip_fit").joinpath("templates", f"plan_{procedure}.toml")
-    text = template.read_text("utf-8")
+    return files("stickslip_fit").joinpath("templates", f"plan_{name}.toml").read_text("utf-8")
+
+
+def write_template(name: str, output: Path | None) -> None:
+    """Write a plan, or print it."""
+    text = plan_template(name)
     if output is None:
         print(text, end="")
     else:
@@ -301,7 +341,6 @@ def diagnose_with_progress(
     own_causes: tuple[Cause, ...] = (),
 ) -> Diagnosis:
     """Diagnose a log, with a progress bar at a terminal; candidates are one's own causes, too."""
-    from stickslip_fit._io import show_progress
     from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
@@ -345,9 +384,9 @@ NEXT_SCHEMA = "stickslip-fit/next/1"
 
 @dataclass(frozen=True, eq=False)
 class PlanAdvice:
-    """Printed text, JSON content, and the figure of a plan."""
+    """Its summary, JSON content, and the figure of a plan."""
 
-    text: str
+    summary: Summary
     content: dict[str, Any]
     draw: Callable[[], Figure] | None = None
 
@@ -372,7 +411,8 @@ def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] 
     from stickslip_fit.diagnosis._json import traverse_to_json
     from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 
-    diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False)
+    with show_progress() as progress:
+        diagnosis = diagnose(log, laws=laws, alpha=alpha, seed=seed, gain=False, progress=progress)
     traverses = next_experiment(diagnosis)
     inseparable = find_inseparable_pairs(diagnosis.findings, traverses)
     suggestions = suggest_traverses(diagnosis)
@@ -392,7 +432,7 @@ def advise_after_log(log: Log, alpha: float, seed: int, laws: Mapping[int, Any] 
             for suggestion in suggestions
         ],
     }
-    return PlanAdvice(str(summarize_next(diagnosis, traverses, inseparable, suggestions)), content)
+    return PlanAdvice(summarize_next(diagnosis, traverses, inseparable, suggestions), content)
 
 
 def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: float, seed: int) -> PlanAdvice:
@@ -414,7 +454,7 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
         return plot_separability(separability, SHOWN_AT)
 
     summary = summarize_plan(separability, plan.name, len(problem), len(plan.sessions))
-    return PlanAdvice(str(summary), {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
+    return PlanAdvice(summary, {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
 
 
 def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:

@@ -44,11 +44,13 @@ from stickslip_fit.cli._options import (
     parse_repeatabilities,
     parse_tip_position,
 )
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from stickslip_fit._summary import Summary
     from stickslip_fit.bayes import Posterior
     from stickslip_fit.causes import Cause
     from stickslip_fit.estimation import Result
@@ -114,10 +116,10 @@ def result_path(tree: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A result, its printed text, by Bayes the posterior, and the fit whose sessions are compared."""
+    """A result, its summary, by Bayes the posterior, and the fit whose sessions are compared."""
 
     result: Result
-    text: str
+    summary: Summary
     posterior: Posterior | None = None
     comparable: ComparableFit | None = None
 
@@ -154,6 +156,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     from stickslip_fit.estimation.noise import Gaussian, StudentT
     from stickslip_fit.estimation.prediction import format_latest_control, has_order, latest_control
     from stickslip_fit.estimation.profile import make_comparable
+    from stickslip_fit.estimation.scatter import describe_excess_scatter
     from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
@@ -182,13 +185,15 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
         if comparable.note:
             control = format_latest_control(latest_control(comparable.fit))
             summary = replace(summary, headline=(f"{control}\n{comparable.note}",))
+    if hint := describe_excess_scatter(log, result):
+        summary = replace(summary, headline=(hint, *summary.headline))
     if options.profile:
         from stickslip_fit.estimation._summary import profile_section
         from stickslip_fit.estimation.least_squares import profile_intervals
 
         profile = profile_section(profile_intervals(log, result))
         summary = replace(summary, sections=(*summary.sections, profile))
-    return Estimate(result, str(summary), comparable=comparable)
+    return Estimate(result, summary, comparable=comparable)
 
 
 def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = ()) -> tuple[Cause, ...]:
@@ -208,7 +213,11 @@ def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = (
     missing["end-stop-misfire"] = "it changes no expected count; misfires are met by --heavy-tails"
     names = list(dict.fromkeys(names))
     issues = [
-        InputIssue(missing.get(name, "is no cause that is known"), column="--cause", value=name)
+        InputIssue(
+            missing.get(name, f"is no cause that is known{suggest(name, known)}"),
+            column="--cause",
+            value=name,
+        )
         for name in names
         if name not in known or name in missing
     ]
@@ -257,7 +266,7 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     )
     summary = posterior.summary()
     summary = replace(summary, sections=(*summary.sections, checks_section(posterior)))
-    return Estimate(posterior.result, str(summary), posterior)
+    return Estimate(posterior.result, summary, posterior)
 
 
 def plan_move(
@@ -276,11 +285,14 @@ def plan_move(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Compute the steps that take the tip to a position, or the joints."""
     from stickslip_fit import moves
     from stickslip_fit.machine import nearest_solution
-    from stickslip_fit.reporting.moves import format_move
+    from stickslip_fit.reporting.moves import summarize_move
 
     arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     start = parse_positions(at, "--at")
@@ -290,8 +302,9 @@ def plan_move(
         target = nearest_solution(arm.machine, parse_tip_position(tip, "--tip"), start)
     else:
         target = parse_positions(str(joints), "--joints")
-    print(format_move(arm, moves.plan_move(arm, start, target, parse_joint_order(order, "--order"))))
-    print_conditions(arm.result, arm.conditions)
+    move = moves.plan_move(arm, start, target, parse_joint_order(order, "--order"))
+    summary = with_conditions(summarize_move(arm, move), arm.result, arm.conditions)
+    show(summary, Display(full, csv, latex, calibration))
 
 
 def dead_reckon(
@@ -309,25 +322,29 @@ def dead_reckon(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
     from stickslip_fit import moves
-    from stickslip_fit.reporting.moves import format_pose
+    from stickslip_fit.reporting.moves import summarize_pose
     from stickslip_fit.units import to_si
 
     arm = load_arm(calibration, machine, session, theta, psi, condition, law)
     drives = [parse_drive(text, "--drive") for text in drive]
     pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
-    print(format_pose(arm, pose, to_si(tolerance, "µm")))
-    print_conditions(arm.result, arm.conditions)
+    summary = with_conditions(summarize_pose(arm, pose, to_si(tolerance, "µm")), arm.result, arm.conditions)
+    show(summary, Display(full, csv, latex, calibration))
 
 
-def print_conditions(result: Result, conditions: Mapping[str, float]) -> None:
-    """Print the conditions that an extended law was evaluated at, if any."""
+def with_conditions(summary: Summary, result: Result, conditions: Mapping[str, float]) -> Summary:
+    """The summary, and at its end the conditions that an extended law was evaluated at, if any."""
+    from stickslip_fit._summary import Section
     from stickslip_fit.moves.arm import describe_conditions
 
-    if text := describe_conditions(result, conditions, "--condition"):
-        print("\n" + text)
+    text = describe_conditions(result, conditions, "--condition")
+    return replace(summary, sections=(*summary.sections, Section(paragraphs=(text,)))) if text else summary
 
 
 def calibrate(
@@ -340,10 +357,14 @@ def calibrate(
     causes_from: CausesFrom = None,
     json: Json = None,
     chart: Chart = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
-    _fit_and_print((log, machine, since, until, sheet), law, options, FitOutputs(json, chart))
+    outputs = FitOutputs(json, chart)
+    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
 
 
 def fit(
@@ -390,12 +411,16 @@ def fit(
         typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads."),
         Output(beside=(result_path,)),
     ] = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
-    _fit_and_print((log, machine, since, until, sheet), law, options, FitOutputs(json, chart, tree))
+    outputs = FitOutputs(json, chart, tree)
+    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
 
 
 def predict(
@@ -408,12 +433,15 @@ def predict(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Predict the counts of a plan's traverses, with 95 % intervals."""
     from stickslip_fit._io import write_atomically
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.moves.prediction import predict
-    from stickslip_fit.reporting.moves import format_predictions, predictions_csv
+    from stickslip_fit.reporting.moves import predictions_csv, summarize_predictions
 
     fitted, result = load_fit(calibration, machine, law)
     planned = read_plan(plan, result.machine)
@@ -421,17 +449,17 @@ def predict(
     predicted = predict(fitted, planned, session, conditions)
     if output is not None:
         write_atomically(output, predictions_csv(planned, predicted))
-    print(format_predictions(result, planned, predicted))
-    print_conditions(result, conditions)
-    if output is not None:
-        print(f"\nall {len(predicted):,} written to {output}")
+    summary = with_conditions(summarize_predictions(result, planned, predicted), result, conditions)
+    saved = [f"all {len(predicted):,} written to {output}"] if output is not None else []
+    show(summary, Display(full, csv, latex, [*calibration, plan]), saved)
 
 
-def _fit_and_print(
+def _fit_and_show(
     source: tuple[list[Path], Path | None, str | None, str | None, str | None],
     law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,
+    display: Display,
 ) -> None:
     check_fit_options(options, outputs)
     log = load_log(*source)
@@ -439,4 +467,4 @@ def _fit_and_print(
     check_savable(log, options.laws, outputs.json or outputs.tree)
     estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)
-    print("\n\n".join(filter(None, [estimate.text, "\n".join(saved)])))
+    show(estimate.summary, display, saved)

@@ -1,4 +1,4 @@
-"""Commands on logs: check, simulate, sheet, report, demo."""
+"""Commands on logs: check, simulate, sheet, report."""
 
 from __future__ import annotations
 
@@ -22,14 +22,12 @@ from stickslip_fit.cli._options import (
     Until,
     command_line,
     default_output,
-    has_browser,
     load_causes,
     load_law_values,
     load_laws,
     load_log,
-    parse_path,
-    reference_campaign,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
@@ -40,9 +38,16 @@ def check(
     since: Since = None,
     until: Until = None,
     sheet: Sheet = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Check a log for faults and summarize it."""
-    print(load_log(log, machine, since, until, sheet).summary())
+    summary = load_log(log, machine, since, until, sheet).summary()
+    following = (
+        f"What is wrong with it, if anything: {shlex.join(['stickslip-fit', 'diagnose', *map(str, log)])}"
+    )
+    show(summary, Display(full, csv, latex, log), [following])
 
 
 def simulate(
@@ -136,36 +141,3 @@ def report(
         )
     page.save(wanted)
     print(f"report written to {wanted}")
-
-
-def demo(
-    log: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG", parser=parse_path, help="The reference campaign without it."),
-        INPUT,
-    ] = None,
-    machine: MachinePath = None,
-    browse: Annotated[bool, typer.Option(help="Open the report in a browser where there is one.")] = True,
-) -> None:
-    """Check, calibrate and report the reference campaign, or a log."""
-    from stickslip_fit.estimation import fit_closed_form
-    from stickslip_fit.reporting import report as make_report
-
-    chosen = log or [reference_campaign()]
-    campaign = load_log(chosen, machine)
-    print(campaign.summary())
-    calibration = fit_closed_form(campaign, command=command_line())
-    print(f"\n{calibration}")
-    written = default_output(chosen).resolve()
-    with show_progress() as progress:
-        page = make_report(
-            campaign, calibration=calibration, sections=(), command=command_line(), progress=progress
-        )
-    page.save(written)
-    print(f"\nreport written to {written}")
-    whole = shlex.join(["stickslip-fit", "report", *map(str, chosen)])
-    print(f"with diagnosis and comparison of strategies: {whole}")
-    if browse and has_browser():
-        import webbrowser
-
-        webbrowser.open(written.as_uri())

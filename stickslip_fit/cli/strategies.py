@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from stickslip_fit._io import make_folder, show_progress
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     LawNames,
@@ -22,6 +23,7 @@ from stickslip_fit.cli._options import (
     load_laws,
     load_log,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
@@ -61,6 +63,9 @@ def compare(
     since: Since = None,
     until: Until = None,
     sheet: Sheet = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
@@ -92,16 +97,22 @@ def compare(
     if causes_from is not None:
         known = causes_from_result(campaign, load_result(causes_from, load_causes(law), laws=laws))
         strategies += default_strategies_with_causes(known, more)
-    comparison = compare_strategies(
-        campaign, strategies, laws=laws, session_selector=session_selector, command=command_line()
-    )
-    texts = [comparison.summary().as_text(full=True)]
+    with show_progress() as progress:
+        comparison = compare_strategies(
+            campaign,
+            strategies,
+            laws=laws,
+            session_selector=session_selector,
+            command=command_line(),
+            progress=progress,
+        )
+    saved = []
     if numbers is not None:
-        texts.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
+        saved.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
     if chart is not None:
         write_figure(plot_pareto(comparison), chart, "pareto")
-        texts.append(f"chart written to {chart}")
-    print("\n\n".join(texts))
+        saved.append(f"chart written to {chart}")
+    show(comparison.summary(), Display(full, csv, latex, log), saved)
 
 
 def study(
@@ -121,6 +132,9 @@ def study(
         int | None, typer.Option(min=1, help="Processes on this machine; one a core without it.")
     ] = None,
     machine: MachinePath = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Simulate campaigns with hidden causes, and compare how strategies cope with them.
 
@@ -132,7 +146,6 @@ def study(
     from stickslip_fit.machine import load_machine
     from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_study_errors, plot_study_tips
-    from stickslip_fit.strategies.compare import make_folder
     from stickslip_fit.studies import Cluster, Cores, read_study, run_study, save_study
 
     if cluster is not None and workers is not None:
@@ -155,4 +168,4 @@ def study(
     for name, plot in charts.items():
         write_figure(plot(result), folder / f"{name}.png", name)
     saved = f"{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}"
-    print(f"{result}\n\n{saved}")
+    show(result.summary(), Display(full, csv, latex, [plan]), [saved])

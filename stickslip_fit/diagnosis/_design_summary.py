@@ -18,6 +18,7 @@ from stickslip_fit.units import from_si
 
 SHOWN_AT = 8.0  # strength for the rates of confusion
 MAX_PAIRS = 20
+ON_SCREEN = slice(0, 10)  # rows of a long table
 
 
 def summarize_next(
@@ -104,7 +105,7 @@ def _sizes_table(matrix: SeparabilityMatrix) -> Table:
         for one in matrix.detectable
     )
     columns = (*words("cause"), *map(Column, ("found from", "largest plausible", "hardest rival")))
-    return Table("Detectable causes", columns, rows, note=_explain_sizes(matrix))
+    return Table("Detectable causes", columns, rows, note=_explain_sizes(matrix), short=ON_SCREEN)
 
 
 def _hardest_rival(matrix: SeparabilityMatrix, cause: str) -> str:

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import (
-    MINUS,
     MISSING,
     capitalize_first,
     format_angle,
@@ -55,6 +54,7 @@ from stickslip_fit.units import PRISMATIC
 MAX_UNTESTABLE_NAMED = 4
 MIN_PROBABILITY, MAX_RANKED, MAX_TRAVERSES = 0.015, 10, 20
 LN_10 = np.log(10.0)
+MAX_POWER = 6  # of ten, of a Bayes factor that is written out
 
 
 def describe_effect(finding: Finding) -> str:
@@ -125,7 +125,7 @@ def describe_untestable(diagnosis: Diagnosis) -> str:
     if len(names) > MAX_UNTESTABLE_NAMED:
         first = names[: MAX_UNTESTABLE_NAMED - 1]
         names = [*first, f"{len(names) - len(first)} others"]
-    return f"It could not have shown {join_words(names)}; the reasons are below."
+    return f"It could not have shown {join_words(names)}."
 
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis) -> str:
@@ -143,7 +143,6 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
         return describe_unknown_gain(finding, diagnosis)
     cure = remedy_for(finding) if not finding.equivalent else ""
     law = "" if finding.cause == MISFIRE else "the extended law"
-    what = capitalize_first(f"{cure}, or {law}," if cure and law else cure or law)
     gain = diagnosis.gain
     if gain is None or gain.extended >= gain.baseline:
         cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
@@ -152,6 +151,8 @@ def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
             "cuts the prediction error on held-out traverses from "
             f"{format_percent(gain.baseline)} to {format_percent(gain.extended)}"
         )
+    choices = " or ".join(filter(None, [f"{cure}," if cure and law else cure, law]))
+    what = f"Remedy: {choices}, which" if cure else capitalize_first(law)
     following = ""
     if finding.equivalent and diagnosis.next_experiment:
         following = " The traverses that would separate them are below."
@@ -219,10 +220,7 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
         )
         for finding in diagnosis.findings
     )
-    note = (
-        "Effect: rms over all rows of what the cause does to the count, beyond what recalibration absorbs. "
-        "p: the chance of anything as far off, anywhere that was searched, if nothing were wrong."
-    )
+    note = "Effect on the counts, beyond what recalibration absorbs. p: of any alarm, if nothing were wrong."
     outliers = [
         _outliers_table(finding.traverses) for finding in diagnosis.findings if finding.traverses is not None
     ]
@@ -306,8 +304,7 @@ def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
     heads = (baseline_name(diagnosis), "extended law", "gain", "95 % interval", "noise floor")
     columns = (Column("predicted", text=True), *(Column(head, "%") for head in heads))
     note = (
-        "Rms error of the step size on traverses that took no part in choosing or fitting anything. The "
-        "interval is for a fresh replicate of this campaign; the noise floor includes the rounding of counts."
+        "Rms error of the step size on held-out traverses. Interval: for a fresh replicate of this campaign."
     )
     return [Table("What the extended law gains", columns, rows, note=note)]
 
@@ -341,20 +338,32 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
 def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
     """The likeliest causes, or no table."""
     ranked = [row for row in rank_causes(diagnosis) if row[1] >= MIN_PROBABILITY][:MAX_RANKED]
-    columns = (
-        Column("cause", text=True),
-        Column("probability", "%"),
-        Column("odds against chance", "powers of ten"),
-    )
+    columns = (Column("cause", text=True), Column("probability", "%"), Column("Bayes factor"))
     rows = tuple(
-        (
-            cause,
-            f"{100 * probability:.0f}" if probability < 0.995 else "> 99",
-            f"{odds:.1f}".replace("-", MINUS) if np.isfinite(odds) else MISSING,
-        )
-        for cause, probability, odds in ranked
+        (cause, f"{100 * probability:.0f}" if probability < 0.995 else "> 99", format_bayes_factor(power))
+        for cause, probability, power in ranked
     )
-    return [Table("Candidate causes", columns, rows)] if rows else []
+    note = "Bayes factor: how much likelier the log is with the cause than with noise alone."
+    unlikely = not diagnosis.findings
+    return [Table("Candidate causes", columns, rows, note=note, folded=unlikely)] if rows else []
+
+
+def format_bayes_factor(power: float) -> str:
+    """A Bayes factor of which the decimal logarithm is given; none is believed beyond a million.
+
+    Examples
+    --------
+    >>> [format_bayes_factor(power) for power in (240.7, 1.26, -0.4, -9.0)]
+    ['> 10^6', '18', '0.4', '< 0.01']
+    """
+    if not np.isfinite(power):
+        return MISSING
+    if power > MAX_POWER:
+        return f"> 10^{MAX_POWER}"
+    if power < -2:
+        return "< 0.01"
+    value = 10.0**power
+    return f"{value:.2g}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}"
 
 
 def traverses_table(caption: str, traverses: Sequence[NextTraverse]) -> list[Table]:

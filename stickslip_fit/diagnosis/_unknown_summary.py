@@ -215,9 +215,18 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     test = describe_test(finding, diagnosis)
     what = "term" if finding.term else "function"
     return (
-        f"{test + ' ' if test else ''}The {what} is a proposal, no cause: find out what it stands for, and "
-        f"log that as a column of its own. Meanwhile the extended law has it; {scatter}."
+        f"{test + ' ' if test else ''}What to do: find out what the {what} stands for"
+        f"{_name_closest(finding)}, log that as a column of its own, and diagnose again. Meanwhile the "
+        f"extended law has it; {scatter}."
     )
+
+
+def _name_closest(finding: Finding) -> str:
+    """The known cause that explains most of it, in brackets."""
+    if not finding.explains:
+        return ""
+    closest = max(finding.explains, key=lambda cause: finding.explains[cause])
+    return f" (the closest known cause, {closest}, explains {100 * finding.explains[closest]:.0f} % of it)"
 
 
 def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
@@ -226,6 +235,9 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     if diagnosis.table is not None or not carriers:
         return ""
     if getattr(finding.version, "common", 0.0):
+        gain = diagnosis.gain_new_session
+        if gain is not None and gain.extended >= gain.baseline:
+            return "It predicts within its session only: another session is predicted no better."
         return (
             "What the sessions have in common predicts another session, too; the rest predicts its own only."
         )

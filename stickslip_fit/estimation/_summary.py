@@ -40,10 +40,10 @@ FLAGS = {
 
 @summarize.register
 def summarize_fit(result: Result) -> Summary:
-    """Latest session, flags, the parameters of every joint by session and direction, those of causes."""
+    """Latest session, flags, the parameters of causes, of every joint by session and direction."""
     files = file_names(list(result.provenance.log_files))
     method = capitalize_first(result.method.replace("-", " "))
-    tables = [*(_parameters(result, joint) for joint in result.joints), *departures_tables(result)]
+    tables = [*departures_tables(result), *(_parameters(result, joint) for joint in result.joints)]
     return Summary(
         title=f"{method} fit of {files}" if files else f"{method} fit",
         headline=(format_latest_control(latest_control(result)) if has_order(result) else NO_ORDER,),
@@ -102,7 +102,10 @@ def _parameters(result: Result, joint: int) -> Table:
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     note = " ".join(filter(None, ["± one standard error.", _scatter(fit), latest(len(sessions))]))
-    return Table(f"Parameters of {joint_name(joint, result.machine)}", columns, rows, stubs=2, note=note)
+    last = fit.groups["session"].iloc[-1]
+    own = int((fit.groups["session"] == last).sum()) + shared.any() * fit.groups["direction"].nunique()
+    caption = f"Parameters of {joint_name(joint, result.machine)}"
+    return Table(caption, columns, rows, stubs=2, note=note, short=slice(-own, None))
 
 
 def _row(fit: JointFit, session: str | None, direction: str, table: pd.DataFrame) -> tuple[str, ...]:

@@ -404,7 +404,8 @@ def _session_table(log: Log) -> Table:
                 *(f"{(rows['status'] == name).sum():,}" for name in NOT_FITTED),
             )
         )
-    return Table("Sessions and traverses", columns, tuple(body), note=latest(len(log.sessions)))
+    note = latest(len(log.sessions))
+    return Table("Sessions and traverses", columns, tuple(body), note=note, short=slice(-3, None))
 
 
 def _coverage_table(log: Log) -> Table | None:

@@ -10,14 +10,17 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import (
+    MISSING,
+    capitalize_first,
     format_configuration,
     format_direction,
     format_plain,
     format_value,
     pluralize,
+    typeset_text,
 )
 from stickslip_fit._io import write_atomically
-from stickslip_fit._summary import text_table
+from stickslip_fit._summary import Section, Summary, Table, numbers, words
 from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
 from stickslip_fit.logs.plan import Plan, build_sheet
@@ -26,57 +29,47 @@ from stickslip_fit.moves.arm import Z_95
 from stickslip_fit.units import PRISMATIC, from_si
 
 
-def format_move(arm: CalibratedArm, move: MovePlan) -> str:
-    """The segments of a move, and where the tip ends."""
+def summarize_move(arm: CalibratedArm, move: MovePlan) -> Summary:
+    """The drives of a move, and where the tip ends."""
     if not move.segments:
-        return "the joints are there already: nothing to drive"
-    rows = [
-        [
-            f"{segment.joint} {segment.direction}",
-            format_joint_value(segment.joint, segment.start),
-            format_joint_value(segment.joint, segment.stop),
-            f"{segment.steps:,}",
-            f"{segment.low:,.0f} to {segment.high:,.0f}",
-            format_joint_error(segment.joint, segment.error),
-        ]
-        for segment in move.segments
-    ]
-    header = ["joint", "from", "to", "steps", "95 % of moves need", "ends within ±"]
-    return "\n".join(
-        [
-            _calibration_heading(arm),
-            "",
-            text_table(header, rows),
-            "",
-            f"tip at {format_tip(move.tip)}; known to ± {_format_micrometres(Z_95 * move.tip_error)} (95 %)",
-            "drive the joints in this order: a step depends on where the other joints stand",
-        ]
+        return Summary("Move", ("The joints are there already: nothing to drive.",))
+    rows = tuple(
+        (
+            f"{drive.joint} {format_direction(drive.direction)}",
+            format_joint_value(drive.joint, drive.start),
+            format_joint_value(drive.joint, drive.stop),
+            f"{drive.steps:,}",
+            f"{drive.low:,.0f} to {drive.high:,.0f}",
+            format_joint_error(drive.joint, drive.error),
+        )
+        for drive in move.segments
     )
+    heads = ("from", "to", "steps", "95 % of moves need", "ends within ±")
+    note = "Drive in this order: a step depends on where the other joints stand."
+    table = Table("Drives", (*words("joint"), *numbers(*heads)), rows, note=note)
+    answer = f"Tip at {format_tip(move.tip)}; known to ± {_format_micrometres(Z_95 * move.tip_error)} (95 %)."
+    return Summary("Move", (answer, _calibration_heading(arm)), (Section(tables=(table,)),))
 
 
-def format_pose(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> str:
+def summarize_pose(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Summary:
     """Where joints and tip are, and how far one may go on before going back to a stop."""
-    rows = [
-        [
+    rows = tuple(
+        (
             f"q{joint}",
             format_joint_value(joint, at.q[joint - 1]),
             format_joint_error(joint, at.q_error[joint - 1]),
             "at its stop" if joint in at.at_stop else "",
-        ]
-        for joint in arm.machine.ranges
-    ]
-    lines = [
-        _calibration_heading(arm),
-        "",
-        text_table(["joint", "stands at", "known to ±", ""], rows),
-        "",
-        f"tip at {format_tip(at.tip)}; known to ± {_format_micrometres(Z_95 * at.tip_error)} (95 %)",
-    ]
-    if Z_95 * at.tip_error > tolerance:
-        return "\n".join(
-            [*lines, f"that is more than {_format_micrometres(tolerance)}: go back to a stop now"]
         )
-    return "\n".join([*lines, "", *_describe_range(arm, at, tolerance)])
+        for joint in arm.machine.ranges
+    )
+    columns = (*words("joint"), *numbers("stands at", "known to ±"), *words(""))
+    tables = [Table("Joints (95 %)", columns, rows)]
+    answer = f"Tip at {format_tip(at.tip)}; known to ± {_format_micrometres(Z_95 * at.tip_error)} (95 %)."
+    if Z_95 * at.tip_error > tolerance:
+        answer += f" That is more than {_format_micrometres(tolerance)}: go back to a stop now."
+    else:
+        tables.append(_range_table(arm, at, tolerance))
+    return Summary("Position", (answer, _calibration_heading(arm)), (Section(tables=tuple(tables)),))
 
 
 def format_tip(tip: np.ndarray) -> str:
@@ -95,37 +88,39 @@ def format_joint_error(joint: int, error: float) -> str:
     return format_value(Z_95 * float(error), unit, 2)
 
 
-def _describe_range(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> list[str]:
-    lines = [f"within {_format_micrometres(tolerance)} (95 %) you may go on for"]
+def _range_table(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Table:
+    """How many steps each joint may go on for in each direction."""
     sessions = {
         (joint, direction)
         for joint, fit in arm.result.joints.items()
         for session, direction in zip(fit.groups["session"], fit.groups["direction"], strict=True)
         if session == arm.session
     }
+    rows = []
     for joint, direction in sorted(sessions):
         further = steps_before_recalibration(arm, at, joint, direction, tolerance)
         text = "all the way to its stop" if further is None else f"{further:,} steps, then go back to a stop"
-        lines.append(f"  joint {joint} {direction}  {text}")
-    return lines
+        rows.append((f"joint {joint} {format_direction(direction)}", text))
+    caption = f"How far each may go on, within {_format_micrometres(tolerance)} (95 %)"
+    return Table(caption, words("joint", "for"), tuple(rows))
 
 
 def _calibration_heading(arm: CalibratedArm) -> str:
     theta, psi = (format_value(angle, "deg", 1) for angle in (arm.theta, arm.psi))
-    return f"calibration of session {arm.session}; base at theta = {theta}, psi = {psi}"
+    return typeset_text(f"Calibration of session {arm.session}; base at theta = {theta}, psi = {psi}.")
 
 
 def _format_micrometres(value: float) -> str:
     return format_value(value, "µm", 2)
 
 
-MAX_ROWS = 40
+ON_SCREEN = slice(0, 14)  # rows of a long table
 NEW_SESSION = "a session to come"
 STEP_SIZES = {"step_size_nm": "nm", "step_size_urad": "µrad"}
 
 
-def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> str:
-    """The first traverses of a plan with their counts, and why some have no interval.
+def summarize_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> Summary:
+    """The traverses of a plan with their counts, and why some have no interval.
 
     Parameters
     ----------
@@ -136,23 +131,28 @@ def format_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> s
         As `fit.predict.predict` returns it.
     """
     rows = plan.rows()
-    both = pd.concat([rows, predicted], axis=1).head(MAX_ROWS)
-    cells = [
-        [
+    cells = tuple(
+        (
             shorten(str(row["session"]), 20),
-            f"{row['joint']} {row['direction']}",
+            f"{row['joint']} {format_direction(row['direction'])}",
             format_configuration(row, result.machine),
             f"{row['steps']:,.0f}",
-            f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else "–",
+            f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else MISSING,
             f"{row['step_size']:,.2f} {row['unit']}",
-        ]
-        for _, row in both.iterrows()
-    ]
-    header = ["session", "joint", "configuration", "steps", "95 % of counts", "step size"]
-    lines = [_predictions_heading(plan, predicted), "", text_table(header, cells, left=3)]
-    if len(rows) > MAX_ROWS:
-        lines.append(f"(the first {MAX_ROWS} of {len(rows):,} traverses; -o writes them all)")
-    return "\n".join([*lines, *_without_interval(result, rows, predicted)])
+        )
+        for _, row in pd.concat([rows, predicted], axis=1).iterrows()
+    )
+    columns = (
+        *words("session", "joint", "configuration"),
+        *numbers("steps", "95 % of counts", "step size"),
+    )
+    table = Table("Predicted counts", columns, cells, stubs=3, short=ON_SCREEN)
+    return Summary(
+        plan.name,
+        (_predictions_heading(plan, predicted),),
+        (Section(tables=(table,)),),
+        flags=tuple(_without_interval(result, rows, predicted)),
+    )
 
 
 def predictions_csv(plan: Plan, predicted: pd.DataFrame) -> str:
@@ -171,7 +171,10 @@ def _predictions_heading(plan: Plan, predicted: pd.DataFrame) -> str:
     sources = [
         f"session {shorten(name, 30)}" if name else NEW_SESSION for name in predicted["calibration"].unique()
     ]
-    return f"{plan.name}: counts as they will be noted, by the calibration of {', '.join(sources)}"
+    number = pluralize(len(predicted), "traverse")
+    return (
+        f"{plan.name}: counts of {number} as they will be noted, by the calibration of {', '.join(sources)}."
+    )
 
 
 def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:
@@ -181,7 +184,7 @@ def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFram
         for j, direction in rows.loc[predicted["low"].isna(), ["joint", "direction"]].to_numpy()
     }
     messages = [
-        f"! {flag.message}"
+        capitalize_first(flag.message)
         for flag in result.flags
         if (flag.joint, flag.direction) in bare and flag.flag == "few_replicates"
     ]

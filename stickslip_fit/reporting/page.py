@@ -30,7 +30,7 @@ from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomicall
 from stickslip_fit._summary import Section, Summary, Table, embed_json, load_page_assets, load_template
 from stickslip_fit._typing import Array
 from stickslip_fit.anova import Anova, analyze_variance
-from stickslip_fit.anova._summary import CAUTIONS, sentences_by_joint
+from stickslip_fit.anova._summary import sentences_by_joint
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
@@ -444,18 +444,16 @@ def _scale_to_integers(values: Array, per: float) -> list[int | None]:
 
 
 def make_anova_section(anova: Anova) -> Summary:
-    """An analysis of variance, each joint's sentences and figures beside its tables."""
-    summary, sentences = anova.summary(), sentences_by_joint(anova)
+    """An analysis of variance, each joint's figures beside its tables."""
+    summary, joints = anova.summary(), sentences_by_joint(anova)
+    joint_of = {capitalize_first(joint_name(joint, anova.machine)): joint for joint in joints}
     sections = [
-        replace(
-            section,
-            paragraphs=tuple(map(typeset_text, sentences[joint])),
-            figures=tuple(factor_pictures(joint, anova.factor_tests)),
-        )
-        for joint, section in zip(sentences, summary.sections, strict=False)
+        replace(section, figures=tuple(factor_pictures(joint_of[section.title], anova.factor_tests)))
+        if section.title in joint_of
+        else section
+        for section in summary.sections
     ]
-    cautions = [section for section in summary.sections if section.title == CAUTIONS]
-    return replace(summary, headline=(), sections=(*sections, *cautions))
+    return replace(summary, headline=(), sections=tuple(sections))
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:

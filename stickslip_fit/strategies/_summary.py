@@ -49,14 +49,36 @@ def compare_with_best(comparison: Comparison, joint: int) -> tuple[str, pd.DataF
 
 
 def write_headline(comparison: Comparison, joint: int) -> str:
-    """The answer in a few sentences."""
+    """The strategy with the least error, and the cheapest one that is sure to be as good."""
+    best, others = compare_with_best(comparison, joint)
+    error, minutes = _errors(comparison, joint)[best], _minutes(comparison, joint)
+    text = f"least error by {best} ({format_percent(error)} rms, {minutes[best]:.0f} min a session)"
+    caution = ""
+    if comparison.unit(joint) != SESSION_UNIT:
+        caution = " Intervals are over its configurations, since there is one session."
+    if not len(others):
+        return f"{text}.{caution}"
+    cheapest, scatter = _find_cheapest(comparison, joint)
+    if cheapest == best:
+        return (
+            f"{text}; no cheaper one is sure to come within a traverse's scatter "
+            f"({format_percent(scatter)}).{caution}"
+        )
+    return (
+        f"{text}; cheapest that is sure to come within a traverse's scatter ({format_percent(scatter)}) of "
+        f"it: {cheapest} ({minutes[cheapest]:.0f} min).{caution}"
+    )
+
+
+def describe_joint(comparison: Comparison, joint: int) -> str:
+    """What was predicted, what limits the comparison, and its answer in a few sentences."""
     best, others = compare_with_best(comparison, joint)
     shared, sessions = comparison.shared, comparison.sessions(joint)
     traverses = shared.loc[shared["joint"] == joint, "traverse"].nunique()
     own = f"{len(sessions)} sessions" if len(sessions) > 1 else f"the one session {sessions[0]}"
-    noise = {direction: value for (of, direction), value in comparison.repeatability.items() if of == joint}
     repeat = " and ".join(
-        f"{format_value(value, '%', 2)} ({direction})" for direction, value in noise.items()
+        f"{format_value(value, '%', 2)} ({direction})"
+        for direction, value in _scatter(comparison, joint).items()
     )
     sentences = [f"Traverses predicted: {traverses:,}, of {own}; they repeat to {repeat}."]
     if comparison.unit(joint) != SESSION_UNIT:
@@ -71,27 +93,73 @@ def write_headline(comparison: Comparison, joint: int) -> str:
             f"So few sessions show only large differences{multiplicity}; the intervals of single "
             "differences show more."
         )
-    minutes = _rows_of_joint(comparison.cost(), joint).set_index("strategy")["seconds"] / 60
+    minutes = _minutes(comparison, joint)
     sentences.append(f"Least rms: {best}, {minutes[best]:.0f} min a session.")
     if len(others):
         n_alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
         share = {0: "None of", len(others): "All of"}.get(n_alike, f"{n_alike} of")
         sentences.append(f"{share} the {len(others)} others cannot be told from it on this log.")
-        sentences.append(_describe_cheapest(best, others, minutes, min(noise.values())))
+        sentences.append(_describe_cheapest(comparison, joint, best, others))
     return " ".join(sentences)
 
 
-def _describe_cheapest(best: str, others: pd.DataFrame, minutes: pd.Series, scatter: float) -> str:
+def _scatter(comparison: Comparison, joint: int) -> dict[str, float]:
+    """The repeatability of a traverse in each direction."""
+    return {direction: value for (of, direction), value in comparison.repeatability.items() if of == joint}
+
+
+def _minutes(comparison: Comparison, joint: int) -> pd.Series:
+    """Minutes a session, by strategy."""
+    return _rows_of_joint(comparison.cost(), joint).set_index("strategy")["seconds"] / 60
+
+
+def _errors(comparison: Comparison, joint: int) -> pd.Series:
+    """Relative rms errors, by strategy."""
+    return _rows_of_joint(comparison.accuracy(), joint).set_index("strategy")["rms_relative"]
+
+
+def _find_cheapest(comparison: Comparison, joint: int) -> tuple[str, float]:
     """The cheapest strategy whose difference from the best is below the scatter in its whole interval."""
+    best, others = compare_with_best(comparison, joint)
+    minutes, scatter = _minutes(comparison, joint), min(_scatter(comparison, joint).values())
     equivalent = [best, *others.loc[others["difference_relative_high"] < scatter, "strategy"]]
-    cheapest = min(equivalent, key=lambda name: float(minutes[name]))
+    return min(equivalent, key=lambda name: float(minutes[name])), scatter
+
+
+def _describe_cheapest(comparison: Comparison, joint: int, best: str, others: pd.DataFrame) -> str:
+    cheapest, _ = _find_cheapest(comparison, joint)
     if cheapest == best:
         return "No cheaper one is sure to come within a traverse's scatter of it."
     high = float(others.set_index("strategy").loc[cheapest, "difference_relative_high"])
     return (
         f"The cheapest that is sure to come within a traverse's scatter of it: {cheapest}, "
-        f"{minutes[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of a step more (95 %)."
+        f"{_minutes(comparison, joint)[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of "
+        "a step more (95 %)."
     )
+
+
+SHORT_VERDICTS = {BETTER: "better", WORSE: "worse", INDISTINGUISHABLE: "as good"}
+
+
+def overview_table(comparison: Comparison) -> Table:
+    """Time and error of every strategy, joint beside joint."""
+    cells: dict[str, list[str]] = {name: [] for name in comparison.strategies}
+    columns = [Column("strategy", text=True)]
+    for joint in comparison.joints:
+        best, others = compare_with_best(comparison, joint)
+        verdicts = {} if others.empty else dict(zip(others["strategy"], others["verdict"], strict=True))
+        minutes, errors = _minutes(comparison, joint), _errors(comparison, joint)
+        group = f"joint {joint}"
+        columns += [Column("time", "min", group), Column("rms", "%", group), Column("", "", group, text=True)]
+        for name, row in cells.items():
+            if name in errors:
+                verdict = "best" if name == best else SHORT_VERDICTS.get(verdicts.get(name, ""), "")
+                row += [f"{minutes[name]:.0f}", format_percent(errors[name], with_unit=False), verdict]
+            else:
+                row += [MISSING, MISSING, ""]
+    rows = tuple((name, *row) for name, row in cells.items())
+    note = "Time a session. Rms of errors on held-out traverses. As good: not told from the best on this log."
+    return Table("Strategies", tuple(columns), rows, note=note)
 
 
 def _reverse_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
@@ -124,8 +192,10 @@ def _claims(comparison: Comparison, joint: int) -> tuple[Table, ...]:
 
 @summarize.register
 def summarize_comparison(comparison: Comparison) -> Summary:
-    """Each joint's answer, then its strategies' cost and errors, and what was left out."""
-    sections = [Section(paragraphs=(typeset_text(format_heading(comparison)),))] if comparison.joints else []
+    """Each joint's answer, all strategies in one table, then each joint's, and what was left out."""
+    heading = typeset_text(format_heading(comparison))
+    sections = [Section(tables=(overview_table(comparison),))] if comparison.joints else []
+    sections += [Section("How they are compared", (heading,))] if comparison.joints else []
     for joint in comparison.joints:
         tables = (
             strategies_table(comparison, joint),
@@ -134,18 +204,15 @@ def summarize_comparison(comparison: Comparison) -> Summary:
             worst_table(comparison, joint),
             *_claims(comparison, joint),
         )
-        sections.append(
-            Section(
-                capitalize_first(joint_name(joint, comparison.machine)), tables=tuple(filter(None, tables))
-            )
-        )
+        title = capitalize_first(joint_name(joint, comparison.machine))
+        answer = typeset_text(describe_joint(comparison, joint)).replace("(-)", f"({MINUS})")
+        sections.append(Section(title, (answer,), tuple(filter(None, tables))))
     missing = left_out_table(comparison)
-    answers = [f"Joint {joint}. {write_headline(comparison, joint)}" for joint in comparison.joints]
+    answers = [f"Joint {joint}: {write_headline(comparison, joint)}" for joint in comparison.joints]
     return Summary(
         "Calibration strategies compared",
-        tuple(typeset_text(answer).replace("(-)", f"({MINUS})") for answer in answers)
-        or (typeset_text(format_heading(comparison)),),
-        (*sections, *([Section(tables=(missing,))] if missing else [])),
+        tuple(map(typeset_text, answers)) or (heading,),
+        (*sections, *([Section("Sessions without a calibration", tables=(missing,))] if missing else [])),
         provenance=comparison.provenance.lines(),
     )
 

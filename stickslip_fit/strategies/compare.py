@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import find_source, write_atomically
+from stickslip_fit._io import ProgressCallback, find_source, ignore_progress, make_folder, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.result import AxesArray, Provenance, build_provenance
 from stickslip_fit.laws import Laws, is_published
 from stickslip_fit.logs import Log
@@ -162,6 +162,7 @@ class Comparison(Summarized):
         return _concatenate(parts)
 
 
+EVALUATION_SHARE = 0.7  # of the time
 ALL_STRATEGIES = ""  # in place of a strategy's name, for a reason that holds for all
 NO_SHARED_TRAVERSE = "no traverse is left that none of the strategies calibrates from"
 EXTRA_BOUND_TRAVERSES = 4  # traverses by which the bound goes on after the most that a strategy makes
@@ -174,6 +175,7 @@ def compare_strategies(
     laws: Laws | None = None,
     session_selector: SessionSelector = other_sessions,
     command: str = "",
+    progress: ProgressCallback = ignore_progress,
 ) -> Comparison:
     """Calibrate every session of a log by each strategy, and predict the session's other traverses.
 
@@ -192,6 +194,8 @@ def compare_strategies(
         Which other sessions a session's calibration may use; `earlier_sessions` as on the day.
     command : str, optional
         Kept in the comparison's provenance.
+    progress : callable, optional
+        Called with each step that begins and the share of the work that is done.
 
     Raises
     ------
@@ -206,7 +210,10 @@ def compare_strategies(
         raise InputError(f"strategies need names that differ, and there must be one; these are {names}")
     cases = list(make_cases(log, session_selector, laws))
     handling_time = handling_seconds(log.rows)
-    tables = evaluate_strategies(cases, strategies)
+    tables = evaluate_strategies(
+        cases, strategies, progress=lambda step, done: progress(step, EVALUATION_SHARE * done)
+    )
+    progress("comparing the strategies", EVALUATION_SHARE)
     sessions = find_shared_sessions(tables)
     errors = add_errors(_mark_shared(tables.errors, sessions))
     costs = tables.costs.assign(seconds=tables.costs["seconds"] + handling_time * tables.costs["traverses"])
@@ -324,21 +331,6 @@ def save_tables(
         for suffix, content in ((".csv", table.to_csv(index=False)), (".parquet", stream.getvalue())):
             write_atomically(folder / f"{name}{suffix}", content, sources)
     return paths
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder in an existing one, unless it exists.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made.
-    """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        message = f"cannot be made ({error.strerror}); name a folder in an existing one"
-        raise InputError(InputIssue(message, str(folder))) from None
 
 
 def convert_units(table: pd.DataFrame) -> pd.DataFrame:

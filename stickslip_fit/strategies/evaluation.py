@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.closed_form import MIN_DF
@@ -87,7 +88,11 @@ def make_cases(
                 yield EvaluationCase(task, measured)
 
 
-def evaluate_strategies(cases: Sequence[EvaluationCase], strategies: Sequence[Strategy]) -> EvaluationTables:
+def evaluate_strategies(
+    cases: Sequence[EvaluationCase],
+    strategies: Sequence[Strategy],
+    progress: ProgressCallback = ignore_progress,
+) -> EvaluationTables:
     """Let every strategy calibrate every case and predict the traverses that it did not calibrate from.
 
     Raises
@@ -96,8 +101,9 @@ def evaluate_strategies(cases: Sequence[EvaluationCase], strategies: Sequence[St
         If a strategy chooses what is not offered.
     """
     errors, costs, left_out = [], [], []
-    for case in cases:
+    for done, case in enumerate(cases):
         task = case.task
+        progress("calibrating by each strategy", done / len(cases))
         for strategy in strategies:
             label = (strategy.name, task.session, task.law.joint, task.direction)
             try:

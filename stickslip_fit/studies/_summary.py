@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import (
+    MISSING,
     capitalize_first,
     format_direction,
     format_number,
@@ -29,11 +30,14 @@ MIN_COVERAGE = 0.9  # of stated 95 % intervals
 @summarize.register
 def summarize_study(study: SimulationStudy) -> Summary:
     """Which strategy survives what, joint by joint; where the tip ends; who takes no part."""
-    sections = [Section(paragraphs=(typeset_text(_heading(study)),))]
-    sections += [
-        Section(capitalize_first(joint_name(joint, study.plan.machine)), tables=(_joint_table(study, joint),))
-        for joint in study.joints
+    sections = [
+        Section(tables=(overview_table(study),)),
+        Section("What was simulated", (typeset_text(_heading(study)),)),
     ]
+    for joint in study.joints:
+        answer = typeset_text(describe_study_joint(study, joint))
+        title = capitalize_first(joint_name(joint, study.plan.machine))
+        sections.append(Section(title, (answer,), (_joint_table(study, joint),)))
     tips = study.tips()
     if len(tips):
         sections.append(Section(_tip_title(study), (_tip_answer(tips),), (_tips_table(study, tips),)))
@@ -41,8 +45,8 @@ def summarize_study(study: SimulationStudy) -> Summary:
     plan = study.plan
     return Summary(
         "Calibration strategies in simulation",
-        tuple(typeset_text(f"Joint {joint}. {write_study_headline(study, joint)}") for joint in study.joints),
-        (*sections, *([Section(tables=(left_out,))] if left_out.rows else [])),
+        (_describe_limit(study), *(typeset_text(write_study_headline(study, one)) for one in study.joints)),
+        (*sections, *([Section("Left out", tables=(left_out,))] if left_out.rows else [])),
         provenance=(
             *(
                 (f"scenario {scenario.name}", f"sha256 {plan.sha256(scenario)}")
@@ -152,18 +156,74 @@ def _left_out(study: SimulationStudy) -> Table:
     return Table("Left out", columns, rows)
 
 
-def write_study_headline(study: SimulationStudy, joint: int) -> str:
-    """Which strategies are accurate enough for the lab, in a few sentences.
+def _describe_limit(study: SimulationStudy) -> str:
+    """The limit by which a strategy is accurate enough, as a sentence."""
+    interval = "the upper end of the 95 % interval over campaigns"
+    by = interval if study.plan.campaigns > 1 else "its one campaign"
+    return f"Limit: {100 * study.plan.good_enough:g} % rms (good_enough_pct of the plan), judged by {by}."
 
-    A strategy is accurate enough in a scenario if the upper end of its rms error's 95 % interval is below
-    the limit of the plan; with one campaign, which has no interval, if its rms error is.
+
+def _sufficient(study: SimulationStudy, joint: int) -> tuple[pd.DataFrame, dict[str, list[str]]]:
+    """A joint's accuracy, and by scenario the strategies within the limit, cheapest first.
+
+    That is judged by the upper end of the rms error's 95 % interval; with one campaign, which has no
+    interval, by the rms error.
     """
-    table, limit = _rows_of_joint(study.accuracy(), joint), study.plan.good_enough
-    high = table["rms_relative_high"].fillna(table["rms_relative"])
-    sufficient = table[high <= limit].sort_values("seconds", kind="stable")
-    accurate = {
+    table = _rows_of_joint(study.accuracy(), joint)
+    sufficient = table[_upper_rms(table) <= study.plan.good_enough].sort_values("seconds", kind="stable")
+    return table, {
         name: list(sufficient.loc[sufficient["scenario"] == name, "strategy"]) for name in study.scenarios
     }
+
+
+def _upper_rms(table: pd.DataFrame) -> pd.Series:
+    return table["rms_relative_high"].fillna(table["rms_relative"])
+
+
+def write_study_headline(study: SimulationStudy, joint: int) -> str:
+    """The cheapest strategy that is within the limit in all scenarios, as a sentence."""
+    table, accurate = _sufficient(study, joint)
+    names = [name for name in accurate[study.scenarios[0]] if all(name in each for each in accurate.values())]
+    if not names:
+        return f"Joint {joint}: no strategy is within the limit in every scenario."
+    minutes = float(table.loc[table["strategy"] == names[0], "seconds"].mean()) / 60
+    scenarios = f"all {len(accurate)} scenarios" if len(accurate) > 1 else "the scenario"
+    return (
+        f"Joint {joint}: {len(names)} of {len(study.strategies(joint))} strategies are within the limit in "
+        f"{scenarios}; the cheapest is {names[0]}, {minutes:.0f} min a session."
+    )
+
+
+def overview_table(study: SimulationStudy) -> Table:
+    """Of every strategy in each scenario, the largest error of all joints."""
+    accuracy = study.accuracy()
+    accuracy = accuracy.assign(upper=_upper_rms(accuracy))
+    minutes = accuracy.groupby(["strategy", "joint"])["seconds"].mean().groupby("strategy").sum() / 60
+    rows = []
+    for strategy in dict.fromkeys(accuracy["strategy"]):
+        own = accuracy[accuracy["strategy"] == strategy]
+        cells = []
+        for scenario in study.scenarios:
+            there = own[(own["scenario"] == scenario) & own["upper"].notna()]
+            worst = there.loc[there["upper"].idxmax()] if len(there) else None
+            cells.append(
+                MISSING
+                if worst is None
+                else f"{format_percent(worst['upper'], with_unit=False)} ({int(worst['joint'])})"
+            )
+        rows.append((str(strategy), f"{minutes[strategy]:.0f}", *cells))
+    columns = (
+        Column("strategy", text=True),
+        Column("time", "min"),
+        *(Column(scenario, "% (joint)") for scenario in study.scenarios),
+    )
+    note = "Upper end of the rms error's 95 % interval, of the joint with the largest. Time of all joints."
+    return Table("Largest error by scenario", columns, tuple(rows), note=note)
+
+
+def describe_study_joint(study: SimulationStudy, joint: int) -> str:
+    """Which strategies are accurate enough for the lab, in a few sentences."""
+    (table, accurate), limit = _sufficient(study, joint), study.plan.good_enough
     first, strategies = study.scenarios[0], study.strategies(joint)
     in_all = [name for name in accurate[first] if all(name in names for names in accurate.values())]
     in_none = [name for name in strategies if not any(name in names for names in accurate.values())]

@@ -20,7 +20,7 @@ from pydantic import PlainValidator, ValidationInfo, model_validator
 from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, fault, read_toml
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, suggest
 from stickslip_fit.logs.plan import NoiseKind, Plan
 from stickslip_fit.logs.plan_reader import DRIVES, MAX_REPEATABILITY_PERCENT, Seed, read_plan
 from stickslip_fit.machine import Machine
@@ -230,7 +230,8 @@ class StudyFile(TomlTable):
         known = [strategy.name for strategy in default_strategies(self.more, self.seed)]
         chosen = known if self.strategies is None else self.strategies
         if not chosen or not set(chosen) <= set(known) or len(set(chosen)) < len(chosen):
-            yield f"give a list of different ones of {', '.join(map(repr, known))}", ("strategies",)
+            hint = next((suggest(name, known) for name in chosen if name not in known), "")
+            yield f"give a list of different ones of {', '.join(map(repr, known))}{hint}", ("strategies",)
         names = [scenario.name for scenario in self.scenario]
         if len(set(names)) < len(names):
             yield f"give names that differ; these are {', '.join(names)}", ("scenario",)

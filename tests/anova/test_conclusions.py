@@ -57,7 +57,10 @@ def test_what_to_do_and_what_it_costs_not_to(log_of_readings, readings_of, name)
         name == "direction"
     )
     if name == "day":
-        assert "This log gives no reason for separate parameters: one set for both" in text
+        assert (
+            "This log gives no reason to keep separate parameters for each direction: one set for both"
+            in text
+        )
     else:
         assert "This log gives no reason to recalibrate each session" in text
     assert parts.total.deviation * 1e9 == pytest.approx(step * np.std(range(4), ddof=1), abs=1.0)

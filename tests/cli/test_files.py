@@ -18,7 +18,7 @@ from stickslip_fit.cli._files import INPUT, Input, Output, check_files, path_rol
 from stickslip_fit.errors import InputError
 
 # A new output has its name added here; anything else that is a path is read.
-OUTPUT_NAMES = {"output", "json", "chart", "report", "save_law", "numbers", "tree", "chains"}
+OUTPUT_NAMES = {"output", "json", "chart", "report", "save_law", "numbers", "tree", "chains", "csv", "latex"}
 
 
 @dataclass(frozen=True)

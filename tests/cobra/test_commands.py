@@ -26,13 +26,12 @@ IMPOSSIBLE = re.compile(
 
 def run(command, log, machine, tmp_path):
     command, *more = command.split()
-    if command == "report":
-        more += ["-o", str(tmp_path / f"{log.stem}.html")]
+    more += ["-o", str(tmp_path / f"{log.stem}.html")] if command == "report" else ["--full"]
     result = CliRunner().invoke(app, [command, str(log), "--machine", str(machine), *more])
     if result.exception and not isinstance(result.exception, SystemExit):
         raise result.exception
     assert result.exit_code == 0, (command, log.stem, result.output)
-    return " ".join(result.output.split())
+    return " ".join(result.stdout.split())
 
 
 def check_positioner(number, cut, tmp_path, commands=COMMANDS, every=1):

@@ -55,7 +55,7 @@ def test_a_term_is_proposed_with_its_formula_its_size_and_its_gain(proposed):
         "Joint 3's steps follow something that no known cause describes; a term is proposed: k psi^2, "
         "k = 0.80 ± 0.10 %; it lowers the held-out error from 1.9 % to 0.41 %."
     )
-    assert "The term is a proposal, no cause" in second
+    assert "find out what the term stands for" in second
     text = " ".join(str(shown).split())
     assert "Parameters of what was named or proposed" in text
     assert "unknown: proposed term" in text

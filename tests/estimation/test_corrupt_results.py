@@ -18,7 +18,7 @@ from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
 from stickslip_fit.moves.prediction import predict
-from stickslip_fit.reporting.moves import format_move, format_pose, format_predictions
+from stickslip_fit.reporting.moves import summarize_move, summarize_pose, summarize_predictions
 
 SAVED = Path(__file__).parent / "saved"
 LATEST = SAVED / f"result-{VERSION}.json"
@@ -73,10 +73,10 @@ def use(path, plan):
     """What the commands predict, plan-move, dead-reckon and fit --causes-from do with a saved result."""
     fitted, result = load_fit([path], None)
     str(result.summary())
-    format_predictions(result, plan, predict(fitted, plan))
+    summarize_predictions(result, plan, predict(fitted, plan))
     arm = calibrated_arm(result)
-    format_move(arm, plan_move(arm, LOW, HIGH, (1, 2, 3)))
-    format_pose(arm, dead_reckon(arm, LOW, [DriveCommand(3, "+", 500), DriveCommand(2, "-", 300)]), 1e-5)
+    summarize_move(arm, plan_move(arm, LOW, HIGH, (1, 2, 3)))
+    summarize_pose(arm, dead_reckon(arm, LOW, [DriveCommand(3, "+", 500), DriveCommand(2, "-", 300)]), 1e-5)
 
 
 def refused(path, plan):

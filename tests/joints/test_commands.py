@@ -61,7 +61,7 @@ def test_commands_name_each_joint_by_its_kind(make, tmp_path, name):
     machine, log = make(name)
     kinds = {f"joint {number} ({kind})" for number, (kind, _) in enumerate(MACHINES[name], start=1)}
     for command in ("check", "fit", "calibrate"):
-        text = run(command, machine, log)
+        text = run(command, machine, log, "--full")
         assert {kind for kind in kinds if kind in text} == kinds
         assert "q2 = 0" not in text
     assert "Nothing is wrong" in run("diagnose", machine, log)

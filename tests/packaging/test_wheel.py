@@ -35,7 +35,7 @@ name = "nothing hidden"
 """
 # Every command, in an order in which each finds the files that it needs; with the file that it writes.
 COMMANDS = (
-    ("demo", "reports/campaign.html"),
+    ("demo", "reports/demo/report.html"),
     ("simulate plan.toml --law law.toml -o log.csv", "log.csv"),
     ("check log.csv", ""),
     ("calibrate log.csv", ""),

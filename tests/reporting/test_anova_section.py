@@ -95,14 +95,14 @@ def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campai
             for day in range(1, 11)
         ]
     )
-    part = make_anova_section(analyze_variance(fitted(years).log)).sections[0]
+    part = make_anova_section(analyze_variance(fitted(years).log)).sections[1]
     assert part.figures[0].caption.startswith("The latest 30 of 40 sessions.")
     assert {row[1] for row in part.tables[0].rows} == {"all"}
 
 
 def test_more_answers_than_a_table_has_room_for_are_counted(campaign, fitted):
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 14))
-    part = make_anova_section(analyze_variance(fitted(campaign(days, ROTATION)).log)).sections[0]
+    part = make_anova_section(analyze_variance(fitted(campaign(days, ROTATION)).log)).sections[1]
     assert {row[1] for row in part.tables[0].rows} == {"all"}
     assert "Not shown: 27 answers within single sessions." in part.tables[0].note
 

@@ -51,7 +51,8 @@ def test_the_picture_has_every_strategy_the_bound_and_the_floor(found):
 
 def test_html_has_the_answer_and_a_table_for_each_joint(found):
     html = found._repr_html_()
-    assert html.count("<table") == 18
+    assert html.count("<table") == 19
+    assert "least error by" in html
     assert "Least rms:" in html
     assert "indistinguishable</td>" in html
 

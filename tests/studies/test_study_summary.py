@@ -23,7 +23,7 @@ def found(study):
 
 
 def test_the_answer_names_what_lasts_and_what_is_lost(found):
-    told = " ".join(str(found).split("Joint 3. ")[1].split())
+    answer, told = (" ".join(part.split()) for part in str(found).split("Joint 3 (prismatic)"))
     table = found.accuracy().set_index(["joint", "scenario", "strategy"])["rms_relative"][3]
     # What the answer rests on:
     assert table["nothing hidden"]["closed form"] < 0.01
@@ -31,6 +31,9 @@ def test_the_answer_names_what_lasts_and_what_is_lost(found):
     assert table["a warm-up"]["constant step"] > 0.1
     assert "In none: constant step." in told
     assert "closed form" not in told.split("In none")[0]
+    assert answer.startswith(
+        "Limit: 2 % rms (good_enough_pct of the plan), judged by the upper end of the 95 %"
+    )
     assert "hold the truth too rarely with a warm-up (down to" in told
 
 
@@ -84,14 +87,14 @@ def test_charts_show_every_scenario_joint_and_strategy(found):
 
 def test_a_notebook_shows_it(found):
     html = found._repr_html_()
-    assert html.count("<table") == 4
+    assert html.count("<table") == 5
     assert "a warm-up" in html
 
 
 def test_without_moves_there_is_nothing_of_the_tip(study):
     plain = run_study(study(campaigns=3), backend=Cores(1))
     assert "The tip after" not in str(plain)
-    assert plain._repr_html_().count("<table") == 1
+    assert plain._repr_html_().count("<table") == 2
     with pytest.raises(InputError, match="made no moves"):
         plain.plot_tips()
 
@@ -104,7 +107,7 @@ def test_the_verb_runs_keeps_and_carries_on(run, tmp_path):
     (tmp_path / "study.toml").write_text(text)
     status, told, _ = run("study", tmp_path / "study.toml", "-o", tmp_path / "out", "--workers", 1)
     assert status == 0
-    assert "joint 3 (prismatic)" in told
+    assert "Joint 3: " in told
     assert (tmp_path / "out" / "errors.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "out" / "tips.png").exists()
     chunks = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "chunks").rglob("*.parquet")}

@@ -47,7 +47,7 @@ def test_text_json_page_and_law(desk):
     outputs = ["--json", "out.json", "--report", "out.html", "--save-law", "law.json"]
     done = run("bench.csv", "--law", "friction.toml", *outputs)
     assert done.exit_code == 0, done.output
-    assert done.output.startswith("Viscous-by-direction: the law lacks dFv*abs(vel) (")
+    assert done.stdout.startswith("Viscous-by-direction: the law lacks dFv*abs(vel) (")
     assert "100.0 %" not in done.output
     assert "law (extended by viscous-by-direction) saved to law.json" in done.output
     content = json.loads((desk / "out.json").read_text("utf-8"))
