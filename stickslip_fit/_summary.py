@@ -165,7 +165,7 @@ class Section:
             yield "\n".join(filter(None, [self.title, *paragraphs]))
         yield from (table.as_text(width) for table in tables)
 
-    def parts(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
+    def named_blocks(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
         """Paragraphs and open tables with their names; `short` tables have the rows that stand for all."""
         parts = [("remarks", "\n".join(paragraph(text, width) for text in self.paragraphs))]
         tables = [table.shortened() if short else table for table in self.tables if not table.folded]
@@ -239,11 +239,11 @@ class Summary:
         main = [section for section in self.sections if not section.title]
         left_out = [table.caption for section in main for table in section.tables if table.folded]
         left_out += [section.title for section in self.sections if section.title]
-        whole = [block for section in main for _, block in section.parts(width)]
+        whole = [block for section in main for _, block in section.named_blocks(width)]
         if _count_lines([*head, *whole]) <= lines - (ROOM_FOR_TITLES if left_out else 0):
             return "\n\n".join([*head, *whole]), tuple(left_out)
         shown, room = list(head), lines - ROOM_FOR_TITLES
-        parts = [part for section in main for part in section.parts(width, short=True)]
+        parts = [part for section in main for part in section.named_blocks(width, short=True)]
         while parts and _count_lines([*shown, parts[0][1]]) <= room:
             shown.append(parts.pop(0)[1])
         every_row = () if set(shown) <= {*head, *whole} else ("every row",)

@@ -355,7 +355,7 @@ class EndStopMisfire(Cause):
     )
     shows_best = "replicates: a misfire does not come back"
     sentence = "About one count in {one_in} is off by {size} or so: the end stop is missed or imagined"
-    remedy = "repeating those traverses, or the Student-t fit, which needs none excluded,"
+    remedy = "repeating those traverses (the Student-t fit needs none excluded)"
     parameters = (
         CauseParameter("share", "%", "of the counts", lower=0.0, upper=1.0),
         CauseParameter("size", "%", "typical departure of such a count", lower=0.0),

@@ -16,8 +16,9 @@ from stickslip_fit.cli.capture import app as capture
 from stickslip_fit.cli.changes import changed
 from stickslip_fit.cli.demo import demo
 from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
-from stickslip_fit.cli.fit import calibrate, dead_reckon, fit, plan_move, predict
+from stickslip_fit.cli.fit import calibrate, fit
 from stickslip_fit.cli.logs import check, report, sheet, simulate
+from stickslip_fit.cli.moves import accuracy_map, dead_reckon, plan_move, predict
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (
@@ -37,7 +38,7 @@ VERBS = (
         plan,
         sheet,
     ),
-    *(plan_move, dead_reckon, demo),
+    *(plan_move, dead_reckon, accuracy_map, demo),
 )
 
 app = typer.Typer(

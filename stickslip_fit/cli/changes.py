@@ -19,6 +19,7 @@ from stickslip_fit.cli._options import (
     load_log,
     parse_path,
 )
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.errors import InputError
 
 
@@ -42,6 +43,9 @@ def changed(
     machine: MachinePath = None,
     sheet: Sheet = None,
     json: Json = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
 ) -> None:
     """Test whether an actuator has changed from one log to another, beyond its scatter from day to day."""
     from stickslip_fit.changes import detect_changes
@@ -53,8 +57,8 @@ def changed(
     laws = load_laws(law, before.joints)
     check_savable(before, laws, json)
     changes = detect_changes(before, after, laws=laws, alpha=alpha, command=command_line())
+    saved = []
     if json is not None:
         changes.save(json)
-    print(changes)
-    if json is not None:
-        print(f"\nsaved to {json}")
+        saved.append(f"saved to {json}")
+    show(changes.summary(), Display(full, csv, latex, [old, new or old]), saved)

@@ -1,4 +1,4 @@
-"""Commands that fit laws and use them: calibrate, fit, predict, plan-move, dead-reckon."""
+"""Commands that fit laws: calibrate, fit."""
 
 from __future__ import annotations
 
@@ -10,39 +10,25 @@ import typer
 
 from stickslip_fit.cli._files import Output
 from stickslip_fit.cli._options import (
-    At,
-    Calibration,
     CauseNames,
     CausesFrom,
     Chart,
-    Condition,
     Json,
     LawNames,
     LogPath,
     MachinePath,
     Method,
-    PlanPath,
-    Psi,
-    Session,
     Sheet,
     Since,
-    Theta,
     Until,
     check_chart,
     check_savable,
     command_line,
-    load_arm,
     load_causes,
-    load_fit,
     load_laws,
     load_log,
     parse_bound,
-    parse_drive,
-    parse_joint_order,
-    parse_plan_conditions,
-    parse_positions,
     parse_repeatabilities,
-    parse_tip_position,
 )
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.errors import InputError, InputIssue, suggest
@@ -269,84 +255,6 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
     return Estimate(posterior.result, summary, posterior)
 
 
-def plan_move(
-    calibration: Calibration,
-    at: At,
-    tip: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Tip position to reach, base frame, mm.")
-    ] = None,
-    joints: Annotated[
-        str | None, typer.Option(metavar="Q1,Q2,Q3", help="Or the joint positions to reach: deg,deg,mm.")
-    ] = None,
-    order: Annotated[str, typer.Option(help="Order in which the joints move.")] = "1,2,3",
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
-) -> None:
-    """Compute the steps that take the tip to a position, or the joints."""
-    from stickslip_fit import moves
-    from stickslip_fit.machine import nearest_solution
-    from stickslip_fit.reporting.moves import summarize_move
-
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
-    start = parse_positions(at, "--at")
-    if (tip is None) == (joints is None):
-        raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
-    if tip is not None:
-        target = nearest_solution(arm.machine, parse_tip_position(tip, "--tip"), start)
-    else:
-        target = parse_positions(str(joints), "--joints")
-    move = moves.plan_move(arm, start, target, parse_joint_order(order, "--order"))
-    summary = with_conditions(summarize_move(arm, move), arm.result, arm.conditions)
-    show(summary, Display(full, csv, latex, calibration))
-
-
-def dead_reckon(
-    calibration: Calibration,
-    at: At,
-    drive: Annotated[
-        list[str], typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeatable.")
-    ],
-    tolerance: Annotated[
-        float, typer.Option(help="Uncertainty of the tip, µm (95 %), at which to re-home.")
-    ] = 10.0,
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
-) -> None:
-    """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
-    from stickslip_fit import moves
-    from stickslip_fit.reporting.moves import summarize_pose
-    from stickslip_fit.units import to_si
-
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
-    drives = [parse_drive(text, "--drive") for text in drive]
-    pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
-    summary = with_conditions(summarize_pose(arm, pose, to_si(tolerance, "µm")), arm.result, arm.conditions)
-    show(summary, Display(full, csv, latex, calibration))
-
-
-def with_conditions(summary: Summary, result: Result, conditions: Mapping[str, float]) -> Summary:
-    """The summary, and at its end the conditions that an extended law was evaluated at, if any."""
-    from stickslip_fit._summary import Section
-    from stickslip_fit.moves.arm import describe_conditions
-
-    text = describe_conditions(result, conditions, "--condition")
-    return replace(summary, sections=(*summary.sections, Section(paragraphs=(text,)))) if text else summary
-
-
 def calibrate(
     log: LogPath,
     law: LawNames = None,
@@ -421,37 +329,6 @@ def fit(
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
     outputs = FitOutputs(json, chart, tree)
     _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
-
-
-def predict(
-    calibration: Calibration,
-    plan: PlanPath,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse."), Output()
-    ] = None,
-    session: Session = None,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
-) -> None:
-    """Predict the counts of a plan's traverses, with 95 % intervals."""
-    from stickslip_fit._io import write_atomically
-    from stickslip_fit.logs.plan_reader import read_plan
-    from stickslip_fit.moves.prediction import predict
-    from stickslip_fit.reporting.moves import predictions_csv, summarize_predictions
-
-    fitted, result = load_fit(calibration, machine, law)
-    planned = read_plan(plan, result.machine)
-    conditions = parse_plan_conditions(condition, result)
-    predicted = predict(fitted, planned, session, conditions)
-    if output is not None:
-        write_atomically(output, predictions_csv(planned, predicted))
-    summary = with_conditions(summarize_predictions(result, planned, predicted), result, conditions)
-    saved = [f"all {len(predicted):,} written to {output}"] if output is not None else []
-    show(summary, Display(full, csv, latex, [*calibration, plan]), saved)
 
 
 def _fit_and_show(
