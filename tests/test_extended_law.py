@@ -220,7 +220,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     law = Diagnosis.extended_law(found)
     assert isinstance(law.joints[3].law, ExtendedLaw)
     assert len(law.residuals) == len(log.rows) - 2
-    size = law.parameters.set_index("name").loc["thermal-warm-up.A"]
+    size = law.si.parameters.set_index("name").loc["thermal-warm-up.A"]
     assert abs(size["estimate"] - A) < 0.015
     told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
