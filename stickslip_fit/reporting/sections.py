@@ -16,7 +16,7 @@ from stickslip_fit._format import (
     joint_name,
     typeset_text,
 )
-from stickslip_fit._summary import Section
+from stickslip_fit._summary import Section, Summary
 from stickslip_fit.anova import Anova
 from stickslip_fit.anova._summary import is_significant
 from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
@@ -157,7 +157,7 @@ def factors_section(anova: Anova, corrected: Anova | None = None, causes: Sequen
         if table.caption.startswith("Factors of")
     ]
     figure = sessions_picture(told.factor_tests)
-    words = [replace(section, tables=()) for section in summary.sections if section.paragraphs]
+    words = _take_words(summary)
     return Section(
         "Which factors matter",
         tuple(paragraphs),
@@ -211,7 +211,7 @@ def strategies_section(
         paragraphs.append(
             f"With causes: {join_words(list(causes))} in the law, of the size that the other sessions give."
         )
-    words = [replace(section, tables=()) for section in summary.sections if section.paragraphs]
+    words = _take_words(summary)
     figures = (pareto_picture(comparison),) if comparison.joints else ()
     return Section(
         "Which calibration to choose",
@@ -278,6 +278,15 @@ def figures_section(
         conclusion="Sweeps with the law, residuals against all that varied, factors, the joint's travel.",
         folded=tuple(parts),
     )
+
+
+def _take_words(summary: Summary) -> list[Section]:
+    """The sections that have sentences, without their tables; a joint's is named as such."""
+    return [
+        replace(each, tables=(), title=f"{each.title}, in words" if each.tables else each.title)
+        for each in summary.sections
+        if each.paragraphs
+    ]
 
 
 def _drawn(pictures: Sequence[Picture]) -> tuple[Picture, ...]:
