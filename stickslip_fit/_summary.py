@@ -149,6 +149,10 @@ class Section:
         Shown on pages only.
     key : str
         The section's anchor on a page.
+    conclusion : str
+        What the section says, in one line before its paragraphs.
+    folded : tuple of Section
+        What a page shows folded, by its title; text leaves it out unless full.
     """
 
     title: str = ""
@@ -156,14 +160,18 @@ class Section:
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
     key: str = ""
+    conclusion: str = ""
+    folded: tuple[Section, ...] = ()
 
     def blocks(self, width: int, *, full: bool = False) -> Iterator[str]:
         """Title with paragraphs, then the tables; `full` for folded ones, too."""
-        paragraphs = [paragraph(text, width) for text in self.paragraphs]
+        paragraphs = [paragraph(text, width) for text in (self.conclusion, *self.paragraphs) if text]
         tables = [table for table in self.tables if full or not table.folded]
         if paragraphs or tables:
             yield "\n".join(filter(None, [self.title, *paragraphs]))
         yield from (table.as_text(width) for table in tables)
+        for section in self.folded if full else ():
+            yield from section.blocks(width, full=full)
 
     def named_blocks(self, width: int, *, short: bool = False) -> list[tuple[str, str]]:
         """Paragraphs and open tables with their names; `short` tables have the rows that stand for all."""

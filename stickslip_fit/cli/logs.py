@@ -118,6 +118,7 @@ def report(
     ] = None,
     diagnosis: Annotated[bool, typer.Option(help="With the diagnosis.")] = True,
     strategies: Annotated[bool, typer.Option(help="With the comparison of strategies.")] = True,
+    figures: Annotated[bool, typer.Option("--figures", help="With further figures, folded.")] = False,
     cause: CauseNames = None,
     law: LawNames = None,
     machine: MachinePath = None,
@@ -134,7 +135,8 @@ def report(
         select_named_causes(cause or (), campaign, load_causes(law)),
         load_laws(law, campaign.joints),
     )
-    sections = [name for name, chosen in (("diagnosis", diagnosis), ("strategies", strategies)) if chosen]
+    wishes = {"diagnosis": diagnosis, "strategies": strategies, "figures": figures}
+    sections = [name for name, chosen in wishes.items() if chosen]
     with show_progress() as progress:
         page = make_report(
             campaign, laws=laws, causes=causes, sections=sections, command=command_line(), progress=progress

@@ -44,6 +44,8 @@ class Gain:
         session, baseline, extended, traverses (of a table: rows).
     held_out : str
         What was held out together, where that is not a log's configurations.
+    by_joint : DataFrame
+        Of a log: joint, direction, baseline, extended, traverses.
     """
 
     baseline: float
@@ -53,6 +55,7 @@ class Gain:
     high: float
     by_session: pd.DataFrame
     held_out: str = ""
+    by_joint: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
 
 
 @dataclass(frozen=True)

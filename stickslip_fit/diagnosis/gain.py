@@ -215,12 +215,25 @@ def _make_gain(selection: Selection, splits: Sequence[Split], errors: Array, lim
     held = np.concatenate([split.held_out for split in splits])
     before, after = np.sqrt(np.mean(errors**2, axis=1))
     floor = np.sqrt(np.mean(selection.problem.scale[held] ** 2))
-    session = selection.problem.rows["session"].to_numpy(object)[held]
-    squares = pd.DataFrame({"session": session, "baseline": errors[0] ** 2, "extended": errors[1] ** 2})
-    grouped = squares.groupby("session", sort=False)
+    keys = [name for name in ("session", "joint", "direction") if name in selection.problem.rows]
+    squares = selection.problem.rows[keys].iloc[held].astype(object)
+    squares = squares.assign(baseline=errors[0] ** 2, extended=errors[1] ** 2)
+    return Gain(
+        float(before),
+        float(after),
+        float(floor),
+        float(limits[0]),
+        float(limits[1]),
+        _root_mean_squares(squares, ["session"]),
+        by_joint=_root_mean_squares(squares, keys[1:]).sort_values(keys[1:], ignore_index=True),
+    )
+
+
+def _root_mean_squares(squares: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Of `baseline` and `extended` in each group, and how many traverses it has."""
+    grouped = squares.groupby(by, sort=False)
     table = np.sqrt(grouped[["baseline", "extended"]].mean()).reset_index()
-    table = table.assign(traverses=grouped.size().to_numpy())
-    return Gain(float(before), float(after), float(floor), float(limits[0]), float(limits[1]), table)
+    return table.assign(traverses=grouped.size().to_numpy())
 
 
 def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> list[Split]:

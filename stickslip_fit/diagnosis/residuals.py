@@ -8,7 +8,7 @@ best.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -19,6 +19,8 @@ from stickslip_fit.diagnosis.hypotheses import AR1, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.laws import expected_steps
+from stickslip_fit.logs import Log
 
 N_BOOTSTRAP = 200
 ENVELOPE_COVERAGE = 0.95
@@ -102,6 +104,20 @@ def term_change(selection: Selection, cause: str) -> Array:
     )
     values = selection.fit.values[place][None]
     return compute_changes(selection.problem.linearize(), selected.version, values)[:, 0]
+
+
+def remove_effects(log: Log, selection: Selection, outlying: IntArray) -> Log:
+    """The log with counts as they would be without the causes of a selection.
+
+    `outlying` are the places, among the log's usable rows, of counts that took no part; they are excluded.
+    """
+    usable = log.rows.index[log.rows["status"] == "ok"]
+    kept, steps = np.delete(usable, outlying), log.rows["steps"].astype(float)
+    change = sum((term_change(selection, one.cause) for one in selection.law_causes), np.zeros(len(kept)))
+    expected = expected_steps(steps[kept], log.rows.loc[kept, "check_every"])
+    steps[kept] += np.asarray(expected) * np.expm1(-change)
+    corrected = log.exclude(usable[outlying])
+    return replace(corrected, rows=corrected.rows.assign(steps=steps))
 
 
 def finding_shape(selection: Selection, selected: SelectedCause) -> Array:

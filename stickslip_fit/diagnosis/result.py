@@ -7,15 +7,18 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
 import pandas as pd
 
 from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
+from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.residuals import remove_effects
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
@@ -218,6 +221,31 @@ class Diagnosis(Summarized):
         causes = [finding.version for finding in self.findings if finding.version is not None]
         laws = {part.law.joint: part.law for part in self.selection.problem.parts}
         return fit_least_squares(log, laws=laws, causes=causes, command=command)
+
+    def corrected_log(self) -> Log:
+        """The log with the fitted effect of what extends the law taken out of its counts.
+
+        Outlying counts are excluded. The counts are no longer whole numbers; what else follows time, day or
+        position is still in them.
+
+        Raises
+        ------
+        InputError
+            If the data were no log.
+        """
+        log = self.require_log()
+        outlying = [row for one in self.findings if one.traverses is not None for row in one.traverses.index]
+        return remove_effects(log, self.selection, np.array(outlying, dtype=int))
+
+    def methods(self) -> str:
+        """How the log was analysed, as a paragraph to cite, with this log's numbers and its references.
+
+        Raises
+        ------
+        InputError
+            If the data were no log.
+        """
+        return "\n\n".join([*describe_methods(self), "References", "\n".join(list_references(self))])
 
     @property
     def parameters(self) -> pd.DataFrame:

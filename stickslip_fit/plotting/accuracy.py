@@ -29,16 +29,19 @@ from stickslip_fit.plotting._style import (
     LETTER_WIDTH,
     MARKERS,
     TITLE_LINE,
+    LineStyle,
     direction_entries,
     direction_styles,
     make_figure,
     make_legend_entry,
     report_style,
+    robust_limit,
     select_recent,
     set_log_axis,
     sweep_entries,
+    thin_rows,
 )
-from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
+from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si
 
 MAX_CURVE_POINTS = 300
@@ -60,7 +63,8 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
     ]
     caption = (
         f"{pluralize(len(errors), 'traverse')}. The further left, the better. Nine traverses in ten are "
-        f"predicted to within: {'; '.join(quantiles)}. Dotted: repeatability, which no law can beat."
+        f"predicted to within: {'; '.join(quantiles)}. Dotted: replicate scatter; residual scatter for want "
+        "of replicates."
     )
     noise = {
         (joint, sign): choose_repeatability(joint, sign, calibration, fit).value
@@ -71,30 +75,122 @@ def errors_picture(errors: pd.DataFrame, calibration: Result, fit: Result) -> Pi
 
 
 def draw_errors(errors: pd.DataFrame, noise: dict[tuple[int, str], float], machine: Machine) -> Figure:
-    """One panel for each joint; `noise`, the repeatability, dotted where it is known."""
+    """One panel for each joint; `noise`, the replicate scatter, dotted where it is known."""
     joints = sorted(errors["joint"].unique())
     with report_style():
         legend = [
             *direction_entries(line="-"),
             make_legend_entry("law", INK, line="-"),
             make_legend_entry("constant step", INK, line="--"),
-            *([make_legend_entry("repeatability", INK, line=":")] if noise else []),
+            *([make_legend_entry("replicate scatter", INK, line=":")] if noise else []),
         ]
-        figure, axes = make_figure([2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5)
+        figure, axes = make_figure([1.8], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5)
         for axis, joint in zip(axes[0], joints, strict=True):
             axis.set_title(joint_name(joint, machine))
-            for direction, colour in DIRECTION_COLOURS.items():
-                subset = errors[(errors["joint"] == joint) & (errors["direction"] == direction)]
-                for model, line in (("law", "-"), ("constant", "--")):
-                    axis.step(*_cumulative_shares(subset, model), where="post", color=colour, ls=line)
-                if np.isfinite(noise.get((joint, direction), np.nan)):
-                    axis.axvline(100 * noise[joint, direction], color=colour, ls=":", lw=1.0)
-            set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
-            axis.set_xlim(MIN_ERROR, 250)
-            axis.set_ylim(0, 101)
+            _draw_shares(axis, errors[errors["joint"] == joint], noise)
         axes[0, 0].set_ylabel("traverses predicted better (%)")
         figure.supxlabel("error of the mean step size (%)", y=0.02, va="bottom", size=8, color=INK)
     return figure
+
+
+def _draw_shares(axis: Axes, errors: pd.DataFrame, noise: dict[tuple[int, str], float]) -> None:
+    """One joint's share of traverses that each model predicts to better than x, and its repeatability."""
+    for direction, colour in DIRECTION_COLOURS.items():
+        subset = errors[errors["direction"] == direction]
+        for model, line in (("law", "-"), ("constant", "--")):
+            axis.step(*_cumulative_shares(subset, model), where="post", color=colour, ls=line)
+        floor = noise.get((int(errors["joint"].iloc[0]), direction), np.nan)
+        if np.isfinite(floor):
+            axis.axvline(100 * floor, color=colour, ls=":", lw=1.0)
+    set_log_axis(axis.xaxis, ticks=(0.1, 1, 10, 100))
+    axis.set_xlim(MIN_ERROR, 250)
+    axis.set_ylim(0, 101)
+
+
+MAX_RESIDUALS = 600  # points of a joint and direction
+RESIDUAL_QUANTILE, RESIDUAL_ZOOM = 0.98, 1.6  # of the scale, see `robust_limit`
+
+
+def overview_picture(
+    traverses: pd.DataFrame, errors: pd.DataFrame, calibration: Result, fit: Result
+) -> Picture:
+    """Residuals of the law, above how well its calibration predicts.
+
+    Parameters
+    ----------
+    traverses : DataFrame
+        All joints' rows as of `collect_traverses`, indexed by the log's usable traverses.
+    errors : DataFrame
+        As of `held_out_errors`; may be empty.
+    calibration, fit : Result
+    """
+    rms = float(np.sqrt(np.nanmean(traverses["departure"].to_numpy() ** 2)))
+    caption = (
+        f"Above: {pluralize(len(traverses), 'traverse')} by how far they are from the law fitted to all "
+        f"of them ({format_percent(rms)} rms); a level band is a law that lacks nothing."
+    )
+    if len(errors):
+        caption += (
+            f" Below: {pluralize(len(errors), 'traverse')} that the calibration did not use, by how well it "
+            "predicts them; the further left, the better. Dotted: replicate scatter; residual scatter for "
+            "want of replicates."
+        )
+    title = (
+        "Residuals of the law, and how well its calibration predicts"
+        if len(errors)
+        else "Residuals of the law"
+    )
+    return make_picture("overview", title, caption, draw_overview(traverses, errors, calibration, fit))
+
+
+def draw_overview(traverses: pd.DataFrame, errors: pd.DataFrame, calibration: Result, fit: Result) -> Figure:
+    """A column for each joint: residuals in order of the log, and below the errors of the calibration."""
+    joints = sorted(int(joint) for joint in traverses["joint"].unique())
+    sizes = traverses["departure"].abs().dropna().to_numpy()
+    limit = max(robust_limit(sizes, RESIDUAL_QUANTILE, RESIDUAL_ZOOM), 1e-4) if len(sizes) else 1e-4
+    heights = [1.5, 1.5] if len(errors) else [1.5]
+    with report_style():
+        legend = direction_entries(marker="o")
+        if len(errors):
+            legend += [make_legend_entry(label, INK, line=line) for label, line in _MODEL_LINES]
+        figure, axes = make_figure(
+            heights, len(joints), legend, top=TITLE_LINE + 0.14, down=0.5, share_x="none", share_y="row"
+        )
+        for column, joint in zip(axes.T, joints, strict=True):
+            column[0].set_title(joint_name(joint, fit.machine))
+            _draw_residuals(column[0], traverses[traverses["joint"] == joint], limit)
+            subset = errors[errors["joint"] == joint]
+            if len(subset):
+                noise = {
+                    (joint, sign): choose_repeatability(joint, sign, calibration, fit).value for sign in "+-"
+                }
+                _draw_shares(column[1], subset, noise)
+                column[1].set_xlabel("error of the mean step size (%)")
+            elif len(errors):
+                column[1].set_axis_off()
+        axes[0, 0].set_ylabel("residual (%)")
+        if len(errors):
+            axes[1, 0].set_ylabel("predicted better (%)")
+    return figure
+
+
+_MODEL_LINES: tuple[tuple[str, LineStyle], ...] = (
+    ("law", "-"),
+    ("constant step", "--"),
+    ("replicate scatter", ":"),
+)
+
+
+def _draw_residuals(axis: Axes, rows: pd.DataFrame, limit: float) -> None:
+    """One joint's residuals in order of the log; what is beyond the scale lies at its edge."""
+    axis.axhline(0.0, color=INK, lw=0.7)
+    for sign, colour in DIRECTION_COLOURS.items():
+        own = thin_rows(rows[(rows["direction"] == sign) & rows["departure"].notna()], MAX_RESIDUALS)
+        y = 100 * np.clip(own["departure"].to_numpy(), -limit, limit)
+        (points,) = axis.plot(own.index + 1, y, ls="", marker="o", ms=2.0, mew=0, alpha=0.6, color=colour)
+        name_traverses(points, own.index)
+    axis.set_ylim(-100 * limit, 100 * limit)
+    axis.set_xlabel("traverse, in order of the log")
 
 
 def _sort_relative_errors(errors: pd.DataFrame, model: str) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -32,7 +32,7 @@ from stickslip_fit.plotting._style import (
     report_style,
     thin_rows,
 )
-from stickslip_fit.plotting._svg import Picture, make_picture
+from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
 from stickslip_fit.units import PRISMATIC, from_si
 
 MAX_POINTS = 900
@@ -141,26 +141,79 @@ def draw_days(factor_tests: Sequence[FactorTest], sessions: Sequence[str]) -> Fi
 
 def draw_directions(factor_tests: Sequence[FactorTest], sessions: Sequence[str]) -> Figure:
     """Both directions of each session side by side."""
+    with report_style():
+        figure, axes = make_figure([1.9], 1, _pair_entries(), top=0.11, bottom=_label_height(sessions))
+        _draw_pairs(axes[0, 0], factor_tests, sessions)
+        axes[0, 0].set_ylabel(f"step size ({factor_tests[0].design.unit})")
+    return figure
+
+
+def sessions_picture(factor_tests: Sequence[FactorTest]) -> Picture:
+    """Both directions of each session, a panel for each joint: what day and direction change."""
+    key, title = "sessions", "Step size by session and direction"
+    tested = {
+        joint: [*_select_tests(joint, "day", factor_tests), *_select_tests(joint, "direction", factor_tests)]
+        for joint in dict.fromkeys(test.design.joint for test in factor_tests)
+    }
+    tested = {joint: tests for joint, tests in tested.items() if tests}
+    if not tested:
+        return make_missing_picture(key, title, "It would need a second session or direction.")
+    places = "; ".join(
+        f"{joint_name(joint, tests[0].design.machine)} at {typeset_text(tests[0].design.configuration)}"
+        for joint, tests in tested.items()
+    )
+    many = max(len(_list_sessions(tests)) for tests in tested.values()) > MAX_SESSIONS
+    caption = (
+        f"Points: single traverses, {places}. Lines join the means of the two directions in a session: lines "
+        "at one height say that days do not differ, level lines that directions do not."
+        + f" The latest {MAX_SESSIONS} sessions."
+        * many
+    )
+    return make_picture(key, title, caption, draw_sessions(tested))
+
+
+def draw_sessions(tested: Mapping[int, Sequence[FactorTest]]) -> Figure:
+    """A panel for each joint: both directions of each session side by side."""
+    sessions = {joint: _list_sessions(tests)[-MAX_SESSIONS:] for joint, tests in tested.items()}
+    bottom = max(map(_label_height, sessions.values()))
+    with report_style():
+        figure, axes = make_figure(
+            [1.9],
+            len(tested),
+            _pair_entries(),
+            top=TITLE_LINE + 0.14,
+            bottom=max(bottom, 0.85 if len(tested) > 1 else 0.0),
+            across=0.42,
+            share_y="none",
+        )
+        for axis, (joint, tests) in zip(axes[0], tested.items(), strict=True):
+            _draw_pairs(axis, tests, sessions[joint], vertical=len(tested) > 1)
+            axis.set_title(f"{joint_name(joint, tests[0].design.machine)} ({tests[0].design.unit})")
+        axes[0, 0].set_ylabel("step size")
+    return figure
+
+
+def _pair_entries() -> list[Line2D]:
+    return [*direction_entries(marker="o"), make_legend_entry("mean", INK, marker="_", line="-")]
+
+
+def _draw_pairs(
+    axis: Axes, factor_tests: Sequence[FactorTest], sessions: Sequence[str], *, vertical: bool = False
+) -> None:
+    """Observations of both directions by session, and their means joined by a line."""
     rows = pd.concat([test.design.observations for test in factor_tests])
     rows = rows[~rows.index.duplicated()]
     unit = factor_tests[0].design.unit
-    with report_style():
-        legend = [*direction_entries(marker="o"), make_legend_entry("mean", INK, marker="_", line="-")]
-        figure, axes = make_figure([1.9], 1, legend, top=0.11, bottom=_label_height(sessions))
-        axis = axes[0, 0]
-        for sign, aside in (("+", -FAN_HALF_WIDTH), ("-", FAN_HALF_WIDTH)):
-            subset = rows[rows["direction"] == sign]
-            places = _number_places(subset["session"], sessions)
-            _draw_observations(axis, subset, places, DIRECTION_COLOURS[sign], aside, unit)
-        means = rows.groupby(["session", "direction"])["step_size"].mean().unstack()
-        for place, name in enumerate(sessions):
-            pair = from_si(means.loc[name, ["+", "-"]].to_numpy(float), unit)
-            axis.plot(
-                [place - FAN_HALF_WIDTH, place + FAN_HALF_WIDTH], pair, color=INK, marker="_", ms=9.0, lw=0.8
-            )
-        axis.set_ylabel(f"step size ({unit})")
-        label_sessions(axis, sessions, vertical=_is_crowded(sessions))
-    return figure
+    for sign, aside in (("+", -FAN_HALF_WIDTH), ("-", FAN_HALF_WIDTH)):
+        subset = rows[rows["direction"] == sign]
+        places = _number_places(subset["session"], sessions)
+        _draw_observations(axis, subset, places, DIRECTION_COLOURS[sign], aside, unit)
+    means = rows.groupby(["session", "direction"])["step_size"].mean().unstack().reindex(columns=["+", "-"])
+    for place, name in enumerate(sessions):
+        pair = from_si(means.loc[name].to_numpy(float), unit)
+        ends = [place - FAN_HALF_WIDTH, place + FAN_HALF_WIDTH]
+        axis.plot(ends, pair, color=INK, marker="_", ms=9.0, lw=0.8)
+    label_sessions(axis, sessions, vertical=vertical or _is_crowded(sessions))
 
 
 def draw_rotations(factor_tests: Sequence[FactorTest]) -> Figure:

@@ -26,11 +26,27 @@ from stickslip_fit.plotting._style import (
     make_figure,
     report_style,
     set_angle_ticks,
+    thin_rows,
 )
+from stickslip_fit.plotting._svg import Picture, make_picture, name_traverses
 from stickslip_fit.units import from_si
 
 DIRECTION_MARKERS = {"+": "o", "-": "s"}
 HOURS = "hours"
+MAX_POINTS = 900  # of a joint and direction, on a page
+
+
+def readings_picture(log: Log) -> Picture:
+    """The mean step size of each usable traverse, at most `MAX_POINTS` of each joint and direction."""
+    rows = log.usable
+    most = int(rows.groupby(["joint", "direction"], observed=True).size().max())
+    few = f"; of each joint and direction {MAX_POINTS}, chosen at random" * (most > MAX_POINTS)
+    order = "time" if has_times(rows) else "the log"
+    caption = f"{len(rows):,} usable traverses in order of {order}{few}. Lines part sessions."
+    joints = sorted(int(joint) for joint in rows["joint"].unique())
+    step = traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"])
+    figure = _draw_in_order(log, joints, step, MAX_POINTS)
+    return make_picture("readings", "Mean step size of each traverse", caption, figure)
 
 
 def plot_step_sizes(log: Log, column: str | None) -> Figure:
@@ -57,14 +73,17 @@ def plot_step_sizes(log: Log, column: str | None) -> Figure:
     return _draw_in_order(log, joints, step) if column is None else _draw_against(log, joints, step, column)
 
 
-def _draw_in_order(log: Log, joints: Sequence[int], step: Array) -> Figure:
+def _draw_in_order(log: Log, joints: Sequence[int], step: Array, most: int | None = None) -> Figure:
+    """A panel for each joint; `most` points of a joint and direction, named for a page, or all without it."""
     rows = log.usable
     with report_style():
         figure, axes = make_figure([1.15] * len(joints), 1, _direction_legend(), bottom=0.3, down=0.14)
         for axis, joint in zip(axes[:, 0], joints, strict=True):
             for sign in DIRECTION_COLOURS:
-                subset = np.flatnonzero((rows["joint"] == joint) & (rows["direction"] == sign))
-                _draw_points(axis, subset, from_si(step[subset], step_unit(joint, log.machine)), sign)
+                own = rows[(rows["joint"] == joint) & (rows["direction"] == sign)]
+                subset = (own if most is None else thin_rows(own, most)).index.to_numpy()
+                y = from_si(step[subset], step_unit(joint, log.machine))
+                name_traverses(_draw_points(axis, subset, y, sign), subset)
             axis.set_ylabel(f"joint {joint} ({step_unit(joint, log.machine)})")
             axis.grid(visible=False, axis="x")
         _draw_sessions(axes[:, 0], log)
@@ -100,8 +119,9 @@ def _direction_legend() -> list[Line2D]:
     ]
 
 
-def _draw_points(axis: Axes, x: Array | IntArray, y: Array, sign: str) -> None:
-    axis.plot(x, y, DIRECTION_MARKERS[sign], color=DIRECTION_COLOURS[sign], ms=2.2, mew=0)
+def _draw_points(axis: Axes, x: Array | IntArray, y: Array, sign: str) -> Line2D:
+    (points,) = axis.plot(x, y, DIRECTION_MARKERS[sign], color=DIRECTION_COLOURS[sign], ms=2.2, mew=0)
+    return points
 
 
 def _find_column(rows: pd.DataFrame, column: str, log: Log) -> tuple[str, Array]:

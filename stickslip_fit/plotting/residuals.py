@@ -254,7 +254,8 @@ def finding_picture(
     )
     caption = f"Over {label}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
     if _is_proposal(selected):
-        title = f"What is proposed: {finding.term or f'a smooth function of {name_carriers(finding)}'}"
+        proposed = finding.term or f"a smooth function of {name_carriers(finding)}".rstrip(",")
+        title = f"What is proposed: {proposed}"
         caption = caption.replace(
             f"{label}, which carries it", f"the {label}" if label == EFFECT_LABEL else label
         )

@@ -41,19 +41,15 @@ MIN_SEPARATION = 0.012  # of the figure's width, between strategies that cost th
 MAX_NAME_LENGTH = 40
 
 
-def pareto_picture(comparison: Comparison, joint: int) -> Picture:
-    """Each strategy's cost and error for a joint; the Cramer-Rao bound and the repeatability floor."""
+def pareto_picture(comparison: Comparison) -> Picture:
+    """Each strategy's cost and error for each joint; the Cramer-Rao bound and the repeatability floor."""
     caption = (
-        "Rms error of traverses that no strategy calibrates from, with 95 % intervals, over the time that a "
-        "session's calibration takes in both directions; strategies that cost the same are set a little "
-        "apart. The further down and left, the better. Solid: the least that any unbiased calibration from "
-        "as many traverses of today can reach under the law (Cramer-Rao, the best choice of traverses). "
-        "Dashed: repeatability. Below either line lies what was lucky in this log; below the solid one also "
-        "what looks back on other sessions."
+        "The further down and left, the better; bars: 95 %. Solid: the least that any unbiased calibration "
+        "from as many traverses of today can reach under the law (Cramer-Rao). Dashed: repeatability. Below "
+        "a line lies what was lucky in this log; below the solid one also what looks back on other sessions."
     )
-    name = joint_name(joint, comparison.machine)
-    title = f"What accuracy costs, {name}: calibration time against held-out error"
-    return make_picture(f"pareto-{joint}", title, caption, plot_pareto(comparison, [joint]))
+    title = "What accuracy costs: calibration time against held-out error"
+    return make_picture("pareto", title, caption, plot_pareto(comparison))
 
 
 def plot_pareto(comparison: Comparison, joints: Sequence[int] | None = None) -> Figure:
@@ -79,7 +75,7 @@ def plot_pareto(comparison: Comparison, joints: Sequence[int] | None = None) -> 
             make_legend_entry("repeatability", GREY, line="--"),
         ]
         figure, axes = make_figure(
-            [2.6], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5, across=0.42, share_y="none"
+            [2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5, across=0.42, share_y="none"
         )
         for axis, joint in zip(axes[0], joints, strict=True):
             axis.set_title(joint_name(joint, comparison.machine))

@@ -99,13 +99,13 @@ def _parameter_cell(row: pd.Series, which: str) -> str:
 
 
 def repeatability_table(calibration: Result, fit: Result) -> Table:
-    """How well a traverse repeats, by replicates and by what the fit leaves over."""
+    """How well a traverse repeats, by replicates and by the residuals of the fit."""
     columns = (
         *words("joint", "direction"),
-        Column("repeatability", "%", "from replicates"),
-        Column("degrees of freedom", group="from replicates"),
-        Column("repeatability", "%", "from the fit's residuals"),
-        Column("degrees of freedom", group="from the fit's residuals"),
+        Column("scatter", "%", "of replicates"),
+        Column("degrees of freedom", group="of replicates"),
+        Column("scatter", "%", "of the fit's residuals"),
+        Column("degrees of freedom", group="of the fit's residuals"),
     )
     body = []
     for joint, joint_fit in fit.joints.items():
@@ -121,7 +121,7 @@ def repeatability_table(calibration: Result, fit: Result) -> Table:
         "Standard deviation of a traverse's count, relative, rounding left out. Replicates made hours apart "
         "also hold what drifted between them; residuals also hold what the law lacks."
     )
-    return Table("Repeatability", columns, tuple(body), stubs=2, note=note)
+    return Table("Replicate and residual scatter", columns, tuple(body), stubs=2, note=note)
 
 
 def _repeatability_cells(found: NoiseLevel) -> tuple[str, str]:

@@ -8,7 +8,7 @@ predictor of log(steps) with its standard deviation. `solve_law` fits a law with
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -20,6 +20,7 @@ from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.estimation.noise import configuration_columns
+from stickslip_fit.estimation.with_causes import FixedCauseLaw, FixedCauses
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.plan import Timing
 from stickslip_fit.machine import Machine
@@ -146,7 +147,7 @@ class CalibrationTask:
         constant step of length one: a traverse's information does not depend on the length of a step.
         """
         if len(self.others):
-            solution = solve_law(self.law, self.others, self.repeatability)
+            solution = self.solution_of_others
             if solution.known.all(axis=1).any():
                 values = solution.values[solution.known.all(axis=1)].mean(axis=0)
                 y, _ = self.law.response(self.others)
@@ -154,6 +155,21 @@ class CalibrationTask:
                 return values, self.law.scales(step)[0]
         one = np.ones(1)
         return self.law.start_values(one)[0], self.law.scales(one)[0]
+
+    @cached_property
+    def solution_of_others(self) -> LawSolution:
+        """The law fitted to the other sessions, each by itself."""
+        return solve_law(self.law, self.others, self.repeatability)
+
+    def with_causes(self, known: FixedCauses) -> CalibrationTask:
+        """The same task with causes of known size in the law; the same one each time."""
+        if known not in self._with_causes:
+            self._with_causes[known] = replace(self, law=FixedCauseLaw(self.law, known.causes, known.values))
+        return self._with_causes[known]
+
+    @cached_property
+    def _with_causes(self) -> dict[FixedCauses, CalibrationTask]:
+        return {}
 
 
 class Strategy(Protocol):

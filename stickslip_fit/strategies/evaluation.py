@@ -73,6 +73,9 @@ def make_cases(
         If the log has no usable traverse, or a joint's repeatability cannot be estimated.
     """
     rows = usable_rows(log)
+    # Plain text is selected, grouped and joined several times as fast as that of Arrow.
+    texts = [name for name in rows if isinstance(rows[name].dtype, pd.StringDtype | pd.CategoricalDtype)]
+    rows = rows.astype(dict.fromkeys(texts, object))
     for joint, law in choose_laws(rows, log.machine, laws).items():
         subset = rows[rows["joint"] == joint]
         noise = _estimate_repeatability(law, subset, log)

@@ -15,7 +15,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.bayes import weak_prior
 from stickslip_fit.bayes.marginal import ConditionalPosterior, linearize_at_mode
 from stickslip_fit.bayes.priors import PRIOR_SPREAD, build_group_data
-from stickslip_fit.causes import Cause
+from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.closed_form import MIN_DF
@@ -33,7 +33,6 @@ from stickslip_fit.strategies.base import (
     make_predictor,
     other_sessions,
     response_sd,
-    solve_law,
 )
 from stickslip_fit.strategies.designs import (
     AtRandom,
@@ -141,14 +140,14 @@ class WithCauses:
 
     def choose(self, task: CalibrationTask) -> IntArray:
         """See `Strategy.choose`."""
-        known = self._known(task)
-        return self.strategy.choose(replace(task, law=FixedCauseLaw(task.law, known.causes, known.values)))
+        return self.strategy.choose(task.with_causes(self._known(task)))
 
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
         known = self._known(task)
-        nominal = FixedCauseLaw(task.law, known.causes, known.values)
-        repeatability = _estimate_repeatability(nominal, task)
+        extended = task.with_causes(known)
+        nominal = ExtendedLaw(task.law, known.causes)
+        repeatability = _estimate_repeatability(extended)
 
         def calibrate_with(sizes: Array) -> Predictor:
             law = FixedCauseLaw(task.law, known.causes, sizes)
@@ -157,7 +156,7 @@ class WithCauses:
         # Recalibrated with each uncertain size changed: a wrong size changes the calibration traverses too.
         centre, perturbed = calibrate_with(known.values), {}
         for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
-            step = DIFFERENCE_STEP * nominal.extended.sizes[k]
+            step = DIFFERENCE_STEP * nominal.sizes[k]
             change = step * (np.arange(len(known.values)) == k)
             perturbed[k] = step, calibrate_with(known.values + change), calibrate_with(known.values - change)
 
@@ -177,7 +176,7 @@ class WithCauses:
         return known
 
 
-def _estimate_repeatability(law: FixedCauseLaw, task: CalibrationTask) -> float:
+def _estimate_repeatability(task: CalibrationTask) -> float:
     """Repeatability with the causes in the law: the smaller of the task's and of the residuals' deviation.
 
     Both are upper limits: replicates hours apart contain effects of the causes, and residuals of the other
@@ -185,9 +184,9 @@ def _estimate_repeatability(law: FixedCauseLaw, task: CalibrationTask) -> float:
     """
     if task.others.empty:
         return task.repeatability
-    solution = solve_law(law, task.others, task.repeatability)
-    y, rounding = law.response(task.others)
-    residual = y - law.predict(task.others, solution.values[solution.groups.of_row])
+    solution = task.solution_of_others
+    y, rounding = task.law.response(task.others)
+    residual = y - task.law.predict(task.others, solution.values[solution.groups.of_row])
     df = int(len(y) - solution.known.sum())
     residual_sd = pool_residuals(residual, rounding, df, "residuals")
     return min(task.repeatability, residual_sd.value) if residual_sd.df >= MIN_DF else task.repeatability

@@ -1,5 +1,5 @@
-// Makes the traverses of a report answer: point at one to read it, click it to follow its session.
-// The page says the same without this; all text from the log is set as text.
+// Makes the traverses of a report answer: point at one to read it, click it to follow its session. Saves tables as CSV
+// and figures as SVG; opens all that is folded. The page says the same without this; all text from the log is set as text.
 "use strict";
 (() => {
   const MARGIN = { left: 64, right: 14, top: 10, bottom: 40 }, EDGE = 12; // pixels
@@ -238,6 +238,76 @@
       if (where) follow(where.joint.session[where.k]);
     });
   }
+
+  // ---- files: tables as CSV, figures as SVG
+
+  const THOUSANDS = /^[-+]?\d{1,3}(,\d{3})+(\.\d+)?$/, NUMBER = /^[-+]?\d+(\.\d+)?$/, FORMULA = /^[=+\-@\t\r]/;
+
+  // Numbers as programs read them; a text that a spreadsheet would take for a formula begins with an apostrophe.
+  function cellText(cell) {
+    const shown = cell.innerText.replaceAll(SPACE, " ").replace(/\s*\n\s*/g, " ").trim();
+    const plain = shown.replaceAll(MINUS, "-");
+    const text = THOUSANDS.test(plain) ? plain.replaceAll(",", "") : NUMBER.test(plain) ? plain : shown;
+    const safe = FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text;
+    return /[",\n]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
+  }
+
+  function tableText(table) {
+    const upper = table.tHead.rows.length > 1
+      ? [...table.tHead.rows[0].cells].flatMap((cell) => Array(cell.colSpan).fill(cell.innerText.trim())) : [];
+    const heads = [...table.tHead.rows[table.tHead.rows.length - 1].cells].map((cell, k) => {
+      const both = [upper[k], cell.innerText.replace(/\s*\n\s*/g, " ").trim()].filter(Boolean).join(": ");
+      return /[",]/.test(both) ? `"${both.replaceAll('"', '""')}"` : both;
+    });
+    const body = [...table.tBodies[0].rows].map((row) => [...row.cells].map(cellText));
+    return [heads, ...body].map((cells) => `${cells.join(",")}\r\n`).join("");
+  }
+
+  function save(text, type, name) {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type }));
+    link.download = name;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  const fileName = (text, ending) => `${text.replace(/[^\p{L}\p{N}]+/gu, "-").replace(/^-+|-+$/g, "").slice(0, 80)}${ending}`;
+
+  function addButton(place, kind, name, made) {
+    const button = Object.assign(document.createElement("button"), { type: "button", className: "save", textContent: kind });
+    button.setAttribute("aria-label", `Save as ${kind}: ${name}`);
+    button.addEventListener("click", made);
+    place.append(button);
+  }
+
+  for (const table of document.querySelectorAll("table")) {
+    const name = table.caption.textContent, folded = table.caption.classList.contains("spoken");
+    const place = folded ? table.closest(".scroll").querySelector(".note") ?? table.closest(".scroll") : table.caption;
+    addButton(place, "CSV", name, () => save(`\ufeff${tableText(table)}`, "text/csv", fileName(name, ".csv")));
+  }
+  for (const figure of document.querySelectorAll("figure")) {
+    const head = figure.querySelector("h3, h4"), name = head.textContent;
+    addButton(head, "SVG", name, () => {
+      const drawing = new XMLSerializer().serializeToString(figure.querySelector("svg"));
+      save(drawing, "image/svg+xml", fileName(name, ".svg"));
+    });
+  }
+
+  // ---- what is folded
+
+  const folds = [...document.querySelectorAll("details")];
+  const opener = Object.assign(document.createElement("button"), { type: "button", className: "save all" });
+  const name = () => { opener.textContent = folds.some((each) => !each.open) ? "Open all tables (also for print)" : "Fold all tables"; };
+  opener.addEventListener("click", () => {
+    const open = folds.some((each) => !each.open);
+    for (const each of folds) each.open = open;
+    name();
+  });
+  const last = document.createElement("li");
+  last.append(opener);
+  if (folds.length) document.querySelector("nav ul").append(last);
+  if (location.hash === "#all") opener.click();
+  name();
 
   // ---- controls
   const within = (values) => {

@@ -9,7 +9,7 @@ import pytest
 from stickslip_fit.anova import analyze_variance
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.anova import draw_days, draw_directions, draw_rotations, factor_pictures
-from stickslip_fit.reporting.page import make_anova_section
+from stickslip_fit.reporting.sections import factors_section
 
 ROTATION = tuple({"joint": 3, "q2_deg": -90.0, "theta_deg": theta} for theta in (0.0, -30.0, -90.0))
 DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")
@@ -95,16 +95,16 @@ def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campai
             for day in range(1, 11)
         ]
     )
-    part = make_anova_section(analyze_variance(fitted(years).log)).sections[1]
-    assert part.figures[0].caption.startswith("The latest 30 of 40 sessions.")
-    assert {row[1] for row in part.tables[0].rows} == {"all"}
+    part = factors_section(analyze_variance(fitted(years).log))
+    assert part.figures[0].caption.endswith("The latest 30 sessions.")
+    assert {row[1] for row in part.tables[1].rows} == {"all"}
 
 
 def test_more_answers_than_a_table_has_room_for_are_counted(campaign, fitted):
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 14))
-    part = make_anova_section(analyze_variance(fitted(campaign(days, ROTATION)).log)).sections[1]
-    assert {row[1] for row in part.tables[0].rows} == {"all"}
-    assert "Not shown: 27 answers within single sessions." in part.tables[0].note
+    part = factors_section(analyze_variance(fitted(campaign(days, ROTATION)).log))
+    assert {row[1] for row in part.tables[1].rows} == {"all"}
+    assert "Not shown: 27 answers within single sessions." in part.tables[1].note
 
 
 def test_a_notebook_is_given_the_axes_of_a_factor(found):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.reporting import report
-from stickslip_fit.reporting.page import make_comparison_section
+from stickslip_fit.reporting.sections import strategies_section
 from stickslip_fit.strategies import (
     ClosedForm,
     ConstantStepStrategy,
@@ -53,7 +53,7 @@ def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_p
     errors = "Joint 3 (prismatic): errors of the step size"
     for strategy, rms in zip(page.column(errors, "strategy"), page.column(errors, "rmsnm"), strict=True):
         assert float(rms.replace(",", "")) == pytest.approx(1e9 * accuracy.loc[strategy, "rms"], abs=0.051)
-    assert ("figure", {"id": "pareto-3"}) in page.elements
+    assert ("figure", {"id": "pareto"}) in page.elements
     for part in (
         "where each strategy errs most",
         "claims, implies, and what is reached",
@@ -83,8 +83,8 @@ def test_names_are_unique_and_nothing_is_fetched(source, read_page):
 
 def test_one_session_says_what_its_intervals_are_over(made):
     log = made.log.select(made.log.rows["session"] == DATES[0])
-    section = make_comparison_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
-    assert "are over its configurations, since there is one session" in section.headline[0]
+    section = strategies_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
+    assert "are over its configurations, since there is one session" in section.paragraphs[0]
     assert "Left out" not in [table.caption for table in section.tables]
 
 

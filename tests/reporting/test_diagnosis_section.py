@@ -27,7 +27,7 @@ from stickslip_fit.plotting.diagnosis import (
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
 from stickslip_fit.reporting import report
-from stickslip_fit.reporting.page import diagnosis_page, number_residuals
+from stickslip_fit.reporting.diagnosis import diagnosis_page, number_residuals
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)
@@ -309,6 +309,6 @@ def test_points_of_the_evidence_are_numbered_as_in_the_log(found, made, monkeypa
     left = replace(
         compare_residuals(found.selection, 0), rows=usable.drop(index=wild.index).reset_index(drop=True)
     )
-    monkeypatch.setattr("stickslip_fit.reporting.page.compare_residuals", lambda *_: left)
+    monkeypatch.setattr("stickslip_fit.reporting.diagnosis.compare_residuals", lambda *_: left)
     rows = number_residuals(replace(found, findings=(replace(found.findings[0], traverses=wild),))).rows
     assert (rows["time"] == usable.loc[rows.index, "time"]).all()

@@ -12,8 +12,11 @@ from stickslip_fit._summary import load_page_assets
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "reports" / "example.html"
 COMMAND = "stickslip-fit report data/reference/campaign.csv -o reports/example.html"
-TEMPLATE = ROOT / "stickslip_fit" / "templates" / "report.html.j2"
-HEADING = re.compile(r'<h2 id="([^"]+)">([^<]+)</h2>')
+HEADING = re.compile(r'<h2 id="([^"]+)"[^>]*>([^<]+)</h2>')
+SECTIONS = [
+    *("answer", "measured", "parameters", "accuracy", "factors", "diagnosis", "strategies", "one-by-one"),
+    *("methods", "remarks", "provenance"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +36,7 @@ def test_it_is_small_and_knows_nothing_of_the_machine_it_was_made_on(example):
 
 
 def test_it_has_every_section_and_today_s_style_and_script(example):
-    assert HEADING.findall(example) == HEADING.findall(TEMPLATE.read_text("utf-8"))
+    assert [key for key, _ in HEADING.findall(example)] == SECTIONS
     today = load_page_assets(script=True)
     assert f"<style>{today.style}</style>" in example, f"out of date: {COMMAND}"
     assert f"<script>{today.script}</script>" in example, f"out of date: {COMMAND}"

@@ -77,7 +77,7 @@ def test_session_names_stay_inert_within_figures(hostile):
     assert "<script" not in labels
     assert "<img" not in labels
     for name in hostile.log.sessions[-2:]:
-        assert html.escape(shorten(name, 18), quote=False) in labels
+        assert html.escape(shorten(name, 12), quote=False) in labels
 
 
 def test_excluded_traverses_and_notes_are_listed(hostile):

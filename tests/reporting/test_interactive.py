@@ -13,7 +13,13 @@ from scipy.stats import spearmanr
 from stickslip_fit._summary import embed_json
 from stickslip_fit.plotting._style import select_recent, thin_rows
 from stickslip_fit.plotting.residuals import FIT_MAX_POINTS
-from stickslip_fit.reporting.page import MAX_OUTLYING, MAX_TRAVERSES, make_traverses_payload, thin_traverses
+from stickslip_fit.reporting import report
+from stickslip_fit.reporting.traverses import (
+    MAX_OUTLYING,
+    MAX_TRAVERSES,
+    make_traverses_payload,
+    thin_traverses,
+)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +102,8 @@ def test_points_of_figures_are_the_traverses_they_say(whole):
     rows = whole.log.usable
     size = (rows["stop"] - rows["start"]).abs() / (rows["steps"] - 2.5)
     off = size / whole.fit.si.predict(rows)["step_size"]
-    groups = re.findall(r'<g [^>]*data-traverses="([\d.]+)"[^>]*>(.*?)</g></g>', whole.source)
+    source = report(whole.log, calibration=whole.calibration, fit=whole.fit, sections=("figures",)).html
+    groups = re.findall(r'<g [^>]*data-traverses="([\d.]+)"[^>]*>(.*?)</g></g>', source)
     assert len(groups) > 50
     for numbers, drawn in groups:
         height = [-float(y) for y in re.findall(r'<use [^>]*y="([^"]+)"', drawn)]

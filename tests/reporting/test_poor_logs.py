@@ -28,14 +28,6 @@ POOR = {
         {"settings": CALIBRATION, "replicates": 1, "sessions": ONE_DAY},
         "cannot be judged: there is no traverse beside those that the calibration used",
     ),
-    "one traverse": (
-        {"settings": PSI[:1], "directions": ("+",), "replicates": 1, "sessions": ONE_DAY},
-        "Residuals of the law, joint 3 (prismatic). It would need a second traverse.",
-    ),
-    "never without load": (
-        {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0})},
-        "It would need full traverses of joint 2 at psi = 0 with theta = −90° and with theta = 0",
-    ),
     "partial traverses only": (
         {"settings": PARTS},
         "missing: a full traverse at q2 = -90°, q3 = 0 mm, theta = 0°",
@@ -45,6 +37,26 @@ POOR = {
         "Whether that is as good as repeatability allows cannot be said for joint 3: too few replicates",
     ),
 }
+
+
+LACKING_FIGURES = {
+    "one traverse": (
+        {"settings": PSI[:1], "directions": ("+",), "replicates": 1, "sessions": ONE_DAY},
+        "Residuals of the law, joint 3 (prismatic). It would need a second traverse.",
+    ),
+    "never without load": (
+        {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0})},
+        "It would need full traverses of joint 2 at psi = 0 with theta = −90° and with theta = 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LACKING_FIGURES)
+def test_a_figure_that_a_log_cannot_support_says_what_it_lacks(campaign, fitted, read_page, name):
+    how, said = LACKING_FIGURES[name]
+    made = fitted(campaign(**how))
+    page = report(made.log, calibration=made.calibration, fit=made.fit, sections=("figures",)).html
+    assert said in read_page(page).text
 
 
 @pytest.mark.parametrize("name", POOR)

@@ -31,10 +31,10 @@ def headings(page):
 def test_the_page_is_complete(written, campaign):
     page = written(campaign(settings=CALIBRATION + PSI))
     assert {"answer", "measured", "parameters", "accuracy", "factors", *SECTIONS} <= headings(page)
-    assert {"figures", "remarks", "provenance"} <= headings(page)
-    assert "Residuals against each quantity, joint 3 (prismatic)" in page.text
+    assert {"methods", "remarks", "provenance"} <= headings(page)
+    assert "Mean step size of each traverse" in page.text
     assert "Strategies for joint 3 (prismatic)" in page.tables
-    assert page.text.index("See the diagnosis") < page.text.index("Error on traverses")
+    assert page.text.index("Nothing is wrong that this log can show") < page.text.index("Error on traverses")
 
 
 def test_what_is_not_wanted_is_left_out(written, campaign):

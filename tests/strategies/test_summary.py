@@ -130,7 +130,7 @@ def test_names_that_look_like_markup_stay_text(log):
 
     compared = compare_strategies(log, [Hostile(), ConstantStepStrategy()])
     assert "<script>" not in compared._repr_html_()
-    assert "<script>" not in str(pareto_picture(compared, 3).svg)
+    assert "<script>" not in str(pareto_picture(compared).svg)
 
 
 def test_nothing_shared_is_said_and_not_drawn(log):

@@ -1,0 +1,117 @@
+"""A diagnosis as a page of its own, and as a section of a log's report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from stickslip_fit._format import format_p_value, format_percent, join_words, typeset_text
+from stickslip_fit._summary import Section, Summary, load_page_assets, load_template
+from stickslip_fit.diagnosis import Diagnosis
+from stickslip_fit.diagnosis._unknown_summary import name_finding
+from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
+from stickslip_fit.machine import load_machine
+from stickslip_fit.plotting._svg import Picture
+from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, ranking_picture
+from stickslip_fit.plotting.residuals import finding_picture, residuals_overview_picture
+from stickslip_fit.reporting.table import make_table_section
+
+
+def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
+    """A diagnosis as a self-contained HTML page; `command` as typed."""
+    table = diagnosis.table
+    if table is None:
+        diagnosed, data = make_diagnosis_section(diagnosis, command), "log"
+    else:
+        diagnosed, data = make_table_section(diagnosis, table, command), "table"
+    return load_template("diagnosis.html.j2").render(
+        diagnosed=diagnosed, data=data, assets=load_page_assets(script=False)
+    )
+
+
+def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
+    """A diagnosis with its figures."""
+    comparison = number_residuals(diagnosis)
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    pictures = [draw(comparison) for draw in _finding_drawers(diagnosis)]
+    joints = sorted(comparison.rows["joint"].unique())
+    pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
+    summary = diagnosis.summary()
+    findings, alternatives, untestable = summary.sections
+    sections = (
+        findings,
+        Section("The evidence", figures=(*pictures, gain_picture(diagnosis)), key="evidence"),
+        replace(alternatives, figures=(ranking_picture(diagnosis), confusion_picture(diagnosis))),
+        untestable,
+    )
+    source = ("command", command or "none: made from Python")
+    return replace(summary, sections=sections, provenance=(*summary.provenance, source))
+
+
+def _finding_drawers(diagnosis: Diagnosis) -> list[Callable[[ResidualComparison], Picture]]:
+    """For each finding with a shape, what draws its residuals before and after."""
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    selected = {cause.cause: cause for cause in diagnosis.selection.selected}
+    return [
+        lambda comparison, finding=finding, cause=cause: finding_picture(  # type: ignore[misc]
+            finding, cause, finding_shape(diagnosis.selection, cause), comparison, machine
+        )
+        for finding in diagnosis.findings
+        if (cause := selected[finding.cause]).misfit is not None
+    ]
+
+
+def first_finding_picture(diagnosis: Diagnosis) -> Picture | None:
+    """Residuals before and after the largest finding that has a shape; None where none has."""
+    drawers = _finding_drawers(diagnosis)
+    return drawers[0](number_residuals(diagnosis)) if drawers else None
+
+
+def diagnosis_section(diagnosis: Diagnosis) -> Section:
+    """A diagnosis as a section of a report, whose headline and first figure stand above."""
+    findings, alternatives, untestable = diagnosis.summary().sections
+    gain, ranking = gain_picture(diagnosis), ranking_picture(diagnosis)
+    said = 1 + len(diagnosis.findings) if diagnosis.findings else 1
+    return Section(
+        "What the simulation gets wrong",
+        diagnosis.summary().headline[said:],
+        findings.tables,
+        (gain,) if gain.svg is not None else (),
+        key="diagnosis",
+        conclusion=_conclude(diagnosis),
+        folded=tuple(
+            part
+            for part in (
+                replace(alternatives, figures=(ranking,) if ranking.svg is not None else (), key=""),
+                replace(untestable, key=""),
+            )
+            if part.paragraphs or part.tables or part.figures
+        ),
+    )
+
+
+def _conclude(diagnosis: Diagnosis) -> str:
+    if not diagnosis.findings:
+        return diagnosis.summary().headline[0]
+    found = [
+        f"{name_finding(one)} ({format_percent(one.effect.estimate)} rms in "
+        f"{'joint' if len(one.joints) == 1 else 'joints'} {join_words([str(joint) for joint in one.joints])})"
+        for one in diagnosis.findings
+    ]
+    p_value = format_p_value(diagnosis.p_value, relation=True)
+    return typeset_text(f"Found: {join_words(found)}; p {p_value} for the whole search.")
+
+
+def number_residuals(diagnosis: Diagnosis) -> ResidualComparison:
+    """Residuals without outliers, each row by its number among the log's usable traverses."""
+    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    outliers = [
+        row
+        for finding in diagnosis.findings
+        if finding.traverses is not None
+        for row in finding.traverses.index
+    ]
+    numbers = np.delete(np.arange(len(comparison.rows) + len(outliers)), np.array(outliers, dtype=int))
+    return replace(comparison, rows=comparison.rows.set_axis(numbers))
