@@ -48,7 +48,7 @@ def describe_excess_scatter(log: Log, result: Result) -> str:
         return ""
     _, joint, direction, residual_scatter, replicate_scatter = max(found)
     return (
-        f"Residual scatter {format_percent(residual_scatter)} against replicate scatter "
+        f"The residual scatter is {format_percent(residual_scatter)}, while most replicates scatter by "
         f"{format_percent(replicate_scatter)} (joint {joint}, direction {format_direction(direction)}): the "
         "law misses something; run stickslip-fit diagnose."
     )

@@ -33,7 +33,7 @@ def test_what_needs_a_log_says_so(named):
 
 def test_the_extended_law_holds_the_named_cause(named, drifting):
     law = named.extended_law()
-    table = law.parameters.set_index("name")
+    table = law.si.parameters.set_index("name")
     (parameter,) = named.findings[0].parameters
     assert table.loc[f"drift.{parameter.name}", "estimate"] == pytest.approx(parameter.size.estimate, rel=0.1)
     assert len(law.residuals) == len(drifting.usable)

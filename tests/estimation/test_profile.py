@@ -108,7 +108,7 @@ def test_the_command_and_the_report_say_that_the_profile_is_out(tmp_path):
         "Session 2012-03-09 lies where the sessions before it lead one to expect. Sessions drove"
     )
     assert [flag.joint for flag in ssf.fit(log).flags if flag.flag == "other_stretches"] == [1]
-    page = ssf.report(log, sections=()).html
+    page = ssf.report(log, sections=("figures",)).html
     assert "Step size along the travel, joint 1 (rotary)" in page
     assert "a profile along the travel that all share is taken out first" in page
 

@@ -17,15 +17,17 @@ JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
 def test_a_log_is_compared_with_causes_numbers_and_chart(run, written, tmp_path):
     path = written(sessions=("2012-03-05", "2012-03-06", "2012-03-07"), settings=JOINT_3)
     files = ("--numbers", tmp_path / "all", "--chart", tmp_path / "p.svg")
-    status, told, complained = run("compare", path, "--cause", "drift", "--more", 2, *files)
+    status, told, complained = run("compare", path, "--cause", "drift", "--more", 2, "--full", *files)
     assert (status, complained) == (0, "")
     assert "closed form, with causes" in told
     table = pd.read_parquet(tmp_path / "all" / "accuracy.parquet").set_index("strategy")
     row = table.loc["least squares, I-optimal +2"]
     assert row["traverses_made"] == 5
     lines = [line.split() for line in told.splitlines() if line.startswith("least squares, I-optimal +2 ")]
-    assert lines[0][4:6] == ["5", f"{row['seconds'] / 60:.0f}"]
-    assert lines[1][4] == f"{row['rms']:.1f}"
+    minutes = f"{row['seconds'] / 60:.0f}"
+    assert lines[0][4] == minutes, "the table of all joints"
+    assert lines[1][4:6] == ["5", minutes]
+    assert lines[2][4] == f"{row['rms']:.1f}"
     assert (tmp_path / "p.svg").read_text().startswith("<?xml")
 
 
