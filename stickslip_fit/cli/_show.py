@@ -64,7 +64,7 @@ def show(summary: Summary, display: Display, saved: Iterable[str] = ()) -> None:
     else:
         text, left_out = summary.as_screen()
         if left_out:
-            text += f"\n\n{name_left_out(left_out)}"
+            lines.insert(0, name_left_out(left_out))
     print("\n\n".join(filter(None, [text, "\n".join(lines)])))
 
 
