@@ -201,8 +201,10 @@ def _name_computation(error: Exception) -> str:
 def _compare_strategies(log: Log, laws: Laws | None, causes: Sequence[Cause], command: str) -> Comparison:
     log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
     strategies = default_strategies()
-    if causes:
-        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes, laws=laws))
+    # What differs from session to session cannot be known from the others.
+    common = [cause for cause in causes if not getattr(cause, "sessions", ())]
+    if common:
+        strategies += default_strategies_with_causes(causes_from_other_sessions(log, common, laws=laws))
     return compare_strategies(log, strategies, laws=laws, command=command)
 
 
