@@ -25,6 +25,7 @@ MODULES = {
     ),
     "moves": ("stickslip_fit.moves",),
     "strategies": ("stickslip_fit.strategies",),
+    "changes": ("stickslip_fit.changes",),
     "studies": ("stickslip_fit.studies",),
     "capture": (
         "stickslip_fit.capture.protocols",
