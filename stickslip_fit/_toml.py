@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 from itertools import pairwise
 from math import inf, isfinite
@@ -23,7 +22,7 @@ from pydantic.functional_validators import WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from stickslip_fit._input import format_path, read_file
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, suggest
 from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 Bounds = tuple[float, float]
@@ -273,10 +272,9 @@ def _attribute_docstrings(table: type[TomlTable]) -> dict[str, str]:
 
 
 def _unknown(key: str, keys: dict[str, tuple[str, str]]) -> str:
-    similar = get_close_matches(key, keys, 1)
-    hint = f"did you mean {similar[0]}? It" if similar else "it"
     one_each = {name: key for key, (name, _) in reversed(keys.items())}
-    return f"is no key of this table; {hint} may have {', '.join(reversed(one_each.values()))}"
+    names = ", ".join(reversed(one_each.values()))
+    return f"is no key of this table, which may have {names}{suggest(key, keys)}"
 
 
 def _value_at(value: Any, place: Place) -> Any:

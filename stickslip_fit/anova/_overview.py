@@ -18,7 +18,6 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.anova.analysis import Anova
-from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.factor_test import FactorTest
 from stickslip_fit.anova.position import DAY, DIRECTION, POSITION, PositionTest
 
@@ -73,14 +72,14 @@ def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
     changes = []
     for analysis, where in EFFECTS.items():
         tests = _tests_of(joint, anova, analysis)
-        over = [test for test in tests if test.design.session is None and _is_significant(test)]
-        differing = over or [test for test in tests if _is_significant(test)]
+        over = [test for test in tests if test.design.session is None and test.is_significant]
+        differing = over or [test for test in tests if test.is_significant]
         if differing:
             largest = max(differing, key=lambda test: test.relative_difference)
             session = "" if over else f" in session {largest.design.session}"
             changes.append(f"{where}{session} by up to {format_percent(largest.relative_difference)}")
     for test in _profile_of(joint, anova):
-        if test.term == POSITION and test.effect is not None and _is_significant(test):
+        if test.term == POSITION and test.effect is not None and test.is_significant:
             changes.append(f"along the travel by up to {format_percent(expm1(test.effect.difference))}")
     found = f"the step size changes {join_words(changes)}" if changes else "no factor shows an effect"
     return " ".join([f"Joint {joint}: {found}.", *_advise(advice)])
@@ -123,7 +122,7 @@ def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
                     f"{format_number(test.relative_difference, '%', 1)} ({format_range(low, high, '%', 1)})",
                     format_number(test.detectable / mean, "%", 1),
                     format_p_value(test.p_holm),
-                    SHOWN if _is_significant(test) else "none shown",
+                    SHOWN if test.is_significant else "none shown",
                 )
             )
     return rows
@@ -139,7 +138,7 @@ def _profile_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
             format_number(test.size, "%", 2),
             format_number(test.detectable, "%", 2),
             format_p_value(test.p_holm),
-            SHOWN if _is_significant(test) else "none shown",
+            SHOWN if test.is_significant else "none shown",
         )
         for test in _profile_of(joint, anova)
         if test.term not in (DAY, DIRECTION)
@@ -159,7 +158,3 @@ def _tests_of(joint: int, anova: Anova, analysis: str) -> list[FactorTest]:
 
 def _profile_of(joint: int, anova: Anova) -> list[PositionTest]:
     return [test for each in anova.positions if each.joint == joint for test in each.tests]
-
-
-def _is_significant(test: FactorTest | PositionTest) -> bool:
-    return test.p_holm < SIGNIFICANCE_LEVEL

@@ -16,7 +16,6 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Table, numbers, words
-from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.position import DAY, DIRECTION, POSITION, PositionAnalysis, PositionTest
 
 BY_DAY, BY_DIRECTION = f"{DAY} x {POSITION}", f"{DIRECTION} x {POSITION}"
@@ -37,9 +36,9 @@ def _conclude_profile(tests: dict[str, PositionTest], where: str) -> list[str]:
     changes = [
         f"{CHANGES[term]} (by {_rms(test)}, {_adjusted(test)})"
         for term, test in changing.items()
-        if is_significant(test)
+        if test.is_significant
     ]
-    if not is_significant(common):
+    if not common.is_significant:
         would = f"{format_percent(common.detectable)} rms would most likely have shown"
         if changes:
             return [
@@ -54,7 +53,7 @@ def _conclude_profile(tests: dict[str, PositionTest], where: str) -> list[str]:
     ]
     if changes:
         sentences.append(f"The profile differs {join_words(changes)}.")
-    hidden = [term for term, test in changing.items() if not is_significant(test)]
+    hidden = [term for term, test in changing.items() if not test.is_significant]
     if hidden:
         sizes = join_words([format_percent(tests[term].detectable) for term in hidden])
         sentences.append(
@@ -64,14 +63,9 @@ def _conclude_profile(tests: dict[str, PositionTest], where: str) -> list[str]:
     return sentences
 
 
-def is_significant(test: PositionTest) -> bool:
-    """Whether the term shows at 5 %, adjusted over all tests."""
-    return test.p_holm < SIGNIFICANCE_LEVEL
-
-
 def _conclude_levels(test: PositionTest) -> str:
     what = "the step size changes from session to session" if test.term == DAY else "the directions differ"
-    if not is_significant(test):
+    if not test.is_significant:
         what = "change from session to session" if test.term == DAY else "difference between the directions"
         return (
             f"no {what} shows ({_adjusted(test)}); {format_percent(test.detectable)} rms would most likely "

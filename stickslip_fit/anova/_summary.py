@@ -46,11 +46,6 @@ COST_LIMIT = 3.0  # times the repeatability: a cost that a lab would want to avo
 MAX_LISTED_SESSIONS = 3  # sessions that a list names
 
 
-def is_significant(factor_test: FactorTest) -> bool:
-    """Whether levels differ at 5 %, adjusted over all tests."""
-    return factor_test.p_holm < SIGNIFICANCE_LEVEL
-
-
 def conclude(joint: int, factor_tests: Sequence[FactorTest]) -> list[str]:
     """A sentence for each analysis of a joint."""
     writers = {"day": _conclude_day, "direction": _conclude_direction, "normal-force": _conclude_normal_force}
@@ -72,7 +67,7 @@ def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]
 
 
 def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> Advice:
-    changes = any(is_significant(test) for test in factor_tests if test.design.analysis == "day")
+    changes = any(test.is_significant for test in factor_tests if test.design.analysis == "day")
     total, replicate, unit = components.total, components.replicate.deviation, components.unit
     cost, low, high = (sqrt(2.0) * value for value in (total.deviation, total.low, total.high))
     price = (
@@ -87,7 +82,7 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
 def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
     if components.direction is None:
         return []
-    differs = any(is_significant(test) for test in factor_tests if test.design.analysis == "direction")
+    differs = any(test.is_significant for test in factor_tests if test.design.analysis == "direction")
     cost, limit = abs(components.direction) / 2, COST_LIMIT * components.replicate.deviation
     share = format_percent(cost / components.mean)
     price = f"one set for both is off by {format_value(cost, components.unit)} a step ({share})"
@@ -97,8 +92,8 @@ def _recommend_directions(components: VarianceComponents, factor_tests: Sequence
 
 
 def _conclude_day(factor_tests: Sequence[FactorTest]) -> str:
-    changed = [test for test in factor_tests if is_significant(test)]
-    same = [test for test in factor_tests if not is_significant(test)]
+    changed = [test for test in factor_tests if test.is_significant]
+    same = [test for test in factor_tests if not test.is_significant]
     sentences = []
     if changed:
         sentences.append(
@@ -118,8 +113,8 @@ def _conclude_day(factor_tests: Sequence[FactorTest]) -> str:
 def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
     over = [test for test in factor_tests if test.design.session is None]
     within = [test for test in factor_tests if test.design.session is not None]
-    differing = [test for test in within if is_significant(test)]
-    if over and is_significant(over[0]):
+    differing = [test for test in within if test.is_significant]
+    if over and over[0].is_significant:
         return (
             f"the two directions differ by {_difference_text(over[0])}, taken over all sessions "
             f"({_adjusted_p_text(over)})."
@@ -142,7 +137,7 @@ def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
 
 def _conclude_normal_force(factor_tests: Sequence[FactorTest]) -> str:
     over = [test for test in factor_tests if test.design.session is None] or list(factor_tests)
-    differing = [test for test in over if is_significant(test)]
+    differing = [test for test in over if test.is_significant]
     if not differing:
         detectable = _detectable_text(max(over, key=lambda test: test.detectable))
         return (

@@ -18,6 +18,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import (
+    SIGNIFICANCE_LEVEL,
     BlockedComparison,
     LevelDifference,
     SumsOfSquares,
@@ -336,6 +337,11 @@ class FactorTest:
     p_holm: float
     detectable: float
     assumptions: tuple[AssumptionCheck, ...]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether it shows at 5 %, adjusted over all tests."""
+        return self.p_holm < SIGNIFICANCE_LEVEL
 
     @property
     def p_value(self) -> float:

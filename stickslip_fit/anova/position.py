@@ -22,6 +22,7 @@ import pandas as pd
 from stickslip_fit._format import coordinate_unit
 from stickslip_fit._typing import Array
 from stickslip_fit.anova.contrasts import (
+    SIGNIFICANCE_LEVEL,
     LevelDifference,
     compare_means,
     indicator_columns,
@@ -89,6 +90,11 @@ class PositionTest:
         if self.effect is None:
             return "", ""
         return self.levels[self.effect.largest], self.levels[self.effect.smallest]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the term shows at 5 %, adjusted over all tests."""
+        return self.p_holm < SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True, eq=False)

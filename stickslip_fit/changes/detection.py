@@ -27,6 +27,7 @@ from stickslip_fit.errors import InputError, check_rate
 from stickslip_fit.estimation import Flag, Result, fit_least_squares
 from stickslip_fit.estimation.identifiability import configuration_rows
 from stickslip_fit.estimation.result import Provenance
+from stickslip_fit.estimation.reweighting import OUTLIER, PATTERN
 from stickslip_fit.laws import Laws, StepLaw
 from stickslip_fit.laws.base import traverse_length
 from stickslip_fit.logs import Log
@@ -175,7 +176,7 @@ def detect_changes(
         _make_change(quantity, difference, alpha)
         for quantity, difference in zip(quantities, differences, strict=True)
     )
-    flags = tuple(flag for fit in fits for flag in fit.flags if flag.flag == "outlier")
+    flags = tuple(flag for fit in fits for flag in fit.flags if flag.flag in (OUTLIER, PATTERN))
     sessions = (old.sessions, new.sessions)
     provenance = (fits[0].provenance, fits[1].provenance)
     return Changes(alpha, sessions, changes, tuple(apart), flags, old.machine, provenance)

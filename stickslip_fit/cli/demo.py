@@ -92,7 +92,8 @@ def find_hidden_effect() -> Path:
     true_law = reference_law().read_text("utf-8")
     for path, text in ((plan, plan_template("example")), (law, true_law), (changed, true_law + HIDDEN)):
         write_atomically(path, text)
-    planned = read_plan(plan, load_machine())
+    machine = load_machine()
+    planned = read_plan(plan, machine)
 
     _tell(
         "1. A campaign is simulated. Something is hidden in it.",

@@ -13,6 +13,7 @@ from stickslip_fit._format import (
     pluralize,
     typeset_text,
 )
+from stickslip_fit.diagnosis._unknown_summary import describe_scatter
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.estimation.result import library_versions
@@ -66,8 +67,8 @@ def _describe_fit(diagnosis: Diagnosis, log: Log) -> str:
         f"the {law}{published}: weighted nonlinear least squares on the logarithm of the count, with "
         "parameters of its own for each session and direction (Levenberg-Marquardt, Marquardt "
         "1963). The weights hold the repeatability and the rounding of the count by the interval between "
-        f"checks of the end stop. A traverse repeats to {format_percent(diagnosis.repeatability)} rms; the "
-        f"law leaves {format_percent(diagnosis.misfit)} rms."
+        f"checks of the end stop. The law leaves {format_percent(diagnosis.misfit)} rms; "
+        f"{describe_scatter(diagnosis)}."
     )
 
 

@@ -3,8 +3,8 @@
 A slip stands alone; an effect that the law leaves out shows in many counts that have something in common.
 What they have in common is tested by permutation: of all choices of as many rows, how many have as much in
 common? Five things are looked at, and the p-values adjusted over them by Holm's method, so that isolated
-errors are called a pattern in at most 1 of 100 logs with them. With fewer than three outlying counts only the
-next one in time is looked at: two in a row are a pattern.
+errors are called a pattern in at most 1 of 100 logs with them. Of two outlying counts, only whether one
+follows the other is asked.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.logs.schema import has_times, position_columns
 
 LEVEL = 0.01
-MIN_COUNT = 3  # of outlying counts; fewer are a pattern only if they follow each other
+MIN_COUNT = 3  # of outlying counts; fewer may only follow each other
 N_PERMUTATIONS = 1999
 DECIMALS = 9  # of a position that make it another
 MIN_VARIANCE = 1e-9  # of pairs, where nearly all rows have one label
@@ -37,7 +37,7 @@ class OutlierPattern:
     text : str
         In a sentence after "the outlying counts".
     p_value : float
-        Adjusted over the kinds; 0 for two that follow each other.
+        Adjusted over the kinds.
     """
 
     kind: str
@@ -88,8 +88,10 @@ def _find_neighbours(rows: pd.DataFrame, chosen: IntArray) -> OutlierPattern | N
     if len(chosen) < 2 or not has_times(rows):
         return None
     session = rows["session"].astype(object).to_numpy()
-    if np.diff(chosen)[0] == 1 and session[chosen[0]] == session[chosen[1]]:
-        return OutlierPattern("time", "follow each other", 0.0)
+    follows = session[1:] == session[:-1]
+    p_value = follows.sum() / (len(rows) * (len(rows) - 1) / 2)  # of all pairs, those in a row
+    if np.diff(chosen)[0] == 1 and follows[chosen[0]] and p_value < LEVEL:
+        return OutlierPattern("time", "follow each other", float(p_value))
     return None
 
 

@@ -161,7 +161,7 @@ SEARCH_ITERATIONS = 50  # of one pass; where the law suits no count, more would 
 TYPICAL_SIGMA = 0.003  # of log steps; the least scatter that a few small residuals may show
 SIGMA_PER_MAD = 1.4826
 NORMAL_REACH = 1.96  # standard deviations of 95 %
-PATTERN = "outlier_pattern"
+OUTLIER, PATTERN = "outlier", "outlier_pattern"
 ADVICE = "repeat the traverse; the Student-t fit (--heavy-tails) needs none excluded"
 
 
@@ -209,7 +209,7 @@ def outliers(law: StepLaw, rows: pd.DataFrame, machine: Machine | None = None) -
             f"the count {row['steps']} of {row['time']}{place} is far from the {low:.0f} to "
             f"{high:.0f} (95 %) that the others predict, and stands alone: {ADVICE}"
         )
-        flags.append(Flag.at("outlier", law.joint, str(row["direction"]), str(row["session"]), names, text))
+        flags.append(Flag.at(OUTLIER, law.joint, str(row["direction"]), str(row["session"]), names, text))
     return flags
 
 

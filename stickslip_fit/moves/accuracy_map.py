@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.special import chdtri
 
 from stickslip_fit._format import format_number, join_words
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers
@@ -15,13 +14,12 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm
+from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, error_radius, relative_spread
 from stickslip_fit.units import JOINTS, from_si
 
 GRID = (49, 13)  # places of q2 and q3
 TABLE_GRID = (9, 5)
 NO_VALUE = "–"
-NOT_COVERED = 0.05
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,11 +139,6 @@ def map_accuracy(arm: CalibratedArm | Result, grid: tuple[int, int] = GRID) -> A
     ------
     InputError
         If no joint is calibrated, or the machine has no published geometry.
-
-    Notes
-    -----
-    The squared error of a normal tip with covariance C has mean tr C and variance 2 tr C^2; its 95 % quantile
-    is that of the scaled chi-square with these moments (F. E. Satterthwaite, Biometrics Bull. 2:110, 1946).
     """
     arm = as_calibrated_arm(arm)
     machine = arm.machine
@@ -156,14 +149,14 @@ def map_accuracy(arm: CalibratedArm | Result, grid: tuple[int, int] = GRID) -> A
     still = tuple(joint for joint in JOINTS if joint not in arm.result.joints)
     if len(still) == len(JOINTS):
         raise InputError("this result has no calibrated joint")
-    tips = forward(machine, goals - goals * [1, 0, 0])
+    tips = forward(machine, goals * [0, 1, 1])  # with q1 = 0 the arm lies in the plane of x and z
     shape = (len(q2), len(q3))
     near_errors = _move_errors(arm, goals, still)
     far_errors = np.full(len(far), np.nan) if 1 in still else _move_errors(arm, far, still)
     return AccuracyMap(
         q2,
         q3,
-        np.hypot(tips[:, 0], tips[:, 1]).reshape(shape) * np.sign(tips[:, 0]).reshape(shape),
+        tips[:, 0].reshape(shape),
         tips[:, 2].reshape(shape),
         near_errors.reshape(shape),
         far_errors.reshape(shape),
@@ -195,37 +188,9 @@ def _drive_variance(arm: CalibratedArm, q: Array, joint: int, goal: Array) -> Ar
         if not moves.any():
             continue
         law, values, covariance, repeatability = arm.law(joint, direction)
-        rows = _drive_rows(arm, q[moves], joint, direction, goal[moves])
+        rows = arm.drive_rows(q[moves], joint, direction, goal[moves])
         counts, slopes = law.counts(rows, values)
-        relative = slopes / counts[:, None]
-        spread = np.einsum("ni,ij,nj->n", relative, covariance, relative) + repeatability**2
+        spread = relative_spread(slopes / counts[:, None], covariance, repeatability)
         last = law.step_size(rows, goal[moves][:, None], values)[:, 0]
-        variance[moves] = spread * (goal - start)[moves] ** 2 + last**2 / 12.0
+        variance[moves] = (spread * (goal - start)[moves]) ** 2 + last**2 / 12.0
     return variance
-
-
-def _drive_rows(arm: CalibratedArm, q: Array, joint: int, direction: str, goal: Array) -> pd.DataFrame:
-    columns = {"session": arm.session, "joint": joint, "direction": direction}
-    rows = pd.DataFrame(columns, index=np.arange(len(q)))
-    rows[["q1", "q2", "q3"]] = q
-    rows = rows.assign(theta=arm.theta, psi=arm.psi, start=q[:, joint - 1], stop=goal)
-    return rows.assign(**{**arm.conditions, **arm.history.get(joint, {})})
-
-
-def error_radius(covariance: Array, not_covered: float = NOT_COVERED) -> Array:
-    """Radius that holds 95 % of normal errors with these covariances, shape (..., d, d) -> (...).
-
-    By the scaled chi-square with the same mean and variance (Satterthwaite); exact where one direction
-    dominates and where all are alike, and 2 % off at worst between.
-
-    Examples
-    --------
-    >>> error_radius(np.diag([1.0, 0.0, 0.0])).round(2), error_radius(np.eye(3)).round(2)
-    (np.float64(1.96), np.float64(2.8))
-    """
-    mean = np.trace(covariance, axis1=-2, axis2=-1)
-    square = np.einsum("...ij,...ji->...", covariance, covariance)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        df = mean**2 / square
-        radius = np.sqrt(mean / df * chdtri(df, not_covered))
-    return np.where(mean == 0.0, 0.0, radius)

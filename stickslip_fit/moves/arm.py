@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtri
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array
@@ -83,10 +84,15 @@ class CalibratedArm:
     def drive_row(self, q: Array, joint: int, stop: float) -> pd.DataFrame:
         """The traverse of `joint` from its position in `q` to `stop`, one row of a log."""
         direction = "+" if stop > q[joint - 1] else "-"
-        row = {"session": self.session, "joint": joint, "direction": direction}
-        row |= {"q1": q[0], "q2": q[1], "q3": q[2], "theta": self.theta, "psi": self.psi}
-        row |= {"start": q[joint - 1], "stop": stop}
-        return pd.DataFrame([row]).assign(**{**self.conditions, **self.history.get(joint, {})})
+        return self.drive_rows(np.reshape(q, (1, 3)), joint, direction, np.array([stop]))
+
+    def drive_rows(self, q: Array, joint: int, direction: str, stop: Array) -> pd.DataFrame:
+        """The traverses of `joint` from its positions in `q`, shape (n, 3), to `stop`, shape (n,)."""
+        columns = {"session": self.session, "joint": joint, "direction": direction}
+        rows = pd.DataFrame(columns, index=np.arange(len(q)))
+        rows[["q1", "q2", "q3"]] = q
+        rows = rows.assign(theta=self.theta, psi=self.psi, start=q[:, joint - 1], stop=stop)
+        return rows.assign(**{**self.conditions, **self.history.get(joint, {})})
 
     def after_drive(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
         """The arm after a drive, `row` as `drive_row` returns it; session_seconds stays the same."""
@@ -113,9 +119,9 @@ class CalibratedArm:
             raise InputError(
                 f"joint {joint} would stall on its way: the law gives a step size of zero or less there"
             )
-        relative = slopes[0] / counts[0]
-        spread = float(np.hypot(np.sqrt(relative @ covariance @ relative), repeatability))
-        return JointTravel(row, law, values, float(counts[0]), relative, spread)
+        relative = slopes / counts[:, None]
+        spread = relative_spread(relative, covariance, repeatability)
+        return JointTravel(row, law, values, float(counts[0]), relative[0], float(spread[0]))
 
     def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
         """The law of a joint in motion, its parameters, their covariance, and the repeatability.
@@ -149,6 +155,31 @@ class CalibratedArm:
             values, varied = moving[0], np.isnan(moving[1])
             covariance = covariance * np.outer(varied, varied)
         return fit.law, values, covariance, fit.repeatability[direction].value
+
+
+def relative_spread(slopes: Array, covariance: Array, repeatability: float) -> Array:
+    """Relative standard deviation of counts, shape (n,), from the slopes of their logarithms, (n, p)."""
+    return np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes) + repeatability**2)
+
+
+def error_radius(covariance: Array, not_covered: float = 0.05) -> Array:
+    """Radius that holds 95 % of normal errors with these covariances, shape (..., d, d) -> (...).
+
+    The squared error has mean tr C and variance 2 tr C^2; its quantile is that of the scaled chi-square with
+    these moments (F. E. Satterthwaite, Biometrics Bull. 2:110, 1946). Exact where one direction dominates
+    and where all are alike, and 2 % off at worst between.
+
+    Examples
+    --------
+    >>> error_radius(np.diag([1.0, 0.0, 0.0])).round(2), error_radius(np.eye(3)).round(2)
+    (np.float64(1.96), np.float64(2.8))
+    """
+    mean = np.trace(covariance, axis1=-2, axis2=-1)
+    square = np.einsum("...ij,...ji->...", covariance, covariance)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        df = mean**2 / square
+        radius = np.sqrt(mean / df * chdtri(df, not_covered))
+    return np.where(mean == 0.0, 0.0, radius)
 
 
 def calibrated_arm(

@@ -20,7 +20,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import Rows, StepLaw, float_column
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions, error_radius
 from stickslip_fit.simulation.truth import Group
 from stickslip_fit.units import JOINTS
 
@@ -131,9 +131,9 @@ class PoseEstimate:
     history: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
-    def tip_error(self) -> float:
-        """Standard deviation of the tip along its least certain direction, m."""
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.tip_covariance)[-1], 0.0)))
+    def tip_radius(self) -> float:
+        """Radius about `tip` that holds 95 % of its errors, m, see `error_radius`."""
+        return float(error_radius(self.tip_covariance))
 
 
 _Displacement = tuple[float, Array]
@@ -187,7 +187,7 @@ def dead_reckon(
 def steps_before_recalibration(
     arm: CalibratedArm, pose: PoseEstimate, joint: int, direction: str, tolerance: float
 ) -> int | None:
-    """Further steps of a joint until the tip's 95 % uncertainty exceeds a tolerance in m.
+    """Further steps of a joint until the tip's 95 % radius exceeds a tolerance in m.
 
     0 where it exceeds the tolerance now; None where the joint reaches its stop first.
     """
@@ -195,7 +195,7 @@ def steps_before_recalibration(
     end = high if direction == "+" else low
     if end == pose.q[joint - 1]:
         return None
-    if pose.tip_error * Z_95 > tolerance:
+    if pose.tip_radius > tolerance:
         return 0
     arm = replace(arm, history=pose.history)
     lever = jacobian(arm.machine, pose.q)[:, joint - 1]
@@ -203,7 +203,7 @@ def steps_before_recalibration(
 
     def excess(travel: float) -> float:
         covariance = pose.tip_covariance + relative * travel**2
-        return Z_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) - tolerance
+        return float(error_radius(covariance)) - tolerance
 
     distance = abs(end - pose.q[joint - 1])
     if excess(distance) <= 0:

@@ -23,7 +23,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions, error_radius
 from stickslip_fit.moves.dead_reckoning import DriveCommand, position_after
 from stickslip_fit.moves.path import PathSegment, TipPaths
 from stickslip_fit.simulation.truth import Group
@@ -75,9 +75,9 @@ class MovePlan:
     tip_covariance: Array
 
     @property
-    def tip_error(self) -> float:
-        """Standard deviation of the tip along its least certain direction, m."""
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.tip_covariance)[-1], 0.0)))
+    def tip_radius(self) -> float:
+        """Radius about `tip` that holds 95 % of its errors, m, see `error_radius`."""
+        return float(error_radius(self.tip_covariance))
 
 
 def plan_move(
@@ -320,8 +320,8 @@ def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
     joint 3: 258 steps in +
     >>> pose = dead_reckon(arm, path.joint_positions[0, 0], drives)
     >>> error = np.linalg.norm(pose.tip - path.tips[0, -1])
-    >>> print(f"{error * 1e6:.1f} µm by rounding, and ± {pose.tip_error * 1e6:.1f} µm (1 sd)")
-    1.1 µm by rounding, and ± 2.0 µm (1 sd)
+    >>> print(f"{error * 1e6:.1f} µm by rounding, and within {pose.tip_radius * 1e6:.1f} µm (95 %)")
+    1.1 µm by rounding, and within 3.9 µm (95 %)
     """
     if len(path) != 1:
         raise InputError(f"drives are worked out for one move at a time, not for {len(path)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._format import coordinate_unit, joint_name, step_unit
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.errors import InputError, shorten, suggest
 from stickslip_fit.laws import expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
@@ -147,9 +146,7 @@ def _explain_unknown_column(rows: pd.DataFrame, column: str) -> str:
     names = [*position_columns(rows), *(name for name in CONDITIONS if name in rows)]
     names += [HOURS] * has_times(rows)
     names += [name.removeprefix(COVARIATE_PREFIX) for name in rows if name.startswith(COVARIATE_PREFIX)]
-    close = get_close_matches(column, names, n=1)
-    guess = f"did you mean {close[0]}? " if close else ""
-    return f"there is no column {column!r} to draw against: {guess}columns are {', '.join(names)}"
+    return f"no column {column!r} to draw against: columns are {', '.join(names)}{suggest(column, names)}"
 
 
 def _draw_sessions(axes: np.ndarray, log: Log) -> None:

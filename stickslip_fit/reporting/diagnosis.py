@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,7 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     """A diagnosis with its figures."""
     comparison = number_residuals(diagnosis)
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    pictures = [draw(comparison) for draw in _finding_drawers(diagnosis)]
+    pictures = list(_finding_pictures(diagnosis, comparison))
     joints = sorted(comparison.rows["joint"].unique())
     pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
     summary = diagnosis.summary()
@@ -50,23 +50,20 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     return replace(summary, sections=sections, provenance=(*summary.provenance, source))
 
 
-def _finding_drawers(diagnosis: Diagnosis) -> list[Callable[[ResidualComparison], Picture]]:
-    """For each finding with a shape, what draws its residuals before and after."""
+def _finding_pictures(diagnosis: Diagnosis, comparison: ResidualComparison) -> Iterator[Picture]:
+    """Residuals before and after each finding that has a shape."""
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     selected = {cause.cause: cause for cause in diagnosis.selection.selected}
-    return [
-        lambda comparison, finding=finding, cause=cause: finding_picture(  # type: ignore[misc]
-            finding, cause, finding_shape(diagnosis.selection, cause), comparison, machine
-        )
-        for finding in diagnosis.findings
-        if (cause := selected[finding.cause]).misfit is not None
-    ]
+    for finding in diagnosis.findings:
+        cause = selected[finding.cause]
+        if cause.misfit is not None:
+            shape = finding_shape(diagnosis.selection, cause)
+            yield finding_picture(finding, cause, shape, comparison, machine)
 
 
 def first_finding_picture(diagnosis: Diagnosis) -> Picture | None:
     """Residuals before and after the largest finding that has a shape; None where none has."""
-    drawers = _finding_drawers(diagnosis)
-    return drawers[0](number_residuals(diagnosis)) if drawers else None
+    return next(_finding_pictures(diagnosis, number_residuals(diagnosis)), None)
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:

@@ -47,7 +47,7 @@ def summarize_move(arm: CalibratedArm, move: MovePlan) -> Summary:
     heads = ("from", "to", "steps", "95 % of moves need", "ends within ±")
     note = "Drive in this order: a step depends on where the other joints stand."
     table = Table("Drives", (*words("joint"), *numbers(*heads)), rows, note=note)
-    answer = f"Tip at {format_tip(move.tip)}; known to ± {_format_micrometres(Z_95 * move.tip_error)} (95 %)."
+    answer = f"Tip at {format_tip(move.tip)}; known within {_format_micrometres(move.tip_radius)} (95 %)."
     return Summary("Move", (answer, _calibration_heading(arm)), (Section(tables=(table,)),))
 
 
@@ -64,8 +64,8 @@ def summarize_pose(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Su
     )
     columns = (*words("joint"), *numbers("stands at", "known to ±"), *words(""))
     tables = [Table("Joints (95 %)", columns, rows)]
-    answer = f"Tip at {format_tip(at.tip)}; known to ± {_format_micrometres(Z_95 * at.tip_error)} (95 %)."
-    if Z_95 * at.tip_error > tolerance:
+    answer = f"Tip at {format_tip(at.tip)}; known within {_format_micrometres(at.tip_radius)} (95 %)."
+    if at.tip_radius > tolerance:
         answer += f" That is more than {_format_micrometres(tolerance)}: go back to a stop now."
     else:
         tables.append(_range_table(arm, at, tolerance))

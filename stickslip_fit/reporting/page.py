@@ -19,7 +19,9 @@ from stickslip_fit._summary import Section, embed_json, load_page_assets, load_t
 from stickslip_fit.anova import Anova, analyze_variance
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis import Diagnosis, diagnose
+from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis._unknown_summary import name_finding
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import (
     Result,
@@ -148,20 +150,23 @@ def report(
         )
     found: Diagnosis | InputError | None = diagnosis
     compared: Comparison | InputError | None = comparison
+    common: list[Finding] = []
     if diagnosis is None and "diagnosis" in sections:
         found = _try_section(
             lambda: diagnose(log, laws=laws, progress=lambda step, done: progress(step, 0.7 * done))
         )
     if comparison is None and "strategies" in sections:
         progress("comparing strategies", 0.7)
-        named = [*causes, *_versions(found)]
-        compared = _try_section(lambda: _compare_strategies(log, laws, named, command))
+        common = _common_findings(found)
+        known = [*causes, *(finding.version for finding in common)]
+        compared = _try_section(lambda: _compare_strategies(log, laws, known, command))
     progress("fitting and drawing", 0.9)
     if fit is None:
         fit = fit_least_squares(log, laws=laws, causes=causes, command=command)
     if calibration is None:
         calibration = _calibrate(log, laws, fit if causes else None, command)
-    results = _Results(log, calibration, fit, anova or analyze_variance(log), found, compared)
+    known_causes = [*(cause.name for cause in causes), *map(name_finding, common)]
+    results = _Results(log, calibration, fit, anova or analyze_variance(log), found, compared, known_causes)
     return Report(_write_title(log), _render(results, command, figures="figures" in sections), log.files)
 
 
@@ -201,16 +206,17 @@ def _name_computation(error: Exception) -> str:
 def _compare_strategies(log: Log, laws: Laws | None, causes: Sequence[Cause], command: str) -> Comparison:
     log = log.select(log.rows["session"].isin(log.sessions[-MAX_COMPARED_SESSIONS:]))
     strategies = default_strategies()
-    # What differs from session to session cannot be known from the others.
-    common = [cause for cause in causes if not getattr(cause, "sessions", ())]
-    if common:
-        strategies += default_strategies_with_causes(causes_from_other_sessions(log, common, laws=laws))
+    if causes:
+        strategies += default_strategies_with_causes(causes_from_other_sessions(log, causes, laws=laws))
     return compare_strategies(log, strategies, laws=laws, command=command)
 
 
 @dataclass(frozen=True, eq=False)
 class _Results:
-    """What a page is made of; in place of a result, why the log has none."""
+    """What a page is made of; in place of a result, why the log has none.
+
+    `known_causes` are in the law of some of the strategies compared.
+    """
 
     log: Log
     calibration: Result
@@ -218,16 +224,21 @@ class _Results:
     anova: Anova
     found: Diagnosis | InputError | None
     compared: Comparison | InputError | None
+    known_causes: Sequence[str]
 
     @property
     def diagnosis(self) -> Diagnosis | None:
         return self.found if isinstance(self.found, Diagnosis) else None
 
 
-def _versions(found: object) -> list[Cause]:
-    """What extends the law, as it acts in this log."""
-    findings = found.findings if isinstance(found, Diagnosis) else ()
-    return [finding.version for finding in findings if finding.version is not None]
+def _extending(found: object) -> list[Finding]:
+    """Findings that extend the law."""
+    return [one for one in found.findings if one.version] if isinstance(found, Diagnosis) else []
+
+
+def _common_findings(found: object) -> list[Finding]:
+    """Findings that extend the law alike in all sessions, so that a session's are known from the others."""
+    return [one for one in _extending(found) if not getattr(one.version, "sessions", ())]
 
 
 def _render(results: _Results, command: str, *, figures: bool) -> str:
@@ -259,14 +270,15 @@ def _make_sections(
     results: _Results, errors: pd.DataFrame, errors_drawn: bool, *, figures: bool
 ) -> list[Section]:
     log, calibration, fit, diagnosis = results.log, results.calibration, results.fit, results.diagnosis
-    versions = _versions(diagnosis)
+    extending = _extending(diagnosis)
+    versions = [one.version for one in extending]
     published = [joint for joint, each in fit.joints.items() if is_published(law_without_causes(each.law))]
     coefficients = (
         tabulate_load_coefficients(log, calibration, fit) if Elbow.joint in published else pd.DataFrame()
     )
     named, corrected = [], None
     if diagnosis is not None and is_extended(diagnosis):
-        named = [name_finding(one) for one in diagnosis.findings if one.version is not None]
+        named = list(map(name_finding, extending))
         corrected = analyze_variance(diagnosis.corrected_log())
     sections = [
         measured_section(log),
@@ -280,7 +292,7 @@ def _make_sections(
         reason = str(results.found)
         sections.append(missing_section("What the simulation gets wrong", "diagnosis", reason))
     if isinstance(results.compared, Comparison):
-        sections.append(strategies_section(results.compared, len(log.sessions), named))
+        sections.append(strategies_section(results.compared, len(log.sessions), results.known_causes))
     elif results.compared is not None:
         reason = str(results.compared)
         sections.append(missing_section("Which calibration to choose", "strategies", reason))
@@ -289,9 +301,8 @@ def _make_sections(
         given = (log, calibration, fit, anova, errors, coefficients, published, versions)
         sections.append(figures_section(*given))
     if diagnosis is not None:
-        *paragraphs, _, references = diagnosis.methods().split("\n\n")
-        methods = (*paragraphs, f"References\n{references}")
-        sections.append(Section("Methods", methods, key="methods"))
+        references = "\n".join(["References", *list_references(diagnosis)])
+        sections.append(Section("Methods", (*describe_methods(diagnosis), references), key="methods"))
     return [*sections, remarks_section(calibration, fit)]
 
 

@@ -18,8 +18,6 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Section, Summary
 from stickslip_fit.anova import Anova
-from stickslip_fit.anova._summary import is_significant
-from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.causes import Cause
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation._summary import departures_tables, flags
@@ -183,11 +181,11 @@ def _conclude_factors(anova: Anova) -> str:
     named: dict[int, dict[str, None]] = {}
     for test in anova.factor_tests:
         found = named.setdefault(test.design.joint, {})
-        if is_significant(test):
+        if test.is_significant:
             found[test.design.analysis] = None
     for analysis in anova.positions:
         found = named.setdefault(analysis.joint, {})
-        if any(test.term == "position" and test.p_holm < SIGNIFICANCE_LEVEL for test in analysis.tests):
+        if any(test.term == "position" and test.is_significant for test in analysis.tests):
             found["position along the travel"] = None
     if not named:
         return "Nothing can be answered from this log."

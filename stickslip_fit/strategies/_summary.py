@@ -80,7 +80,7 @@ def describe_joint(comparison: Comparison, joint: int) -> str:
         f"{format_value(value, '%', 2)} ({direction})"
         for direction, value in _scatter(comparison, joint).items()
     )
-    sentences = [f"Traverses predicted: {traverses:,}, of {own}; they repeat to {repeat}."]
+    sentences = [f"Traverses predicted: {traverses:,}, of {own}; they scatter by {repeat}."]
     if comparison.unit(joint) != SESSION_UNIT:
         sentences.append(
             "Intervals and verdicts are over its configurations, since there is one session: they say "

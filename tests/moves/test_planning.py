@@ -14,7 +14,8 @@ from stickslip_fit.moves import (
     plan_move,
     steps_before_recalibration,
 )
-from stickslip_fit.moves.arm import Z_95
+
+N_MOVES = 300
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +66,13 @@ def test_a_move_there_and_where_it_ends_agree(arm):
     assert move.tip == pytest.approx(forward(load_machine(), target))
 
 
-def test_the_tip_error_is_that_of_many_moves(arm):
+def test_the_tip_radius_holds_95_percent_of_many_moves(arm):
     """Draw laws from the fit's own uncertainty and repeatability, make the move, look at the tips."""
     rng = np.random.default_rng(3)
     start, target = np.array([0.0, -2.0, 0.0]), np.array([0.3, -1.2, 0.008])
     move = plan_move(arm, start, target)
     tips = []
-    for _ in range(300):
+    for _ in range(N_MOVES):
         q = start.copy()
         for leg in move.segments:
             law, values, covariance, repeatability = arm.law(leg.joint, leg.direction)
@@ -82,8 +83,8 @@ def test_the_tip_error_is_that_of_many_moves(arm):
             share = leg.steps / (counts * np.exp(repeatability * rng.standard_normal()))
             q[leg.joint - 1] += share * (leg.stop - leg.start)
         tips.append(forward(arm.machine, q))
-    seen = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(tips).T))[-1])
-    assert move.tip_error == pytest.approx(seen, rel=4 / np.sqrt(2 * 300))
+    inside = np.linalg.norm(np.array(tips) - move.tip, axis=1) < move.tip_radius
+    assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.sqrt(0.05 * 0.95 / N_MOVES))
 
 
 def test_errors_of_a_law_add_up_over_drives_and_noise_does_not(arm):
@@ -116,7 +117,7 @@ def test_a_drive_that_may_or_may_not_reach_the_stop_is_refused(arm):
 
 def test_when_to_go_back_to_a_stop(arm):
     at = dead_reckon(arm, np.array([0.0, -1.5, 0.0]), [DriveCommand(3, "+", 3000)])
-    tolerance = 1.5 * Z_95 * at.tip_error
+    tolerance = 1.5 * at.tip_radius
     further = steps_before_recalibration(arm, at, 3, "+", tolerance)
     assert further is not None
     before, after = (
@@ -127,9 +128,9 @@ def test_when_to_go_back_to_a_stop(arm):
         )
         for extra in (-400, 400)
     )
-    assert Z_95 * before.tip_error < tolerance * 1.05
-    assert Z_95 * after.tip_error > tolerance * 0.8
-    assert steps_before_recalibration(arm, at, 3, "+", 0.5 * Z_95 * at.tip_error) == 0
+    assert before.tip_radius < tolerance * 1.05
+    assert after.tip_radius > tolerance * 0.8
+    assert steps_before_recalibration(arm, at, 3, "+", 0.5 * at.tip_radius) == 0
     assert steps_before_recalibration(arm, at, 3, "+", 1.0) is None
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.anova import analyze_variance
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import held_out_errors
@@ -118,3 +119,15 @@ def test_methods_can_be_cited_with_the_numbers_of_this_log(found):
     for name, year in re.findall(r"([A-Z][a-z]+)(?: et al\.| and \w+)?,? (\d{4})", body):
         assert any(name in line and year in line for line in references.splitlines()), name
     assert len(references.strip().splitlines()) >= 6
+
+
+def test_what_differs_by_session_takes_no_part_in_strategies(made, found):
+    """A session's own function cannot be known from the other sessions."""
+    (finding,) = [one for one in found.findings if one.version is not None]
+    by_session = replace(finding, version=SmoothTerm(sessions=DATES))
+    for version, taking_part in ((finding, True), (by_session, False)):
+        diagnosis = replace(found, findings=(version,))
+        given = {"calibration": made.calibration, "fit": made.fit, "diagnosis": diagnosis}
+        page = report(made.log, **given, sections=("strategies",)).html
+        assert ("With causes: " in page) == taking_part
+        assert ("with causes" in page) == taking_part
