@@ -4,54 +4,64 @@ from __future__ import annotations
 
 import os
 import warnings
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from stickslip_fit import __version__
-from stickslip_fit.cli._examples import example_of
+from stickslip_fit.cli._commands import APP_SETTINGS, COMMANDS, format_example
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
-from stickslip_fit.cli.capture import app as capture
-from stickslip_fit.cli.changes import changed
-from stickslip_fit.cli.demo import demo
-from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
-from stickslip_fit.cli.fit import calibrate, fit
-from stickslip_fit.cli.logs import check, report, sheet, simulate
-from stickslip_fit.cli.moves import accuracy_map, dead_reckon, plan_move, predict
-from stickslip_fit.cli.strategies import compare, study
 
-VERBS = (
-    *(
-        check,
-        calibrate,
-        fit,
-        predict,
-        changed,
-        anova,
-        diagnose,
-        diagnose_table,
-        report,
-        compare,
-        study,
-        simulate,
-        plan,
-        sheet,
-    ),
-    *(plan_move, dead_reckon, accuracy_map, demo),
-)
+if TYPE_CHECKING:
+    from typer._click import Command, Context, HelpFormatter
+
+
+class _LoadedCommands(Mapping[str, Any]):
+    """Commands by name, each imported when it is asked for."""
+
+    def __getitem__(self, name: str) -> Command:
+        entry = COMMANDS[name]
+        module = import_module(f"stickslip_fit.cli.{entry.module}")
+        if not entry.example:
+            return get_command(module.app)
+        own = typer.Typer(**APP_SETTINGS)
+        own.command(name, epilog=format_example(entry.example))(
+            check_files(getattr(module, name.replace("-", "_")))
+        )
+        return get_command(own)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
+class _Commands(TyperGroup):
+    """All commands; their list is shown without importing any."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = _LoadedCommands()  # type: ignore[assignment]
+
+    def list_commands(self, ctx: Context) -> list[str]:
+        return list(COMMANDS)
+
+    def format_commands(self, ctx: Context, formatter: HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.line) for name, entry in COMMANDS.items()])
+
 
 app = typer.Typer(
+    cls=_Commands,
     help="Step-size laws of piezoelectric stick-slip actuators: from step counts to calibrated moves.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    **APP_SETTINGS,
 )
-for verb in VERBS:
-    app.command(epilog=example_of(verb.__name__.replace("_", "-")))(check_files(verb))
-app.add_typer(capture, name="capture")
 
 
 @app.callback()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from stickslip_fit.cli._examples import example_of
+from stickslip_fit.cli._commands import APP_SETTINGS, CAPTURE_EXAMPLES, format_example
 from stickslip_fit.cli._files import INPUT, Output, check_files
 from stickslip_fit.cli._options import (
     Device,
@@ -146,12 +146,12 @@ class _DefaultToPlan(TyperGroup):
 
 app = typer.Typer(
     cls=_DefaultToPlan,
-    no_args_is_help=True,
     help="Drive the joints, detect the end stops, write the log. `capture PLAN` is `capture plan PLAN`.",
+    **APP_SETTINGS,
 )
 
 for command in (tune, listen):
-    app.command(epilog=example_of(f"capture {command.__name__}"))(check_files(command))
+    app.command(epilog=format_example(CAPTURE_EXAMPLES[command.__name__]))(check_files(command))
 
 
 def _journal_path(log: Path) -> Path:
@@ -160,7 +160,7 @@ def _journal_path(log: Path) -> Path:
     return journal_path(log)
 
 
-@app.command(DEFAULT_COMMAND, epilog=example_of("capture plan"))
+@app.command(DEFAULT_COMMAND, epilog=format_example(CAPTURE_EXAMPLES["plan"]))
 @check_files
 def plan(
     plan: PlanPath,

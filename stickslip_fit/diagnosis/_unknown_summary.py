@@ -36,7 +36,7 @@ from stickslip_fit.units import from_si
 if TYPE_CHECKING:
     import pandas as pd
 
-    from stickslip_fit.diagnosis.result import Diagnosis
+    from stickslip_fit.diagnosis import Diagnosis
 
 POSITION, LOAD = "position", "load"
 ANGLES = ("q1", "q2", "q3", "theta", "psi")

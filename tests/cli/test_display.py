@@ -13,7 +13,8 @@ import pytest
 from stickslip_fit import _io
 from stickslip_fit._io import show_progress
 from stickslip_fit._summary import SCREEN, Column, Section, Summary, Table
-from stickslip_fit.cli._examples import EXAMPLES
+from stickslip_fit.cli._commands import CAPTURE_EXAMPLES
+from stickslip_fit.cli._commands import COMMANDS as ENTRIES
 from stickslip_fit.cli._show import name_left_out
 from stickslip_fit.diagnosis._summary import format_bayes_factor
 from tests.cli.test_files import COMMANDS
@@ -97,9 +98,10 @@ def test_every_table_is_saved_and_no_log_is_replaced(run, tmp_path):
 
 
 def test_every_command_has_an_example_that_can_be_typed(run):
-    names = {command.name.replace("_", "-") for command in COMMANDS}
-    assert names == set(EXAMPLES)
-    for name, example in EXAMPLES.items():
+    examples = {name: entry.example for name, entry in ENTRIES.items() if entry.example}
+    examples |= {f"capture {name}": example for name, example in CAPTURE_EXAMPLES.items()}
+    assert {command.name for command in COMMANDS} == set(examples)
+    for name, example in examples.items():
         parse(example.split())
         status, out, _ = run(*name.split(), "--help")
         assert status == 0

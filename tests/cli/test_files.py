@@ -12,6 +12,7 @@ from typing import Annotated, Any, get_type_hints
 
 import pytest
 import typer
+from typer.main import get_command
 
 from stickslip_fit.cli import app
 from stickslip_fit.cli._files import INPUT, Input, Output, check_files, path_roles
@@ -50,14 +51,15 @@ class Command:
         self.run(**arguments)
 
 
-def commands(group: typer.Typer, prefix: str = "") -> Iterator[Command]:
-    for info in group.registered_commands:
-        yield Command(f"{prefix}{info.name or info.callback.__name__}", info.callback)
-    for info in group.registered_groups:
-        yield from commands(info.typer_instance, f"{info.name} ")
+def commands(group: Any, prefix: str = "") -> Iterator[Command]:
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, f"{name} ")
+        else:
+            yield Command(f"{prefix}{name}", command.callback.__wrapped__)
 
 
-COMMANDS = list(commands(app))
+COMMANDS = list(commands(get_command(app)))
 WRITERS = [command for command in COMMANDS if command.named(Output)]
 CLASHES = [
     pytest.param(command, read, written, id=f"{command.name}-{read}-{written}")
