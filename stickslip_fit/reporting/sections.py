@@ -144,7 +144,8 @@ FACTORS_EXPLAINED = (
 def factors_section(anova: Anova, corrected: Anova | None = None, causes: Sequence[str] = ()) -> Section:
     """Which factors matter; of `corrected`, without the effect of `causes`, where it is given."""
     told = corrected or anova
-    summary, paragraphs = told.summary(), list(told.summary().headline)
+    summary = told.summary()
+    paragraphs = list(summary.headline)
     if corrected is not None:
         paragraphs.insert(0, describe_correction(causes))
     tables = [table for section in summary.sections for table in section.tables]

@@ -100,7 +100,7 @@ class Comparison(Summarized):
         """Joints with shared errors."""
         return tuple(int(joint) for joint in sorted(self.shared["joint"].unique()))
 
-    @property
+    @cached_property
     def shared(self) -> pd.DataFrame:
         """The errors that the statistics are of."""
         return self.errors[self.errors["shared"]]
@@ -112,7 +112,12 @@ class Comparison(Summarized):
 
     def sessions(self, joint: int) -> tuple[str, ...]:
         """Sessions that all compared strategies share."""
-        return tuple(self.shared.loc[self.shared["joint"] == joint, "session"].unique())
+        return self._sessions.get(joint, ())
+
+    @cached_property
+    def _sessions(self) -> dict[int, tuple[str, ...]]:
+        by_joint = self.shared.groupby("joint")["session"]
+        return {int(joint): tuple(names.unique()) for joint, names in by_joint}
 
     def unit(self, joint: int) -> tuple[str, ...]:
         """The sampling unit of intervals: sessions, or configurations where there is only one session."""
@@ -150,6 +155,10 @@ class Comparison(Summarized):
 
     def cost(self) -> pd.DataFrame:
         """joint, strategy, traverses (each way) and seconds (both ways) of a shared session, on average."""
+        return self._cost.copy()
+
+    @cached_property
+    def _cost(self) -> pd.DataFrame:
         parts = []
         for joint in self.joints:
             subset = self.costs[
