@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.anova.designs import (
@@ -143,12 +143,16 @@ class Anova(Summarized):
         return [*map(to_record, self.factor_tests), *positions, *map(to_record, self.not_testable)]
 
 
+POSITION_SHARE = 0.5  # of the time
+
+
 def analyze_variance(
     log: Log,
     *,
     joint: int | None = None,
     session: str | None = None,
     choose: ConfigurationChooser = choose_most_informative,
+    progress: ProgressCallback = ignore_progress,
 ) -> Anova:
     """Test day, direction, normal force and position for each joint.
 
@@ -164,6 +168,8 @@ def analyze_variance(
         This session only.
     choose : callable, optional
         Picks the configurations: `choose_most_informative`, one for each joint, or `choose_all`.
+    progress : callable, optional
+        Called with each step that begins and the share of the work that is done.
 
     Raises
     ------
@@ -180,8 +186,12 @@ def analyze_variance(
     ]
     components = [estimate_components(subset, log.machine) for _, subset in by_joint]
     estimated = tuple(one for one in components if isinstance(one, VarianceComponents))
-    along = [analyze_positions(subset, log.machine) for _, subset in by_joint]
+    along: list[tuple[PositionAnalysis | None, list[NotTestable]]] = []
+    for number, subset in by_joint:
+        progress(f"position along the travel, joint {number}", POSITION_SHARE * len(along) / len(by_joint))
+        along.append(analyze_positions(subset, log.machine))
     positions = [analysis for analysis, _ in along if analysis is not None]
+    progress("factors", POSITION_SHARE)
     anova = run_factor_tests([*designs, *(reason for _, refused in along for reason in refused)], positions)
     return replace(anova, components=estimated, machine=log.machine)
 

@@ -271,20 +271,24 @@ def check_savable(log: Log, laws: Mapping[int, Any], path: Path | None) -> None:
 MAX_JOINTS = 9  # for which a saved result is given laws without joints
 
 
-def load_or_fit_result(paths: list[Path], machine: Path | None, law: list[Path] | None = None) -> Result:
+def load_or_fit_result(
+    paths: list[Path], machine: Path | None, law: list[Path] | None = None, sheet: str | None = None
+) -> Result:
     """A saved result, or the least-squares fit of a log."""
     from stickslip_fit.estimation import fit_least_squares, load_result
 
     if len(paths) == 1 and paths[0].suffix == ".json":
         if machine is not None:
             raise InputError("a saved result carries its own machine: leave --machine out, or give the log")
+        if sheet is not None:
+            raise InputError("a saved result has no sheets: leave --sheet out, or give the log")
         return load_result(paths[0], load_causes(law), laws=load_laws(law, range(1, MAX_JOINTS + 1)))
-    log = load_log(paths, machine)
+    log = load_log(paths, machine, sheet=sheet)
     return fit_least_squares(log, laws=load_laws(law, log.joints), command=command_line())
 
 
 def load_fit(
-    paths: list[Path], machine: Path | None, law: list[Path] | None = None
+    paths: list[Path], machine: Path | None, law: list[Path] | None = None, sheet: str | None = None
 ) -> tuple[Result | Posterior, Result]:
     """What to predict with: draws saved with `fit --tree`, or a result; and always the result."""
     if len(paths) == 1 and paths[0].suffix == ".nc":
@@ -294,7 +298,7 @@ def load_fit(
             raise InputError("saved draws carry their own machine: leave --machine out, or give the log")
         posterior = load_posterior(paths[0], laws=load_laws(law, range(1, MAX_JOINTS + 1)))
         return posterior, posterior.result
-    result = load_or_fit_result(paths, machine, law)
+    result = load_or_fit_result(paths, machine, law, sheet)
     return result, result
 
 
@@ -338,13 +342,14 @@ def load_arm(
     psi: float,
     conditions: list[str] | None,
     law: list[Path] | None = None,
+    sheet: str | None = None,
 ) -> CalibratedArm:
     """One session's calibration with the base turned by `theta` and `psi`, degrees."""
     from stickslip_fit.moves import calibrated_arm
     from stickslip_fit.moves.arm import check_conditions, parse_conditions
     from stickslip_fit.units import to_si
 
-    result = load_or_fit_result(paths, machine, law)
+    result = load_or_fit_result(paths, machine, law, sheet)
     values = parse_conditions(conditions or (), result, "--condition")
     check_conditions(result, values, "--condition")
     return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), values)

@@ -73,7 +73,8 @@ def anova(
 
     campaign = load_log(log, machine, since, until, sheet)
     if formula is None:
-        result = analyze_variance(campaign, joint=joint, session=session)
+        with show_progress() as progress:
+            result = analyze_variance(campaign, joint=joint, session=session, progress=progress)
         summary, records = result.summary(), result.to_json()
     else:
         tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
@@ -174,6 +175,7 @@ def diagnose_table(
         typer.Option("--save-law", help="Also save the law extended by the causes found here (JSON)."),
         Output(),
     ] = None,
+    sheet: Sheet = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     full: Full = False,
@@ -207,7 +209,14 @@ def diagnose_table(
     roles |= {role: column for role, column in given.items() if column is not None}
     with show_progress() as progress:
         result = diagnose(
-            data, file.law, causes=file.causes, alpha=alpha, seed=seed, progress=progress, **roles
+            data,
+            file.law,
+            causes=file.causes,
+            sheet=sheet,
+            alpha=alpha,
+            seed=seed,
+            progress=progress,
+            **roles,
         )
     saved = save_diagnosis_outputs(result, json, report)
     if save_law is not None:
@@ -256,6 +265,7 @@ def plan(
     machine: MachinePath = None,
     since: Since = None,
     until: Until = None,
+    sheet: Sheet = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     json: Json = None,
@@ -297,7 +307,7 @@ def plan(
         raise InputError("name a LOG or a PLAN; --example or --thesis writes a plan to begin with")
     if output is not None:
         raise InputError("--output is for --thesis and --example; save proposed traverses with --json")
-    check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until})
+    check_plan_options(source, {"--chart": chart}, {"--since": since, "--until": until, "--sheet": sheet})
     check_chart(chart)
     if is_plan(source):
         from stickslip_fit.logs.plan_reader import read_plan
@@ -310,7 +320,7 @@ def plan(
         truth = load_law_values(law[0] if law else reference_law(), geometry, planned)
         advice = advise_before_data(planned, truth, geometry, alpha, seed)
     else:
-        campaign = load_log(source, machine, since, until)
+        campaign = load_log(source, machine, since, until, sheet)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
     show(advice.summary, Display(full, csv, latex, source), saved)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stickslip_fit._io import show_progress
 from stickslip_fit.cli._files import Output
 from stickslip_fit.cli._options import (
     CauseNames,
@@ -155,16 +156,19 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
         laws = choose_laws(log.usable, log.machine, options.laws).values() if options.bounds else ()
-        result = fit_least_squares(
-            log,
-            laws=options.laws,
-            causes=select_named_causes(options.causes, log, options.own_causes),
-            likelihood=likelihood,
-            shared=options.campaign_wide,
-            bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
-            repeatability=parse_repeatabilities(options.repeatability, "--repeatability", log.machine.joints),
-            command=command_line(),
-        )
+        repeatabilities = parse_repeatabilities(options.repeatability, "--repeatability", log.machine.joints)
+        with show_progress() as progress:
+            result = fit_least_squares(
+                log,
+                laws=options.laws,
+                causes=select_named_causes(options.causes, log, options.own_causes),
+                likelihood=likelihood,
+                shared=options.campaign_wide,
+                bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),
+                repeatability=repeatabilities,
+                command=command_line(),
+                progress=progress,
+            )
     summary, comparable = result.summary(), None
     if options.method is Method.least_squares and has_order(result):
         comparable = make_comparable(log, result)

@@ -18,6 +18,7 @@ from stickslip_fit.cli._options import (
     PlanPath,
     Psi,
     Session,
+    Sheet,
     Theta,
     check_chart,
     load_arm,
@@ -52,6 +53,7 @@ def predict(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    sheet: Sheet = None,
     full: Full = False,
     csv: Csv = None,
     latex: Latex = None,
@@ -62,7 +64,7 @@ def predict(
     from stickslip_fit.moves.prediction import predict
     from stickslip_fit.reporting.moves import predictions_csv, summarize_predictions
 
-    fitted, result = load_fit(calibration, machine, law)
+    fitted, result = load_fit(calibration, machine, law, sheet)
     planned = read_plan(plan, result.machine)
     conditions = parse_plan_conditions(condition, result)
     predicted = predict(fitted, planned, session, conditions)
@@ -89,6 +91,7 @@ def plan_move(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    sheet: Sheet = None,
     full: Full = False,
     csv: Csv = None,
     latex: Latex = None,
@@ -98,7 +101,7 @@ def plan_move(
     from stickslip_fit.machine import nearest_solution
     from stickslip_fit.reporting.moves import summarize_move
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
     start = parse_positions(at, "--at")
     if (tip is None) == (joints is None):
         raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
@@ -126,6 +129,7 @@ def dead_reckon(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    sheet: Sheet = None,
     full: Full = False,
     csv: Csv = None,
     latex: Latex = None,
@@ -135,7 +139,7 @@ def dead_reckon(
     from stickslip_fit.reporting.moves import summarize_pose
     from stickslip_fit.units import to_si
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
     drives = [parse_drive(text, "--drive") for text in drive]
     pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
     summary = with_conditions(summarize_pose(arm, pose, to_si(tolerance, "µm")), arm.result, arm.conditions)
@@ -159,6 +163,7 @@ def accuracy_map(
     condition: Condition = None,
     law: LawNames = None,
     machine: MachinePath = None,
+    sheet: Sheet = None,
     chart: MapChart = None,
     full: Full = False,
     csv: Csv = None,
@@ -168,7 +173,7 @@ def accuracy_map(
     from stickslip_fit.moves import map_accuracy
 
     check_chart(chart)
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law)
+    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
     accuracy = map_accuracy(arm)
     saved = []
     if chart is not None:

@@ -68,6 +68,7 @@ def diagnose_table(
     causes: Iterable[Any] = (),
     generic_causes: Iterable[Any] | None = None,
     shared: Iterable[str] | str | None = None,
+    sheet: str | None = None,
     alpha: float = 0.01,
     seed: int = 0,
     gain: bool = True,
@@ -97,6 +98,8 @@ def diagnose_table(
         In place of all of `causes.generic_causes`; ``()`` for none.
     shared : iterable of str or "all", optional
         Parameters of the law with one value for the whole table; by default what the law says.
+    sheet : str, optional
+        Of an Excel workbook; the first one without it.
     alpha : float, optional
         False-alarm rate over all tests.
     seed : int, optional
@@ -114,7 +117,7 @@ def diagnose_table(
     began = clock.perf_counter()
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
-    table, source = read_table(frame)
+    table, source = read_table(frame, sheet)
     roles = TableRoles(session, time, position, direction, group)
     if shared is not None:
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
@@ -136,6 +139,7 @@ def fit_table(
     session: str | None = None,
     time: str | None = None,
     shared: Iterable[str] | str | None = None,
+    sheet: str | None = None,
     command: str = "",
 ) -> TableFit:
     """Fit a law to a table, as it is: no cause is searched, and no value set aside.
@@ -144,7 +148,7 @@ def fit_table(
 
     Parameters
     ----------
-    frame, law, response, session, time, shared
+    frame, law, response, session, time, shared, sheet
         As of `diagnose_table`.
     command : str, optional
         For the result's provenance.
@@ -154,7 +158,7 @@ def fit_table(
     InputError
         As `diagnose_table`.
     """
-    table, source = read_table(frame)
+    table, source = read_table(frame, sheet)
     roles = TableRoles(session, time)
     if shared is not None:
         law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
@@ -265,13 +269,15 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
     )
 
 
-def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+def read_table(
+    frame: pd.DataFrame | str | Path, sheet: str | None = None
+) -> tuple[pd.DataFrame, dict[str, Any]]:
     """A table from a DataFrame or a file, with its name and hash as `TableInfo` has them.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or is no table.
+        If the file cannot be read, is no table, or has no such sheet.
     """
     if isinstance(frame, pd.DataFrame):
         return frame, {"sha256": _hash_frame(frame)}
@@ -280,11 +286,13 @@ def read_table(frame: pd.DataFrame | str | Path) -> tuple[pd.DataFrame, dict[str
     raw, name = read_file(frame, "table (CSV, Excel or Parquet)", MAX_BYTES), format_path(frame)
     if not raw:
         raise InputError(InputIssue("is empty; name a table with a header and rows", name))
+    if sheet is not None and not is_workbook(raw):
+        raise InputError(InputIssue("is no Excel workbook, and has no sheets; leave the sheet out", name))
     try:
         if raw[:4] == b"PAR1":
             table = pd.read_parquet(io.BytesIO(raw))
         elif is_workbook(raw):
-            table = pd.read_excel(io.BytesIO(raw))
+            table = pd.read_excel(io.BytesIO(raw), sheet_name=sheet or 0)
         else:
             separator, decimal = guess_dialect(raw)
             table = pd.read_csv(

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_value, join_words, pluralize
+from stickslip_fit._io import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
@@ -54,6 +55,8 @@ from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 
+FITTING_SHARE = 0.5  # of the time; the rest looks for outlying counts
+
 
 def fit_least_squares(
     log: Log,
@@ -65,6 +68,7 @@ def fit_least_squares(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     repeatability: Mapping[tuple[int, str], float] | None = None,
     command: str = "",
+    progress: ProgressCallback = ignore_progress,
 ) -> Result:
     """Fit the law of every joint to all usable traverses of a log.
 
@@ -86,6 +90,8 @@ def fit_least_squares(
         By joint and direction, relative: known beforehand, not estimated from this log.
     command : str, optional
         Kept in the result's provenance.
+    progress : callable, optional
+        Called with each step that begins and the share of the work that is done.
 
     Returns
     -------
@@ -106,12 +112,16 @@ def fit_least_squares(
     by_joint = {joint: rows[rows["joint"] == joint] for joint in chosen}
     options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {})
     if causes:
+        progress("fitting", 0.0)
         problems, combined = problems_with_causes(causes, chosen, by_joint, log.machine, options)
         fits = [iterate_weights(problems, combined, options)]
     else:
         options.check(chosen.values())
         problems = [single_problem(chosen[joint], subset, options) for joint, subset in by_joint.items()]
-        fits = [iterate_weights([problem], problem, options) for problem in problems]
+        fits = []
+        for problem in problems:
+            progress("fitting", FITTING_SHARE * len(fits) / len(problems))
+            fits.append(iterate_weights([problem], problem, options))
     joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
     flags = [flag for _, _, flags in joints for flag in flags]
     if causes:
@@ -129,6 +139,7 @@ def fit_least_squares(
         flags=tuple(flags),
         provenance=build_provenance(log, command),
     )
+    progress("looking for outlying counts", FITTING_SHARE)
     return flag_outliers(result, log)
 
 

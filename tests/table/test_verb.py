@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 import stickslip_fit as ssf
 from stickslip_fit.cli import app
+from stickslip_fit.diagnosis.table import read_table
 from tests.table.bench import bench
 
 LAW = """
@@ -95,3 +97,21 @@ def test_a_law_file_gives_what_python_would(desk):
     assert file.law.formula == "F ~ M*acc + Fv*vel + Fc*sign(vel) + offset"
     assert file.roles == {"time": "t"}
     assert [cause.name for cause in file.causes] == ["viscous-by-direction"]
+
+
+def test_a_table_is_read_from_the_sheet_that_is_named(desk):
+    with pd.ExcelWriter("bench.xlsx") as book:
+        pd.DataFrame({"note": ["see the next sheet"]}).to_excel(book, sheet_name="Cover", index=False)
+        pd.read_csv("bench.csv").to_excel(book, sheet_name="Data", index=False)
+    table, source = read_table("bench.xlsx", "Data")
+    pd.testing.assert_frame_equal(table, pd.read_csv("bench.csv"))
+    assert source["file"] == "bench.xlsx"
+    named = run("bench.xlsx", "--law", "friction.toml", "--sheet", "Data")
+    assert named.exit_code == 0, named.output
+    assert named.stdout.startswith("Viscous-by-direction")
+    for file, sheet, told in (
+        ("bench.xlsx", "Date", "Worksheet named 'Date' not found"),
+        ("bench.csv", "Data", "is no Excel workbook, and has no sheets; leave the sheet out"),
+    ):
+        with pytest.raises(ssf.InputError, match=told):
+            read_table(file, sheet)
