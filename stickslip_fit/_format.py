@@ -27,7 +27,9 @@ MAX_DECIMALS = 6
 WHOLE_FROM = 10.0  # from here on, a number without an interval has no decimals
 ANGLE_TOL, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
 
-_BREAK_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))")
+_KEPT_TOGETHER = re.compile(
+    r"(?<=\d) (?=(?:nm|mm|µm|µrad|mrad|min|steps|%|°C)(?![\w-]))|(?<=\bp) (?=[=<>] \d)|(?<=\bp [=<>]) (?=\d)"
+)
 _HYPHEN_MINUS = re.compile(r"(?<= )-(?=\d)")
 _DEGREES = re.compile(r"(?<=\d) deg\b")
 _BESIDE = {"": "", "1": "", "%/%": " % per %"}
@@ -321,8 +323,14 @@ def typeset_text(text: str) -> str:
 
 
 def keep_units(text: str) -> str:
-    """A sentence whose lines never break between a number and its unit."""
-    return _BREAK_BEFORE_UNIT.sub(NO_BREAK_SPACE, text)
+    """A sentence whose lines never break between a number and its unit, nor within a p-value.
+
+    Examples
+    --------
+    >>> keep_units("a map is 3 mm wide, p = 0.4").count(NO_BREAK_SPACE)
+    3
+    """
+    return _KEPT_TOGETHER.sub(NO_BREAK_SPACE, text)
 
 
 SIGNIFICANT_DIGITS = 3

@@ -147,8 +147,11 @@ def _find_clashes(
         message = f"{option} would overwrite what the command reads as {read[identity]}; name another file"
         yield InputIssue(message, str(path))
     elif identity in written:
-        others = " and ".join(dict.fromkeys([written[identity], option]))
-        yield InputIssue(f"would be written twice, by {others}; give two files", str(path))
+        if written[identity] == option:
+            message = f"is the name of a second file that {option} also writes; give another ending"
+        else:
+            message = f"would be written twice, by {written[identity]} and {option}; give two files"
+        yield InputIssue(message, str(path))
     written[identity] = option
 
 

@@ -150,7 +150,11 @@ def overview_table(comparison: Comparison) -> Table:
         verdicts = {} if others.empty else dict(zip(others["strategy"], others["verdict"], strict=True))
         minutes, errors = _minutes(comparison, joint), _errors(comparison, joint)
         group = f"joint {joint}"
-        columns += [Column("time", "min", group), Column("rms", "%", group), Column("", "", group, text=True)]
+        columns += [
+            Column("time", "min", group),
+            Column("rms", "%", group),
+            Column("verdict", "", group, text=True),
+        ]
         for name, row in cells.items():
             if name in errors:
                 verdict = "best" if name == best else SHORT_VERDICTS.get(verdicts.get(name, ""), "")

@@ -81,6 +81,7 @@ def test_tables_and_figures_can_be_read_aloud(whole):
             assert attributes["scope"] in {"col", "row", "colgroup"}
         if attributes.get("role") == "img":
             assert len(attributes["aria-label"]) > 80
+    assert not re.search(r"<th[^>]*>\s*</th>", whole.source), "a head without a word"
     assert sum("role" in a and a["role"] == "img" for _, a in whole.page.elements) == tags.count("figure")
 
 
