@@ -29,7 +29,6 @@ from stickslip_fit.cli._options import (
 )
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.cli.fit import select_named_causes
-from stickslip_fit.errors import InputError
 
 
 def check(
@@ -102,8 +101,6 @@ def sheet(
     from stickslip_fit.machine import load_machine
     from stickslip_fit.reporting.moves import write_sheet_page
 
-    if output.suffix == ".html":
-        raise InputError("-o names the CSV to fill in; the page to print goes beside it as .html")
     chosen = read_plan(plan, load_machine(machine))
     page = page_path(output)
     write_sheet_csv(chosen, output)
