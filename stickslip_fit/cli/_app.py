@@ -19,6 +19,7 @@ from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, fit
 from stickslip_fit.cli.logs import check, report, sheet, simulate
 from stickslip_fit.cli.moves import accuracy_map, dead_reckon, plan_move, predict
+from stickslip_fit.cli.step import step
 from stickslip_fit.cli.strategies import compare, study
 
 VERBS = (
@@ -38,7 +39,7 @@ VERBS = (
         plan,
         sheet,
     ),
-    *(plan_move, dead_reckon, accuracy_map, demo),
+    *(plan_move, dead_reckon, accuracy_map, step, demo),
 )
 
 app = typer.Typer(

@@ -20,6 +20,7 @@ EXAMPLES = {
     "plan-move": "plan-move fit.json --at 0,-90,0 --joints 0,-60,6",
     "dead-reckon": "dead-reckon fit.json --at 0,-90,0 --drive 3+5000",
     "accuracy-map": "accuracy-map fit.json --chart map.svg",
+    "step": "step my-stage.toml --chart step.svg",
     "demo": "demo data/reference/campaign.csv",
     "capture plan": "capture plan my-plan.toml -o log.csv --emulate --ideal-detector",
     "capture tune": "capture tune -o tuning.json --emulate",

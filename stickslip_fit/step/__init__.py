@@ -1,5 +1,7 @@
 """The physics of one step of a stick-slip actuator: a slider on a foot that creeps forward and flies back."""
 
+from stickslip_fit.step import _summary as _summary  # registers how a stage is summarized
+from stickslip_fit.step.analysis import StageAnalysis, analyse_stage
 from stickslip_fit.step.closed_form import (
     StepDerivatives,
     back_slip,
@@ -19,21 +21,37 @@ from stickslip_fit.step.friction import (
     spread_maxwell_slip,
 )
 from stickslip_fit.step.motion import FootMotion, make_motion, motion_from_table
-from stickslip_fit.step.ode import Base, BristleMotion, Foot, StepLimitError, solve_motion
+from stickslip_fit.step.ode import BristleMotion, Foot, RecoilBase, StepLimitError, solve_motion
+from stickslip_fit.step.stage import (
+    Contact,
+    Drive,
+    Stage,
+    StepSweep,
+    StepTrace,
+    quantity_of,
+    sweep_step,
+)
 
 __all__ = [
-    "Base",
     "BristleModel",
     "BristleMotion",
+    "Contact",
     "CoulombMotion",
     "Dahl",
+    "Drive",
     "Elastoplastic",
     "Foot",
     "FootMotion",
     "LuGre",
     "MaxwellSlip",
+    "RecoilBase",
+    "Stage",
+    "StageAnalysis",
     "StepDerivatives",
     "StepLimitError",
+    "StepSweep",
+    "StepTrace",
+    "analyse_stage",
     "back_slip",
     "coulomb_motion",
     "coulomb_step",
@@ -41,9 +59,11 @@ __all__ = [
     "is_friction_limited",
     "make_motion",
     "motion_from_table",
+    "quantity_of",
     "settling_time",
     "solve_motion",
     "spread_maxwell_slip",
     "step_derivatives",
     "step_size",
+    "sweep_step",
 ]

@@ -70,7 +70,7 @@ class Foot:
 
 
 @dataclass(frozen=True)
-class Base:
+class RecoilBase:
     """A base that recoils.
 
     Attributes
@@ -135,7 +135,7 @@ def solve_motion(
     load: float = 0.0,
     *,
     foot: Foot | None = None,
-    base: Base | None = None,
+    base: RecoilBase | None = None,
     periods: int = 3,
     samples: int = 0,
     relative: float = 1e-7,
@@ -156,7 +156,7 @@ def solve_motion(
         G, m/s^2.
     foot : Foot, optional
         Follows the waveform if left out; a base needs its mass.
-    base : Base, optional
+    base : RecoilBase, optional
         Stands if left out.
     periods : int
         The first begins with relaxed bristles, and differs from the others.
@@ -221,7 +221,12 @@ def solve_motion(
 
 
 def _check(
-    motion: FootMotion, mass: float, load: float, model: BristleModel, foot: Foot | None, base: Base | None
+    motion: FootMotion,
+    mass: float,
+    load: float,
+    model: BristleModel,
+    foot: Foot | None,
+    base: RecoilBase | None,
 ) -> None:
     if motion.duration.ndim != 1 or not (isfinite(mass) and mass > 0 and isfinite(load)):
         raise InputError("give one motion, a slider mass above 0 and a finite load")
@@ -260,7 +265,7 @@ def _scales(motion: FootMotion, model: BristleModel, mechanical: int) -> Array:
     return np.concatenate([np.tile([travel, speed], mechanical // 2), np.minimum(model.deflections, travel)])
 
 
-def _constants(mass: float, load: float, foot: Foot | None, base: Base | None) -> Array:
+def _constants(mass: float, load: float, foot: Foot | None, base: RecoilBase | None) -> Array:
     c = np.array([mass, load, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
     if foot is not None:
         c[2] = foot.mass

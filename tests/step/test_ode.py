@@ -10,11 +10,11 @@ import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.step import (
-    Base,
     Dahl,
     Elastoplastic,
     Foot,
     LuGre,
+    RecoilBase,
     StepLimitError,
     coulomb_step,
     make_motion,
@@ -100,7 +100,7 @@ def test_a_stiff_foot_follows_its_waveform_and_a_soft_one_overshoots(solver):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_free_base_keeps_the_momentum_of_all(foot, solver):
     """Nothing outside acts without load and mount: base, foot and slider have no momentum together."""
-    motion, heavy = make_motion("s-curve", 1e-6, 1e-4, 3e-5, 1.7e-4), Base(5e-3)
+    motion, heavy = make_motion("s-curve", 1e-6, 1e-4, 3e-5, 1.7e-4), RecoilBase(5e-3)
     solved = solve_motion(
         motion, MASS, MODELS["LuGre"], foot=foot, base=heavy, periods=1, samples=50, solver=solver
     )
@@ -114,7 +114,7 @@ def test_a_recoiling_base_costs_part_of_the_step():
     model = LuGre(0.3, 0.3, 1e-3, 1e7, 3.0)
     firm = solve_motion(motion, MASS, model).steps[-1]
     steps = [
-        solve_motion(motion, MASS, model, foot=foot, base=Base(mass, 200.0, 0.3)).steps[-1]
+        solve_motion(motion, MASS, model, foot=foot, base=RecoilBase(mass, 200.0, 0.3)).steps[-1]
         for mass in (1.0, 0.1, 0.02)
     ]
     assert steps[0] == pytest.approx(firm, rel=0.01)
@@ -136,7 +136,7 @@ def test_no_call_hangs(solver):
         ({"motion": make_motion("ramp", 1e-6, 1e-4)}, "the foot jumps"),
         ({"mass": 0.0}, "mass above 0"),
         ({"load": 50.0}, "runs away"),
-        ({"base": Base(1.0)}, "give the foot"),
+        ({"base": RecoilBase(1.0)}, "give the foot"),
         ({"relative": 0.5}, "tolerance"),
         ({"periods": 0}, "periods"),
         ({"motion": make_motion("ramp", [1e-6, 2e-6], 1e-4, 1e-5)}, "one motion"),
@@ -148,7 +148,7 @@ def test_what_cannot_be_solved_is_refused(change, message):
         solve_motion(values.pop("motion"), values.pop("mass"), MODELS["LuGre"], values.pop("load"), **values)
 
 
-@pytest.mark.parametrize("make", [lambda: Foot(0.0), lambda: Foot(1e-3, -1.0), lambda: Base(-1.0)])
+@pytest.mark.parametrize("make", [lambda: Foot(0.0), lambda: Foot(1e-3, -1.0), lambda: RecoilBase(-1.0)])
 def test_foot_and_base_have_mass(make):
     with pytest.raises(InputError, match="mass"):
         make()
