@@ -104,6 +104,7 @@ SUFFIXES = {
     "g_mm2": "g mm²",
     "kg": "kg",
     "pct": "%",
+    "pct_per_K": "%/K",
     "V": "V",
     "urad": "µrad",
     "urad_per_mm": "µrad/mm",

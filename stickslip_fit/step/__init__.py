@@ -12,6 +12,7 @@ from stickslip_fit.step.closed_form import (
     step_size,
 )
 from stickslip_fit.step.coulomb import CoulombMotion, coulomb_motion, coulomb_step
+from stickslip_fit.step.drift import Drift
 from stickslip_fit.step.friction import (
     BristleModel,
     Dahl,
@@ -38,6 +39,7 @@ __all__ = [
     "Contact",
     "CoulombMotion",
     "Dahl",
+    "Drift",
     "Drive",
     "Elastoplastic",
     "Foot",

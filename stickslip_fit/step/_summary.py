@@ -27,7 +27,8 @@ NAMES = {
 @summarize.register
 def summarize_stage(analysis: StageAnalysis) -> Summary:
     """The step and its regime first; then what it depends on."""
-    tables = (_dependence(analysis), _loads(analysis), *map(_sweep, analysis.sweeps), _trace(analysis))
+    use = (_in_use(analysis),) if analysis.in_use else ()
+    tables = (_dependence(analysis), *use, _loads(analysis), *map(_sweep, analysis.sweeps), _trace(analysis))
     return Summary(
         title=f"The step of {analysis.stage.name}",
         headline=tuple(_headline(analysis)),
@@ -109,6 +110,16 @@ def _loads(analysis: StageAnalysis) -> Table:
 def _at_points(sweep: StepSweep, points: int) -> Array:
     """Steps at the points of the tables, of those of the figure."""
     return sweep.steps[:: (len(sweep.steps) - 1) // (points - 1)]
+
+
+def _in_use(analysis: StageAnalysis) -> Table:
+    """Step size after steps without a pause, by heat and wear."""
+    heads = [f"{count:,}" for count, _ in analysis.in_use]
+    columns = (*words(""), *numbers(*heads, group="after so many steps without a pause"))
+    steps = [step for _, step in analysis.in_use]
+    changes = [f"{100 * (step / steps[0] - 1):+.2f}" if isfinite(step) else MISSING for step in steps]
+    rows = (("step size, nm", *map(_nm, steps)), ("change, %", *changes))
+    return Table("Step size in use", columns, rows)
 
 
 def _sweep(sweep: StepSweep) -> Table:

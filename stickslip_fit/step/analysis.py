@@ -16,6 +16,7 @@ from stickslip_fit.step.stage import (
     StepSweep,
     StepTrace,
     quantity_of,
+    step_or_nan,
     sweep_step,
 )
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 FACTORS = np.array([0.5, 0.5**0.5, 1.0, 2**0.5, 2.0])
 LOADS = np.linspace(-1.0, 1.0, 5)  # of the weight
 FINER = 4  # intervals between two of these, where a step takes no time to compute
+USE = (0, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)  # steps
 SMALL = 0.01  # share, for slopes
 LATE, HARDLY = 0.02, 0.002  # share of the time and of the step
 
@@ -52,6 +54,8 @@ class StageAnalysis:
         the friction does not hold 1 g.
     coulomb_step : float
         With Coulomb friction on a foot that follows its waveform, m.
+    in_use : tuple of (int, float)
+        Numbers of steps made without a pause, and the step after them, m; empty for a stage without drift.
     """
 
     stage: Stage
@@ -62,6 +66,7 @@ class StageAnalysis:
     load_slope: float
     load_curvature: float
     coulomb_step: float
+    in_use: tuple[tuple[int, float], ...] = ()
 
     @property
     def rests(self) -> bool:
@@ -136,6 +141,7 @@ def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None
         load_slope=float(odd),
         load_curvature=float(((above + below) / 2 - step) / -odd) if odd else float("nan"),
         coulomb_step=rigid.step(),
+        in_use=tuple((count, step_or_nan(stage.after(count))) for count in USE if stage.drift is not None),
     )
 
 

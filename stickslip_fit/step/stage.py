@@ -13,6 +13,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
 from stickslip_fit.step.closed_form import drive_ratio, is_friction_limited
 from stickslip_fit.step.coulomb import coulomb_motion, coulomb_step
+from stickslip_fit.step.drift import Drift
 from stickslip_fit.step.friction import BristleModel, Dahl, Elastoplastic, LuGre, spread_maxwell_slip
 from stickslip_fit.step.motion import FootMotion, WaveformName, make_motion, motion_from_table
 from stickslip_fit.step.ode import Foot, RecoilBase, solve_motion
@@ -145,6 +146,8 @@ class Stage:
         None for one that follows the waveform.
     base : RecoilBase or None
         None for one that stands.
+    drift : Drift or None
+        What use does to it; None for nothing.
 
     Examples
     --------
@@ -160,6 +163,7 @@ class Stage:
     load: float = 0.0
     foot: Foot | None = None
     base: RecoilBase | None = None
+    drift: Drift | None = None
 
     @property
     def friction_acceleration(self) -> float:
@@ -236,6 +240,19 @@ class Stage:
             whole.time[last] - whole.time[last][0], whole.foot[last], slider, whole.friction[last]
         )
 
+    def after(self, steps: int) -> Stage:
+        """The stage after so many steps one after the other; each slides as far as the first.
+
+        Raises
+        ------
+        InputError
+            If nothing holds the load any more, or no friction, preload or travel is left.
+        """
+        if self.drift is None:
+            return self
+        time = steps * float(self.drive.motion().period)
+        return self.drift.change(self, time, steps * self.trace().sliding)
+
     def _solve(self, samples: int):  # type: ignore[no-untyped-def]
         if self.contact.model == "coulomb":
             message = "with a foot that has a resonance, or a base, choose a contact model with bristles"
@@ -270,6 +287,11 @@ class StepTrace:
     foot: Array
     slider: Array
     friction: Array
+
+    @property
+    def sliding(self) -> float:
+        """How far slider and foot slide on each other, m."""
+        return float(np.abs(np.diff(self.slider - self.foot)).sum())
 
 
 def change_load(stage: Stage, value: float) -> Stage:
@@ -336,6 +358,11 @@ def quantity_of(stage: Stage, quantity: str) -> float:
     }[quantity]
 
 
+def step_or_nan(stage: Stage) -> float:
+    """The step, m; nan where friction does not hold the load."""
+    return stage.step() if stage.mass * abs(stage.load) < stage.contact.friction else float("nan")
+
+
 def sweep_step(stage: Stage, quantity: str, values: npt.ArrayLike) -> StepSweep:
     """Compute the step against one quantity, all others as they are.
 
@@ -363,8 +390,5 @@ def sweep_step(stage: Stage, quantity: str, values: npt.ArrayLike) -> StepSweep:
     own = np.atleast_1d(np.asarray(values, dtype=float))
     steps = np.full(len(own), np.nan)
     for place, value in enumerate(own):
-        changed = CHANGES[quantity](stage, float(value))
-        # Too large a load, or too small a preload: there is no step to show.
-        if changed.mass * abs(changed.load) < changed.contact.friction:
-            steps[place] = changed.step()
+        steps[place] = step_or_nan(CHANGES[quantity](stage, float(value)))
     return StepSweep(quantity, own, steps)

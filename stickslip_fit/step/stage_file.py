@@ -12,6 +12,7 @@ from pydantic import model_validator
 
 from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, read_toml
 from stickslip_fit.errors import InputError
+from stickslip_fit.step.drift import Drift
 from stickslip_fit.step.motion import WaveformName
 from stickslip_fit.step.ode import Foot, RecoilBase
 from stickslip_fit.step.stage import GRAVITY, Contact, ContactName, Drive, Stage
@@ -21,6 +22,7 @@ Mass = Annotated[float, Quantity(("g", "kg"), (1e-9, 1e3))]
 Time = Annotated[float, Quantity(("ms", "s"), (0.0, 10.0))]
 RampTime = Annotated[float | None, Quantity(("ms", "s"), (1e-9, 10.0))]
 OtherMass = Annotated[float | None, Quantity(("g", "kg"), (1e-9, 1e3))]
+PerKelvin = Annotated[float, Quantity(("%/K",), (-0.2, 0.2))]
 DampingRatio = Annotated[float, Quantity(("1",), (0.0, 5.0))]
 
 
@@ -102,6 +104,27 @@ class BaseTable(TomlTable):
     damping_ratio: DampingRatio = 0.02
 
 
+class DriftTable(TomlTable):
+    """What heat and wear do; without this table nothing."""
+
+    warm_up: Annotated[float, Quantity(("K",), (-500.0, 500.0))] = 0.0
+    """Temperature rise of a stage that is stepped all the time."""
+    warm_up_time: Annotated[float, Quantity(("min", "s", "h"), (1.0, 1e6))] = 600.0
+    """Time constant."""
+    friction: PerKelvin = 0.0
+    """Change of the friction coefficient."""
+    preload: PerKelvin = 0.0
+    """Change of the preload."""
+    gain: PerKelvin = 0.0
+    """Change of the travel per volt."""
+    wear_length: Annotated[float | None, Quantity(("m",), (1e-6, 1e9))] = None
+    """Sliding distance over which wear takes the preload to 1/e."""
+    run_in: Annotated[float, Quantity(("%",), (-0.9, 10.0))] = 0.0
+    """Excess of the friction coefficient of new surfaces."""
+    run_in_length: Annotated[float, Quantity(("m",), (1e-6, 1e9))] = 1.0
+    """Sliding distance over which it falls to 1/e."""
+
+
 class StageFile(TomlTable):
     """A stage."""
 
@@ -112,6 +135,7 @@ class StageFile(TomlTable):
     drive: DriveTable
     foot: FootTable
     base: BaseTable
+    drift: DriftTable
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
@@ -190,6 +214,14 @@ class StageFile(TomlTable):
         values = {name: getattr(self.contact, name) for name in ContactTable.model_fields}
         return Contact(**{**values, "stiffness": self.contact.stiffness or 0.0})
 
+    def make_drift(self) -> Drift | None:
+        """What use does, if anything."""
+        own = self.drift
+        if not own.fields_in_file():
+            return None
+        heat = (own.warm_up, own.warm_up_time, own.friction, own.preload, own.gain)
+        return Drift(*heat, own.wear_length or inf, own.run_in, own.run_in_length)
+
     def make_drive(self) -> Drive:
         """The drive."""
         own = self.drive
@@ -221,4 +253,5 @@ def read_stage(path: str | Path) -> Stage:
         load=read.load(),
         foot=None if foot.mass is None else Foot(foot.mass, foot.resonance or inf, foot.damping_ratio),
         base=None if base.mass is None else RecoilBase(base.mass, base.resonance, base.damping_ratio),
+        drift=read.make_drift(),
     )

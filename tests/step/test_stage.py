@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.step import Contact, Drive, Foot, Stage, analyse_stage, step_size, sweep_step
+from stickslip_fit.step import (
+    Contact,
+    Drift,
+    Drive,
+    Foot,
+    Stage,
+    analyse_stage,
+    coulomb_motion,
+    step_size,
+    sweep_step,
+)
 from stickslip_fit.step.stage import GRAVITY
 from stickslip_fit.step.stage_file import read_stage
 
@@ -70,9 +80,25 @@ def test_a_contact_with_stiff_bristles_gives_nearly_the_step_of_coulomb():
 def test_steps_that_follow_too_fast_are_flagged():
     hurried = replace(LIMITED, drive=replace(LIMITED.drive, rest_time=2e-5))
     assert not hurried.rests_between_steps
+    motion = hurried.drive.motion()
+    position = [coulomb_motion(motion, 50.0, periods=60).at(n * motion.period) for n in (50, 51)]
+    assert hurried.step() == pytest.approx(position[1] - position[0], rel=0.02)
     assert hurried.step() > 1.1 * LIMITED.step()
     assert any("still moves" in flag for flag in analyse_stage(hurried).summary().flags)
     assert not analyse_stage(LIMITED).summary().flags
+
+
+def test_wear_in_use_shows_by_the_distance_slid(tmp_path):
+    """A friction-limited slider slides D less its own travel on the ramp and on the flyback, and coasts."""
+    read = read_stage(
+        write(tmp_path, ("# [drift]", "[drift]"), ("# wear_length_m = 500 ", "wear_length_m = 500 "))
+    )
+    assert read.drift == Drift(wear_length=500.0)
+    ramp, flyback, coast = 2400 - 490, 2400 + 34.375, 490 - 34.375
+    assert read.trace(4000).sliding == pytest.approx(1e-9 * (ramp + flyback + coast), rel=1e-3)
+    share = dict(analyse_stage(read).in_use)[10_000_000] / read.step()
+    assert share == pytest.approx(np.exp(-(ramp + flyback + coast) * 1e-9 * 1e7 / 500), rel=1e-3)
+    assert "Step size in use" in analyse_stage(read).summary().as_text()
 
 
 def test_a_sweep_has_gaps_where_friction_does_not_hold_the_load():
