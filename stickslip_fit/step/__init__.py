@@ -12,7 +12,7 @@ from stickslip_fit.step.closed_form import (
     step_size,
 )
 from stickslip_fit.step.coulomb import CoulombMotion, coulomb_motion, coulomb_step
-from stickslip_fit.step.drift import Drift
+from stickslip_fit.step.drift import StageDrift
 from stickslip_fit.step.friction import (
     BristleModel,
     Dahl,
@@ -29,6 +29,7 @@ from stickslip_fit.step.stage import (
     Stage,
     StepSweep,
     StepTrace,
+    apply_drift,
     quantity_of,
     sweep_step,
 )
@@ -39,7 +40,6 @@ __all__ = [
     "Contact",
     "CoulombMotion",
     "Dahl",
-    "Drift",
     "Drive",
     "Elastoplastic",
     "Foot",
@@ -49,11 +49,13 @@ __all__ = [
     "RecoilBase",
     "Stage",
     "StageAnalysis",
+    "StageDrift",
     "StepDerivatives",
     "StepLimitError",
     "StepSweep",
     "StepTrace",
     "analyse_stage",
+    "apply_drift",
     "back_slip",
     "coulomb_motion",
     "coulomb_step",

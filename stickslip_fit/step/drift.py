@@ -9,18 +9,23 @@ mu, likewise over a sliding distance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, inf, isfinite
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from stickslip_fit.errors import InputError
 
-if TYPE_CHECKING:
-    from stickslip_fit.step.stage import Stage
+
+class DriftFactors(NamedTuple):
+    """Of friction coefficient, preload, and travel for each volt."""
+
+    friction: float
+    preload: float
+    gain: float
 
 
 @dataclass(frozen=True)
-class Drift:
+class StageDrift:
     """Thermal and wear laws.
 
     Attributes
@@ -60,15 +65,13 @@ class Drift:
         if not (self.warm_up_time > 0 and self.wear_length > 0 and self.run_in_length > 0):
             raise InputError("warm-up time, wear length and run-in length must be above 0")
 
-    def change(self, stage: Stage, time: float, distance: float) -> Stage:
-        """The stage after some use.
+    def factors(self, time: float, distance: float) -> DriftFactors:
+        """What friction coefficient, preload and travel are multiplied by after some use.
 
         Parameters
         ----------
-        stage : Stage
-            Cold and, but for running in, new.
         time : float
-            Since it was cold, s.
+            Since the stage was cold, s.
         distance : float
             That slider and foot have slid on each other, m.
 
@@ -79,22 +82,13 @@ class Drift:
 
         Examples
         --------
-        >>> from stickslip_fit.step import Contact, Drive, Stage
-        >>> stage = Stage("new", 5e-3, Contact(0.2, 1.0), Drive(80.0, 30e-9, 1.4e-4))
-        >>> float(round(Drift(wear_length=100.0).change(stage, 0.0, 50.0).contact.preload, 4))
+        >>> float(round(StageDrift(wear_length=100.0).factors(0.0, 50.0).preload, 4))
         0.6065
         """
         heat = self.warm_up * (1 - exp(-time / self.warm_up_time))
-        factors = [
-            1 + share * heat
-            for share in (self.friction_per_kelvin, self.preload_per_kelvin, self.gain_per_kelvin)
-        ]
-        if min(factors) <= 0:
+        shares = (self.friction_per_kelvin, self.preload_per_kelvin, self.gain_per_kelvin)
+        friction, preload, gain = (1 + share * heat for share in shares)
+        if min(friction, preload, gain) <= 0:
             raise InputError(f"a warm-up by {heat:.3g} K leaves no friction, preload or travel")
         surface = 1 + self.run_in * exp(-distance / self.run_in_length)
-        contact = replace(
-            stage.contact,
-            friction_coefficient=stage.contact.friction_coefficient * factors[0] * surface,
-            preload=stage.contact.preload * factors[1] * exp(-distance / self.wear_length),
-        )
-        return replace(stage, contact=contact, drive=replace(stage.drive, gain=stage.drive.gain * factors[2]))
+        return DriftFactors(friction * surface, preload * exp(-distance / self.wear_length), gain)

@@ -13,7 +13,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
 from stickslip_fit.step.closed_form import drive_ratio, is_friction_limited
 from stickslip_fit.step.coulomb import coulomb_motion, coulomb_step
-from stickslip_fit.step.drift import Drift
+from stickslip_fit.step.drift import StageDrift
 from stickslip_fit.step.friction import BristleModel, Dahl, Elastoplastic, LuGre, spread_maxwell_slip
 from stickslip_fit.step.motion import FootMotion, WaveformName, make_motion, motion_from_table
 from stickslip_fit.step.ode import Foot, RecoilBase, solve_motion
@@ -146,7 +146,7 @@ class Stage:
         None for one that follows the waveform.
     base : RecoilBase or None
         None for one that stands.
-    drift : Drift or None
+    drift : StageDrift or None
         What use does to it; None for nothing.
 
     Examples
@@ -163,7 +163,7 @@ class Stage:
     load: float = 0.0
     foot: Foot | None = None
     base: RecoilBase | None = None
-    drift: Drift | None = None
+    drift: StageDrift | None = None
 
     @property
     def friction_acceleration(self) -> float:
@@ -251,7 +251,7 @@ class Stage:
         if self.drift is None:
             return self
         time = steps * float(self.drive.motion().period)
-        return self.drift.change(self, time, steps * self.trace().sliding)
+        return apply_drift(self, self.drift, time, steps * self.trace().sliding)
 
     def _solve(self, samples: int):  # type: ignore[no-untyped-def]
         if self.contact.model == "coulomb":
@@ -292,6 +292,17 @@ class StepTrace:
     def sliding(self) -> float:
         """How far slider and foot slide on each other, m."""
         return float(np.abs(np.diff(self.slider - self.foot)).sum())
+
+
+def apply_drift(stage: Stage, drift: StageDrift, time: float, distance: float) -> Stage:
+    """The stage after some use; parameters and errors as of `StageDrift.factors`."""
+    factors = drift.factors(time, distance)
+    contact = replace(
+        stage.contact,
+        friction_coefficient=stage.contact.friction_coefficient * factors.friction,
+        preload=stage.contact.preload * factors.preload,
+    )
+    return replace(stage, contact=contact, drive=replace(stage.drive, gain=stage.drive.gain * factors.gain))
 
 
 def change_load(stage: Stage, value: float) -> Stage:

@@ -12,7 +12,7 @@ from pydantic import model_validator
 
 from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, read_toml
 from stickslip_fit.errors import InputError
-from stickslip_fit.step.drift import Drift
+from stickslip_fit.step.drift import StageDrift
 from stickslip_fit.step.motion import WaveformName
 from stickslip_fit.step.ode import Foot, RecoilBase
 from stickslip_fit.step.stage import GRAVITY, Contact, ContactName, Drive, Stage
@@ -214,13 +214,13 @@ class StageFile(TomlTable):
         values = {name: getattr(self.contact, name) for name in ContactTable.model_fields}
         return Contact(**{**values, "stiffness": self.contact.stiffness or 0.0})
 
-    def make_drift(self) -> Drift | None:
+    def make_drift(self) -> StageDrift | None:
         """What use does, if anything."""
         own = self.drift
         if not own.fields_in_file():
             return None
         heat = (own.warm_up, own.warm_up_time, own.friction, own.preload, own.gain)
-        return Drift(*heat, own.wear_length or inf, own.run_in, own.run_in_length)
+        return StageDrift(*heat, own.wear_length or inf, own.run_in, own.run_in_length)
 
     def make_drive(self) -> Drive:
         """The drive."""

@@ -11,10 +11,10 @@ import pytest
 from stickslip_fit.errors import InputError
 from stickslip_fit.step import (
     Contact,
-    Drift,
     Drive,
     Foot,
     Stage,
+    StageDrift,
     analyse_stage,
     coulomb_motion,
     step_size,
@@ -93,7 +93,7 @@ def test_wear_in_use_shows_by_the_distance_slid(tmp_path):
     read = read_stage(
         write(tmp_path, ("# [drift]", "[drift]"), ("# wear_length_m = 500 ", "wear_length_m = 500 "))
     )
-    assert read.drift == Drift(wear_length=500.0)
+    assert read.drift == StageDrift(wear_length=500.0)
     ramp, flyback, coast = 2400 - 490, 2400 + 34.375, 490 - 34.375
     assert read.trace(4000).sliding == pytest.approx(1e-9 * (ramp + flyback + coast), rel=1e-3)
     share = dict(analyse_stage(read).in_use)[10_000_000] / read.step()
