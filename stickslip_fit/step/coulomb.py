@@ -21,7 +21,7 @@ from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.step.motion import FootMotion
 
 CHUNK = 4096  # parameter sets whose arrays stay in the processor's cache
-MAX_PERIODS = 100_000
+MAX_PIECES = 300_000  # of all periods; a minute at most
 
 
 class _Slider(NamedTuple):
@@ -153,8 +153,9 @@ def _check(
     periods: int,
 ) -> tuple[Array, Array, Array, tuple[int, ...]]:
     check_count("periods", periods)
-    if periods > MAX_PERIODS:
-        raise InputError(f"periods must be at most {MAX_PERIODS:,}, not {periods:,}")
+    most = MAX_PIECES // len(motion.duration)
+    if periods > most:
+        raise InputError(f"periods must be at most {most:,} for this motion, not {periods:,}")
     friction, g, ratio = (np.asarray(x, dtype=float) for x in (friction_acceleration, load, breakaway))
     if not (np.all(np.isfinite(friction)) and np.all(friction > 0) and np.all(ratio >= 1)):
         raise InputError("friction must be above 0, and static over kinetic friction at least 1")

@@ -118,7 +118,7 @@ def test_a_table_is_the_waveform_that_it_tabulates():
         ({"friction": 0.0}, "above 0"),
         ({"breakaway": 0.9}, "at least 1"),
         ({"periods": 0}, "periods"),
-        ({"periods": 10**9}, "at most 100,000"),
+        ({"periods": 10**9}, "at most 100,000 for this motion"),
     ],
 )
 def test_what_has_no_step_is_refused(change, message):
