@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from benchmarks import end_stop, fit_groups, nist, nist_anova, read_log, simulate_campaign, start_up, study
+from benchmarks import (
+    end_stop,
+    fit_groups,
+    nist,
+    nist_anova,
+    read_log,
+    simulate_campaign,
+    start_up,
+    step,
+    study,
+)
 
-for benchmark in (start_up, read_log, simulate_campaign, fit_groups, nist, nist_anova, study, end_stop):
+for benchmark in (start_up, read_log, simulate_campaign, fit_groups, nist, nist_anova, study, end_stop, step):
     print(f"--- {benchmark.__name__}: {(benchmark.__doc__ or '').splitlines()[0]}", flush=True)
     benchmark.main()

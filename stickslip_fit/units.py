@@ -76,6 +76,13 @@ _UNIT_LIST = (
     Unit("g mm²", 1, 1_000_000_000),
     Unit("N"),
     Unit("mN", 1, 1_000),
+    Unit("N/µm", 1_000_000),
+    Unit("N s/m"),
+    Unit("mm/s", 1, 1_000),
+    Unit("m/s²"),
+    Unit("nm/V", 1, 1_000_000_000),
+    Unit("Hz"),
+    Unit("kHz", 1_000),
 )
 UNITS = {unit.symbol: unit for unit in _UNIT_LIST}
 
@@ -97,9 +104,18 @@ SUFFIXES = {
     "g_mm2": "g mm²",
     "kg": "kg",
     "pct": "%",
+    "pct_per_K": "%/K",
     "V": "V",
     "urad": "µrad",
     "urad_per_mm": "µrad/mm",
+    "N": "N",
+    "mN": "mN",
+    "N_per_um": "N/µm",
+    "Ns_per_m": "N s/m",
+    "mm_per_s": "mm/s",
+    "nm_per_V": "nm/V",
+    "Hz": "Hz",
+    "kHz": "kHz",
 }
 
 

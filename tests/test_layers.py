@@ -23,6 +23,7 @@ LAYERS = (
     ("_io", "_input", "_format", "_expression", "_function"),
     ("_export",),
     ("_summary", "_toml"),
+    ("step",),
     ("machine",),
     ("logs",),
     ("laws",),

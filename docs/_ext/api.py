@@ -9,6 +9,7 @@ from types import ModuleType
 from markdown import table, text
 
 MODULES = {
+    "step": ("stickslip_fit.step", "stickslip_fit.step.stage_file"),
     "machine": ("stickslip_fit.machine",),
     "logs": ("stickslip_fit.logs", "stickslip_fit.logs.plan"),
     "laws": ("stickslip_fit.laws",),

@@ -14,12 +14,14 @@ from stickslip_fit.causes.law_file import FormulaFile
 from stickslip_fit.logs.plan_reader import PlanFile
 from stickslip_fit.machine.machine_file import JointsFile, MachineFile
 from stickslip_fit.simulation.truth import LawFile
+from stickslip_fit.step.stage_file import StageFile
 from stickslip_fit.studies.plan import StudyFile
 
 FILES: dict[str, type[TomlTable]] = {
     "plan": PlanFile,
     "law": LawFile,
     "study": StudyFile,
+    "stage": StageFile,
     "machine": MachineFile,
     "joints": JointsFile,
     "formula": FormulaFile,

@@ -103,6 +103,11 @@ COMMANDS = {
         "Compute how far from its goal a move may end.",
         "accuracy-map fit.json --chart map.svg",
     ),
+    "step": CommandEntry(
+        "step",
+        "Compute a stage's step from its physics.",
+        "step my-stage.toml --chart step.svg",
+    ),
     "demo": CommandEntry(
         "demo",
         "Find an effect hidden in a simulated campaign, step by step.",

@@ -124,6 +124,19 @@ def test_the_example_of_a_plan_can_be_used(run, tmp_path):
     assert "--example makes a plan" in run("plan", REFERENCE, "--example")[2]
 
 
+def test_the_example_of_a_stage_can_be_used(run, tmp_path):
+    stage, chart = tmp_path / "stage.toml", tmp_path / "step.svg"
+    assert run("step", "--example", "-o", stage)[0] == 0
+    status, out, _ = run("step", stage, "--chart", chart, "--csv", tmp_path / "tables")
+    assert status == 0
+    assert out.startswith("Joint 3, outward: a step of 980.0 nm with Coulomb friction.\nFriction-limited")
+    assert len(out.splitlines()) <= 25 + 2  # and what was saved
+    assert chart.read_text().count("step size (nm)") == 5
+    assert len(list((tmp_path / "tables").glob("*.csv"))) == 8
+    assert "means nothing with --example" in run("step", stage, "--example")[2]
+    assert "--example writes one" in run("step")[2]
+
+
 def test_no_bayes_factor_beyond_a_million_is_shown():
     shown = [format_bayes_factor(power) for power in (240.7, 6.0, 2.0, 0.0, -0.4, -50.0, float("nan"))]
     assert shown == ["> 10^6", "1,000,000", "100", "1", "0.4", "< 0.01", "–"]

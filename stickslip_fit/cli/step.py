@@ -1,0 +1,74 @@
+"""The command on the physics of one step: step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stickslip_fit._io import show_progress, write_atomically
+from stickslip_fit.cli._files import INPUT, Output
+from stickslip_fit.cli._options import Force, check_chart, parse_path, reject_options
+from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.errors import InputError
+
+
+def step(
+    stage: Annotated[
+        Path | None,
+        typer.Argument(metavar="[STAGE]", parser=parse_path, help="Stage file: slider, contact, drive."),
+        INPUT,
+    ] = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option("--chart", help="Also draw the step and the sweeps here: .png, .svg or .pdf."),
+        Output(),
+    ] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="Instead: a stage file with comments, to be changed.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Of --example: file to write; printed without it."),
+        Output(permits=("force",)),
+    ] = None,
+    force: Force = False,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
+) -> None:
+    """Compute a stage's step from its physics, and what the step depends on."""
+    if example:
+        reject_options({"STAGE": stage, "--chart": chart, "--csv": csv, "--latex": latex}, "with --example")
+        write_example(output)
+        return
+    if stage is None:
+        raise InputError("name a STAGE file; --example writes one to begin with")
+    reject_options({"--output": output}, "without --example")
+    check_chart(chart)
+    from stickslip_fit.step import analyse_stage
+    from stickslip_fit.step.stage_file import read_stage
+
+    read = read_stage(stage)
+    with show_progress() as progress:
+        analysis = analyse_stage(read, progress=progress)
+    saved = []
+    if chart is not None:
+        from stickslip_fit.plotting._style import write_figure
+
+        write_figure(analysis.plot_step(), chart, "step")
+        saved.append(f"step and sweeps drawn in {chart}")
+    show(analysis.summary(), Display(full, csv, latex, [stage]), saved)
+
+
+def write_example(output: Path | None) -> None:
+    """Write the example of a stage file, or print it."""
+    from importlib.resources import files
+
+    text = files("stickslip_fit").joinpath("templates", "stage_example.toml").read_text("utf-8")
+    if output is None:
+        print(text, end="")
+    else:
+        write_atomically(output, text)
+        print(f"stage file written to {output}")

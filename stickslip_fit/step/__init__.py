@@ -1,0 +1,73 @@
+"""The physics of one step of a stick-slip actuator: a slider on a foot that creeps forward and flies back."""
+
+from stickslip_fit.step import _summary as _summary  # registers how a stage is summarized
+from stickslip_fit.step.analysis import StageAnalysis, analyse_stage
+from stickslip_fit.step.closed_form import (
+    StepDerivatives,
+    back_slip,
+    drive_ratio,
+    is_friction_limited,
+    settling_time,
+    step_derivatives,
+    step_size,
+)
+from stickslip_fit.step.coulomb import CoulombMotion, coulomb_motion, coulomb_step
+from stickslip_fit.step.drift import StageDrift
+from stickslip_fit.step.friction import (
+    BristleModel,
+    Dahl,
+    Elastoplastic,
+    LuGre,
+    MaxwellSlip,
+    spread_maxwell_slip,
+)
+from stickslip_fit.step.motion import FootMotion, make_motion, motion_from_table
+from stickslip_fit.step.ode import BristleMotion, Foot, RecoilBase, StepLimitError, solve_motion
+from stickslip_fit.step.stage import (
+    Contact,
+    Drive,
+    Stage,
+    StepSweep,
+    StepTrace,
+    apply_drift,
+    quantity_of,
+    sweep_step,
+)
+
+__all__ = [
+    "BristleModel",
+    "BristleMotion",
+    "Contact",
+    "CoulombMotion",
+    "Dahl",
+    "Drive",
+    "Elastoplastic",
+    "Foot",
+    "FootMotion",
+    "LuGre",
+    "MaxwellSlip",
+    "RecoilBase",
+    "Stage",
+    "StageAnalysis",
+    "StageDrift",
+    "StepDerivatives",
+    "StepLimitError",
+    "StepSweep",
+    "StepTrace",
+    "analyse_stage",
+    "apply_drift",
+    "back_slip",
+    "coulomb_motion",
+    "coulomb_step",
+    "drive_ratio",
+    "is_friction_limited",
+    "make_motion",
+    "motion_from_table",
+    "quantity_of",
+    "settling_time",
+    "solve_motion",
+    "spread_maxwell_slip",
+    "step_derivatives",
+    "step_size",
+    "sweep_step",
+]
