@@ -26,6 +26,7 @@ LABELS = {
     "ramp time": ("ramp time (ms)", "ms"),
 }
 COLUMNS = 2
+FEW = 5  # points of a sweep
 
 
 def draw_step(analysis: StageAnalysis) -> Figure:
@@ -66,7 +67,9 @@ def _draw_trace(motion: Axes, force: Axes, analysis: StageAnalysis) -> None:
 def _draw_sweep(axis: Axes, sweep: StepSweep, analysis: StageAnalysis) -> None:
     label, unit = LABELS[sweep.quantity]
     steps = from_si(sweep.steps, "nm")
-    axis.plot(from_si(sweep.values, unit), steps, color=VERMILLION)
+    # With bristles a step takes time to compute: few points, which are marked.
+    marker = "." if len(steps) <= FEW else ""
+    axis.plot(from_si(sweep.values, unit), steps, color=VERMILLION, marker=marker)
     own = from_si(quantity_of(analysis.stage, sweep.quantity), unit)
     axis.plot(own, from_si(analysis.step, "nm"), color=INK, marker="o", linestyle="")
     low, high = min(0.0, float(np.nanmin(steps))), float(np.nanmax(steps))

@@ -115,10 +115,10 @@ def _at_points(sweep: StepSweep, points: int) -> Array:
 def _in_use(analysis: StageAnalysis) -> Table:
     """Step size after steps without a pause, by heat and wear."""
     heads = [f"{count:,}" for count, _ in analysis.in_use]
-    columns = (*words(""), *numbers(*heads, group="after so many steps without a pause"))
+    columns = (*words("quantity"), *numbers(*heads, group="after so many steps without a pause"))
     steps = [step for _, step in analysis.in_use]
     changes = [f"{100 * (step / steps[0] - 1):+.2f}" if isfinite(step) else MISSING for step in steps]
-    rows = (("step size, nm", *map(_nm, steps)), ("change, %", *changes))
+    rows = (("step size in nm", *map(_nm, steps)), ("change in %", *changes))
     return Table("Step size in use", columns, rows)
 
 
