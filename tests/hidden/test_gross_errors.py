@@ -71,7 +71,9 @@ def places(hidden):
     }
 
 
-@pytest.mark.parametrize("kind", ["session", "thesis", pytest.param("many", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "kind", ["session", *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("thesis", "many"))]
+)
 def test_one_doubled_count_is_found_wherever_it_is(kind, load):
     hidden = hide(kind, noise="t5", seed=11)
     for place, row in places(hidden).items():

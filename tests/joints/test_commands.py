@@ -56,7 +56,12 @@ def test_fits_find_the_steps_of_every_joint(make, name):
             assert row.estimate == pytest.approx(truth, rel=tolerance)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+# By night the larger machines.
+LARGE = {"six joints", "two turns"}
+NAMES = [pytest.param(name, marks=[pytest.mark.nightly] if name in LARGE else []) for name in MACHINES]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_commands_name_each_joint_by_its_kind(make, tmp_path, name):
     machine, log = make(name)
     kinds = {f"joint {number} ({kind})" for number, (kind, _) in enumerate(MACHINES[name], start=1)}
@@ -75,7 +80,7 @@ def test_a_drift_is_found_on_a_machine_of_two_turns(make):
     assert re.search(r"drift \d", text)
 
 
-@pytest.mark.parametrize("name", ["one slide", "two turns"])
+@pytest.mark.parametrize("name", ["one slide", pytest.param("two turns", marks=pytest.mark.nightly)])
 def test_without_times_what_needs_order_is_untestable_and_why(make, tmp_path, name):
     machine, log = make(name, timed=False)
     read = ssf.read_log(log, machine=load_machine(machine))
