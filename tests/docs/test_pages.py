@@ -44,6 +44,7 @@ COPIES = {
 # By night: each of these fits or diagnoses logs that no other page has.
 LONG = (
     "a-law-of-your-own.md",
+    "calibrate-today.md",
     "capture.md",
     "compare-strategies.md",
     "extend-the-law.md",

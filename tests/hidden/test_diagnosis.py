@@ -24,7 +24,7 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
 @pytest.mark.parametrize(
     ("cause", "design"),
     [
-        ("thermal-warm-up", "thesis"),
+        pytest.param("thermal-warm-up", "thesis", marks=pytest.mark.nightly),
         ("session-jump", "session"),
         pytest.param("temperature", "many", marks=pytest.mark.nightly),
         ("q2-offset", "thesis"),

@@ -126,7 +126,7 @@ def check(errors):
 
 
 @pytest.mark.parametrize(
-    ("kind", "logs"), [("gaussian", 100), pytest.param("t5", 100, marks=pytest.mark.nightly)]
+    ("kind", "logs"), [("gaussian", 150), pytest.param("t5", 100, marks=pytest.mark.nightly)]
 )
 def test_intervals_cover_and_equals_are_called_so(kind, logs, tmp_path):
     check(all_at_once(simulated(logs * A_LOG, tmp_path, kind)))
