@@ -59,7 +59,7 @@ def test_a_column_of_the_labs_own_is_named(design):
             pytest.param(design, noise, marks=[pytest.mark.nightly] if design == "many" else [])
             for design, noise in zip(DESIGNS, NOISES, strict=True)
         ),
-        ("thesis", "gaussian"),
+        pytest.param("thesis", "gaussian", marks=pytest.mark.nightly),
     ],
 )
 def test_nothing_is_found_where_nothing_is_hidden(design, noise):

@@ -17,6 +17,10 @@ from stickslip_fit.machine import load_machine
 from stickslip_fit.units import from_si
 from tests.joints.generated import GROWTH, MACHINES, STEPS, machine_text, write_log
 
+# The machine that is left has joints of both kinds.
+BY_NIGHT = {"one slide", "six joints", "two turns"}
+NAMES = [pytest.param(name, marks=[pytest.mark.nightly] if name in BY_NIGHT else []) for name in MACHINES]
+
 TO_SI = {"rotary": np.radians(1.0), "prismatic": 1e-3}
 
 
@@ -41,7 +45,7 @@ def run(command, machine, log, *more):
     return " ".join(result.output.split())
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", NAMES)
 def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
     read = ssf.read_log(log, machine=load_machine(machine))
@@ -54,11 +58,6 @@ def test_fits_find_the_steps_of_every_joint(make, name):
             session = int(row.session[-1]) - 2
             truth = STEPS[kind][row.direction] * (1 + GROWTH * session) * TO_SI[kind]
             assert row.estimate == pytest.approx(truth, rel=tolerance)
-
-
-# The machine that is left has joints of both kinds.
-BY_NIGHT = {"one slide", "six joints", "two turns"}
-NAMES = [pytest.param(name, marks=[pytest.mark.nightly] if name in BY_NIGHT else []) for name in MACHINES]
 
 
 @pytest.mark.parametrize("name", NAMES)
