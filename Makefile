@@ -10,11 +10,12 @@ LOG ?=
 demo: $(VENV)/.ready
 	$(BIN)/stickslip-fit demo $(LOG)
 
+# Bytecode is written even where the shell forbids it: without it each process compiles all modules and tests anew.
 test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@echo "$(BIN)/mypy beside pytest"; $(BIN)/mypy & types=$$!; \
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal; tests=$$?; wait $$types && exit $$tests
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal; tests=$$?; wait $$types && exit $$tests
 
 nightly: $(VENV)/.ready-nightly
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m ""

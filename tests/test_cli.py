@@ -110,7 +110,11 @@ def test_a_saved_fit_can_be_simulated_from(run, log, tmp_path):
 
 @pytest.mark.parametrize(
     ("verb", "name", "begins"),
-    [("calibrate", "c.png", b"\x89PNG"), ("fit", "c.svg", b"<?xml"), ("fit", "c.PDF", b"%PDF")],
+    [
+        ("calibrate", "c.png", b"\x89PNG"),
+        ("fit", "c.svg", b"<?xml"),
+        pytest.param("fit", "c.PDF", b"%PDF", marks=pytest.mark.nightly),
+    ],
 )
 def test_the_control_chart_is_drawn_and_the_same_each_time(
     run, campaign, tmp_path, monkeypatch, verb, name, begins

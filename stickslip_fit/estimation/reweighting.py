@@ -171,8 +171,9 @@ def flag_outliers(result: Result, log: Log) -> Result:
     Where all its residuals are small, no Student-t fit is made.
     """
     flags = [] if has_times(log.rows) else [Flag(UNTIMED, ALL_JOINTS, "", "", (), NO_TIMES_TEXT)]
+    usable = log.usable
     for joint, fit in result.joints.items():
-        rows = log.usable[log.usable["joint"] == joint]
+        rows = usable[usable["joint"] == joint]
         residual = result.residuals.loc[rows.index, "residual"].to_numpy()
         if not np.all(np.abs(residual) < SUSPICIOUS_Z * TYPICAL_SIGMA):
             flags += outliers(law_without_causes(fit.law), rows, log.machine)

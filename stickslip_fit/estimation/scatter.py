@@ -29,9 +29,9 @@ def describe_excess_scatter(log: Log, result: Result) -> str:
     result : Result
         By least squares.
     """
-    found = []
+    found, usable = [], log.usable
     for joint, fit in result.joints.items():
-        rows = log.usable[log.usable["joint"] == joint]
+        rows = usable[usable["joint"] == joint]
         for direction, residual in fit.repeatability.items():
             replicate = _replicate_scatter(fit, rows[rows["direction"] == direction])
             if (

@@ -65,7 +65,7 @@ def test_bad_input_ends_with_one_message_and_status_2(run, tmp_path, monkeypatch
 
 
 @pytest.mark.skipif(not CAMPAIGNS.exists(), reason="the measured campaigns are not on this machine")
-@pytest.mark.parametrize("name", "abcdef")
+@pytest.mark.parametrize("name", ["a", *(pytest.param(name, marks=pytest.mark.nightly) for name in "bcdef")])
 def test_measured_campaigns_get_an_answer(run, name, tmp_path):
     status, out, err = run(CAMPAIGNS / f"campaign-{name}.csv", "--json", tmp_path / "anova.json")
     assert (status, err) == (0, "")

@@ -107,6 +107,7 @@ def test_a_slanted_camera_and_drag_are_both_found():
     assert sizes["slant"].low < -0.01 < sizes["slant"].high
 
 
+@pytest.mark.nightly
 def test_frames_held_out_are_predicted_to_within_the_noise():
     gain = diagnose(filmed(ACCELERATIONS["quadratic-drag"], 5), gain=True).gain
     assert gain.baseline > 20 * NOISE

@@ -79,7 +79,9 @@ def check(ranks):
         assert np.all((low <= inside) & (inside <= high)), (share, inside)
 
 
-@pytest.mark.parametrize("law", ["prismatic", "elbow", "base"])
+@pytest.mark.parametrize(
+    "law", ["prismatic", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("elbow", "base"))]
+)
 def test_truths_rank_evenly_among_the_draws_and_intervals_cover(cases, fitted, law):
     check(study(cases[law], fitted, cases[law].prior, 10))
 
@@ -92,6 +94,7 @@ def test_a_wrong_prior_scale_is_found_out(cases, fitted):
     assert np.any(distance > band)
 
 
+@pytest.mark.nightly
 def test_a_forgotten_jacobian_is_found_out(cases, fitted, monkeypatch):
     """A density in the spreads taken for one in their logarithms, where one session says little of them."""
     factor = 4.0

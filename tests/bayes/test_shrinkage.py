@@ -62,7 +62,7 @@ def last_days(name, fitted):
         )  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=list(LAWS))
+@pytest.fixture(scope="module", params=["base", pytest.param("prismatic", marks=pytest.mark.nightly)])
 def outcome(request, fitted):
     """Each array with the campaigns first."""
     return request.param, *(np.array(each) for each in zip(*last_days(request.param, fitted), strict=True))

@@ -19,6 +19,7 @@ EVERY = [
 BEYOND = {("31", "phi", 2): 1.2}
 
 
+@pytest.mark.nightly
 def test_a_profile_is_learned_from_traverses_that_never_repeat():
     """Of each session its own around one that they share: `unknown`, which has a law all the same."""
     line = compare("9", "theta", 2)

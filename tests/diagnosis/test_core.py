@@ -67,7 +67,7 @@ def test_memory_is_judged_by_its_likelihood():
     assert found == pytest.approx(best(carried**lag) - best(np.eye(n)), rel=1e-6)
 
 
-@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("uneven", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_the_p_value_is_even_where_nothing_is_wrong(rows, linearize, uneven):
     """300 logs under heavy tails, twice the noise in two configurations of five."""
     rng = np.random.default_rng(4)

@@ -45,7 +45,10 @@ def names_found(cause: str, factor: float, path, design: str = "many") -> tuple[
     return (findings[0].cause, *findings[0].equivalent) if findings else ()
 
 
-@pytest.mark.parametrize(("cause", "factor"), [("theta-offset", 10.0), ("recoil-shape", 0.1)])
+@pytest.mark.parametrize(
+    ("cause", "factor"),
+    [("theta-offset", 10.0), pytest.param("recoil-shape", 0.1, marks=pytest.mark.nightly)],
+)
 def test_a_cause_tried_at_another_size_is_found_in_a_small_log(cause, factor, tmp_path):
     assert cause in names_found(cause, factor, tmp_path / "log.csv", "session")
 

@@ -38,7 +38,15 @@ TRUTH = {
 }  # fmt: skip
 
 
-@pytest.fixture(params=list(ESTIMATORS))
+# By night: bayes takes longest, and tests/bayes has what is its own.
+BY_NIGHT = {"bayes"}
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=[pytest.mark.nightly] if name in BY_NIGHT else []) for name in ESTIMATORS
+    ]
+)
 def method(request):
     return request.param
 

@@ -36,7 +36,7 @@ def chosen(places) -> np.ndarray:
     return np.isin(np.arange(N), places)
 
 
-@pytest.mark.parametrize("repetitions", [60, pytest.param(2000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("repetitions", [30, pytest.param(2000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_isolated_errors_are_seldom_called_a_pattern(rows, count, repetitions):
     random = np.random.default_rng(count)

@@ -53,7 +53,7 @@ def days(count):
     return ", ".join(f"2012-03-{day:02d}" for day in range(5, 5 + count))
 
 
-@pytest.mark.parametrize("campaigns", [24, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [12, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     """What a count is rounded up to adds half a per cent to the 95."""
@@ -70,7 +70,8 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     assert worst >= binom.ppf(0.001 / hits.shape[1], campaigns, 0.95)
 
 
-@pytest.mark.parametrize("campaigns", [8, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("campaigns", [100])
 def test_a_session_to_come_lies_where_the_campaign_leads_a_posterior_to_expect_it(planned, campaigns):
     """Sessions differ by 2 %: seven times what a count repeats to, and what tomorrow's interval must hold."""
     first, then = planned(CALIBRATION, days(6), '["+"]'), planned(FRESH, "2012-03-20", '["+"]')

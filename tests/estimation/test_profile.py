@@ -100,6 +100,7 @@ def test_the_profile_is_the_one_that_was_put_in(tmp_path):
     assert places == pytest.approx([90, 270] * 2, abs=15)
 
 
+@pytest.mark.nightly
 def test_the_command_and_the_report_say_that_the_profile_is_out(tmp_path):
     log, fit = write_campaign(tmp_path), CliRunner()
     done = fit.invoke(app, ["fit", str(tmp_path / "log.csv"), "--machine", str(tmp_path / "machine.toml")])

@@ -132,7 +132,7 @@ def test_shared_parameters_are_saved_with_a_null_session_and_come_back(read, tmp
     assert [float(line[3]) for line in lines] == pytest.approx([table["b", "+"], table["b", "-"]], abs=1e-3)
 
 
-@pytest.mark.parametrize("campaigns", [20, pytest.param(400, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [12, pytest.param(400, marks=pytest.mark.nightly)])
 def test_intervals_cover_where_days_share_a_parameter(read, campaigns):
     """b, which is shared, and each day's a and c."""
     truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9}

@@ -24,12 +24,12 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
 @pytest.mark.parametrize(
     ("cause", "design"),
     [
-        ("thermal-warm-up", "thesis"),
+        pytest.param("thermal-warm-up", "thesis", marks=pytest.mark.nightly),
         ("session-jump", "session"),
-        ("temperature", "many"),
+        pytest.param("temperature", "many", marks=pytest.mark.nightly),
         ("q2-offset", "thesis"),
         ("recoil-axis", "session"),
-        ("load-nonlinearity", "thesis"),
+        pytest.param("load-nonlinearity", "thesis", marks=pytest.mark.nightly),
         pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),
         ("end-stop-latency", "session"),
     ],
@@ -44,14 +44,24 @@ def test_a_hidden_cause_is_named(cause, design):
     assert cause in (found.found[0], *found.equivalent), (found.found, hidden.truth["effects"])
 
 
-def test_a_column_of_the_labs_own_is_named():
-    seed = next(seed for seed in range(40) if "covariate" in testable("many", seed, STRONG))
-    hidden = hide("many", ("covariate",), STRONG, decoys=("walk", "noise", "trend"), seed=seed)
-    found = score(Case("single", "many", "gaussian", STRONG, seed), hidden)
+@pytest.mark.parametrize("design", ["session", pytest.param("many", marks=pytest.mark.nightly)])
+def test_a_column_of_the_labs_own_is_named(design):
+    seed = next(seed for seed in range(40) if "covariate" in testable(design, seed, STRONG))
+    hidden = hide(design, ("covariate",), STRONG, decoys=("walk", "noise", "trend"), seed=seed)
+    found = score(Case("single", design, "gaussian", STRONG, seed), hidden)
     assert found.found[0] == hidden.truth["effects"][0]["cause"]
 
 
-@pytest.mark.parametrize(("design", "noise"), [*zip(DESIGNS, NOISES, strict=True), ("thesis", "gaussian")])
+@pytest.mark.parametrize(
+    ("design", "noise"),
+    [
+        *(
+            pytest.param(design, noise, marks=[pytest.mark.nightly] if design == "many" else [])
+            for design, noise in zip(DESIGNS, NOISES, strict=True)
+        ),
+        pytest.param("thesis", "gaussian", marks=pytest.mark.nightly),
+    ],
+)
 def test_nothing_is_found_where_nothing_is_hidden(design, noise):
     """With decoys: columns that act on nothing."""
     case = Case("nothing", design, noise, 0.0, 77)
@@ -64,7 +74,11 @@ def test_nothing_is_found_where_nothing_is_hidden(design, noise):
 
 @pytest.mark.parametrize(
     ("effect", "design"),
-    [("unknown:periodic", "many"), ("unknown:curvature", "thesis"), ("unknown:memory", "thesis")],
+    [
+        pytest.param("unknown:periodic", "many", marks=pytest.mark.nightly),
+        ("unknown:curvature", "thesis"),
+        ("unknown:memory", "thesis"),
+    ],
 )
 def test_what_no_cause_describes_is_called_unknown(effect, design):
     hidden = hide(design, (effect,), STRONG, seed=1)
@@ -72,10 +86,17 @@ def test_what_no_cause_describes_is_called_unknown(effect, design):
     assert found.found[:1] == ("unknown",), found.found
 
 
-def test_two_causes_are_both_found():
-    hidden = hide("many", ("temperature", "q2-offset"), (STRONG, STRONG), seed=4)
-    found = score(Case("pair", "many", "gaussian", STRONG, 4), hidden)
-    assert set(found.found) == {"temperature", "q2-offset"}
+@pytest.mark.parametrize(
+    ("design", "causes", "strength"),
+    [
+        ("session", ("thermal-warm-up", "end-stop-latency"), 16.0),
+        pytest.param("many", ("temperature", "q2-offset"), STRONG, marks=pytest.mark.nightly),
+    ],
+)
+def test_two_causes_are_both_found(design, causes, strength):
+    hidden = hide(design, causes, (strength, strength), seed=4)
+    found = score(Case("pair", design, "gaussian", strength, 4), hidden)
+    assert set(found.found) == set(causes)
 
 
 def test_drift_and_a_slow_warm_up_in_one_session_cannot_be_told_apart_or_are_told_rightly():

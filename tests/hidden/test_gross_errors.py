@@ -38,7 +38,7 @@ def tally(size, rate, seeds, load):
     return answers
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed, load):
     hidden, rows = make_gross("small", 0.01, seed)
     (finding,) = diagnose(load(hidden), seed=seed, gain=False).findings
@@ -46,11 +46,17 @@ def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed, load):
     assert set(finding.traverses.index) == set(rows)
 
 
-@pytest.mark.parametrize(("size", "rate", "seed"), [("small", 0.01, n) for n in range(4)] + [
-    ("campaign", 0.01, 2), ("campaign", 0.0025, 5), ("campaign", 0.01, 1005),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("size", "rate", "seed"),
+    [
+        *(("small", 0.01, seed) for seed in range(4)),
+        ("campaign", 0.01, 1005),
+        pytest.param("campaign", 0.01, 2, marks=pytest.mark.nightly),
+        pytest.param("campaign", 0.0025, 5, marks=pytest.mark.nightly),
+    ],
+)
 def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed, load):
-    """In the last one, least squares without them sets aside a parameter at its bound."""
+    """In the fifth, least squares without them sets aside a parameter at its bound."""
     hidden, rows = make_gross(size, rate, seed)
     problem, _ = problem_from_log(load(hidden), ())
     assert set(find_gross_errors(problem, LEVEL).rows) == set(rows)
@@ -71,7 +77,9 @@ def places(hidden):
     }
 
 
-@pytest.mark.parametrize("kind", ["session", "thesis", pytest.param("many", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "kind", ["session", *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("thesis", "many"))]
+)
 def test_one_doubled_count_is_found_wherever_it_is(kind, load):
     hidden = hide(kind, noise="t5", seed=11)
     for place, row in places(hidden).items():
@@ -91,11 +99,11 @@ def test_one_doubled_count_at_the_extreme_load_is_no_other_mass(load):
 @pytest.mark.parametrize(
     ("cause", "design"),
     [
-        ("session-jump", "many"),
+        pytest.param("session-jump", "many", marks=pytest.mark.nightly),
         ("thermal-warm-up", "session"),
         ("worn-spot", "many"),
         ("drift", "thesis"),
-        ("temperature", "many"),
+        pytest.param("temperature", "many", marks=pytest.mark.nightly),
         ("load-hysteresis", "session"),
     ],
 )

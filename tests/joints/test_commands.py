@@ -17,6 +17,10 @@ from stickslip_fit.machine import load_machine
 from stickslip_fit.units import from_si
 from tests.joints.generated import GROWTH, MACHINES, STEPS, machine_text, write_log
 
+# The machine that is left has joints of both kinds.
+BY_NIGHT = {"one slide", "six joints", "two turns"}
+NAMES = [pytest.param(name, marks=[pytest.mark.nightly] if name in BY_NIGHT else []) for name in MACHINES]
+
 TO_SI = {"rotary": np.radians(1.0), "prismatic": 1e-3}
 
 
@@ -41,7 +45,7 @@ def run(command, machine, log, *more):
     return " ".join(result.output.split())
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", NAMES)
 def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
     read = ssf.read_log(log, machine=load_machine(machine))
@@ -56,7 +60,7 @@ def test_fits_find_the_steps_of_every_joint(make, name):
             assert row.estimate == pytest.approx(truth, rel=tolerance)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", NAMES)
 def test_commands_name_each_joint_by_its_kind(make, tmp_path, name):
     machine, log = make(name)
     kinds = {f"joint {number} ({kind})" for number, (kind, _) in enumerate(MACHINES[name], start=1)}
@@ -75,7 +79,7 @@ def test_a_drift_is_found_on_a_machine_of_two_turns(make):
     assert re.search(r"drift \d", text)
 
 
-@pytest.mark.parametrize("name", ["one slide", "two turns"])
+@pytest.mark.parametrize("name", ["one slide", pytest.param("two turns", marks=pytest.mark.nightly)])
 def test_without_times_what_needs_order_is_untestable_and_why(make, tmp_path, name):
     machine, log = make(name, timed=False)
     read = ssf.read_log(log, machine=load_machine(machine))

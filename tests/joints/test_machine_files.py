@@ -88,7 +88,14 @@ def test_what_needs_an_arm_says_so_in_one_sentence(load, what):
     assert len(error.value.problems) == 1
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "one slide",
+        "another order",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("six joints", "two turns")),
+    ],
+)
 def test_a_saved_result_has_its_machine(tmp_path, load, name):
     machine = load(machine_text(MACHINES[name]))
     write_log(tmp_path / "log.csv", MACHINES[name])

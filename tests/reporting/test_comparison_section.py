@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-import pandas as pd
 import pytest
 
 from stickslip_fit.reporting import report
@@ -86,13 +85,3 @@ def test_one_session_says_what_its_intervals_are_over(made):
     section = strategies_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
     assert "are over its configurations, since there is one session" in section.paragraphs[0]
     assert "Left out" not in [table.caption for table in section.tables]
-
-
-def test_the_verb_writes_the_section(run, campaign, tmp_path, read_page):
-    campaign(DATES[:2], JOINT_3).to_csv(tmp_path / "log.csv", index=False)
-    quick = ("--no-diagnosis", "-o", tmp_path / "page.html")
-    status, _, complained = run("report", tmp_path / "log.csv", *quick)
-    assert (status, complained) == (0, "")
-    page = read_page((tmp_path / "page.html").read_text("utf-8"))
-    strategies = pd.Series(page.column("Strategies for joint 3 (prismatic)", "strategy"))
-    assert {"constant step", "closed form", "Bayes, 2 I-optimal"} <= set(strategies)

@@ -232,7 +232,7 @@ def test_a_picture_of_what_is_not_there_is_refused(found):
         replace(found, gain=None).plot_gain()
 
 
-@pytest.mark.parametrize("rows", [1, 3, 30])
+@pytest.mark.parametrize("rows", [1, 3, pytest.param(30, marks=pytest.mark.nightly)])
 def test_a_page_of_hardly_anything(drifting, fitted, read_page, rows):
     log = fitted(drifting.head(rows), "few.csv").log
     diagnosis = diagnose(log, alpha=0.1, gain=False)

@@ -125,7 +125,9 @@ def check(errors):
     assert np.mean([verdict != INDISTINGUISHABLE for verdict in verdicts]) < 0.05 + chance
 
 
-@pytest.mark.parametrize(("kind", "logs"), [("gaussian", 150), ("t5", 100)])
+@pytest.mark.parametrize(
+    ("kind", "logs"), [("gaussian", 150), pytest.param("t5", 100, marks=pytest.mark.nightly)]
+)
 def test_intervals_cover_and_equals_are_called_so(kind, logs, tmp_path):
     check(all_at_once(simulated(logs * A_LOG, tmp_path, kind)))
 

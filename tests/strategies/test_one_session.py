@@ -97,7 +97,9 @@ def check(errors, truth):
     assert abs(np.mean(inside) - 0.95) < 0.02 + chance, np.mean(inside)
 
 
-@pytest.mark.parametrize(("kind", "uneven"), [("gaussian", False), ("t5", True)])
+@pytest.mark.parametrize(
+    ("kind", "uneven"), [pytest.param("gaussian", False, marks=pytest.mark.nightly), ("t5", True)]
+)
 def test_intervals_over_configurations_cover(kind, uneven):
     check(*simulated(120, 40, 1, kind, uneven))
 

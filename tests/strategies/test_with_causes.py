@@ -68,7 +68,7 @@ def covered(temperature, campaign, written):
 
 
 def test_intervals_hold_where_the_size_of_a_cause_is_off(covered):
-    assert covered(ClosedForm(), 80) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 80)
+    assert covered(ClosedForm(), 40) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
 
 
 @pytest.mark.nightly

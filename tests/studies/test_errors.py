@@ -61,7 +61,7 @@ def test_least_squares_reaches_the_cramer_rao_bound(joint, study):
         assert float(subset["rms_relative"].iloc[0]) == pytest.approx(np.sqrt(variance.mean()), rel=0.05)
 
 
-@pytest.mark.parametrize("scatter", ["gaussian", "t5"])
+@pytest.mark.parametrize("scatter", [pytest.param("gaussian", marks=pytest.mark.nightly), "t5"])
 def test_stated_intervals_hold_while_nothing_is_hidden(scatter, study):
     plan = study(JOINT_3 + ROTARY, sessions=2, campaigns=150, scatter=scatter)
     found = run_study(plan, backend=Cores(1)).accuracy()

@@ -82,10 +82,13 @@ def test_only_what_is_new_is_worked_on(study, tmp_path):
 @pytest.mark.parametrize(
     "changed",
     [
-        {"seed": 1}, {"scatter": "t5"}, {"between_sessions": 0.02}, {"strategies": (ClosedForm(),)},
-        {"repeatability": {(3, way): 0.003 for way in "+-"}},
+        {"seed": 1},
+        {"strategies": (ClosedForm(),)},
+        pytest.param({"scatter": "t5"}, marks=pytest.mark.nightly),
+        pytest.param({"between_sessions": 0.02}, marks=pytest.mark.nightly),
+        pytest.param({"repeatability": {(3, way): 0.003 for way in "+-"}}, marks=pytest.mark.nightly),
     ],
-)  # fmt: skip
+)
 def test_a_changed_study_does_not_mix(changed, study, tmp_path):
     plan = study(campaigns=7)
     run_study(plan, tmp_path, Watched())

@@ -82,7 +82,9 @@ def test_short_sessions_do_not_make_the_autocorrelation_too_small():
     assert np.mean(found) == pytest.approx(0.9, abs=0.03)
 
 
-@pytest.mark.parametrize(("kind", "order"), [("white", 0), ("0.5", 1), ("rings", 2)])
+@pytest.mark.parametrize(
+    ("kind", "order"), [("white", 0), ("0.5", 1), pytest.param("rings", 2, marks=pytest.mark.nightly)]
+)
 def test_the_order_is_that_of_the_noise(kind, order):
     orders = []
     for seed in range(6):

@@ -24,7 +24,10 @@ def count_alarms(kind: str, sessions: int, length: int, number: int, seed: int =
     return sum(bool(search(rows, alpha=ALPHA).findings) for rows in tables)
 
 
-@pytest.mark.parametrize(("kind", "sessions", "length"), [("0.9", 1, 200), ("t5", 3, 60), ("rings", 2, 100)])
+@pytest.mark.parametrize(
+    ("kind", "sessions", "length"),
+    [("0.9", 1, 200), ("t5", 3, 60), pytest.param("rings", 2, 100, marks=pytest.mark.nightly)],
+)
 def test_nothing_is_found_where_nothing_is(kind, sessions, length):
     assert count_alarms(kind, sessions, length, 4) <= binom.isf(1e-3, 4, ALPHA)
 
@@ -124,7 +127,7 @@ def test_a_law_that_fits_exactly_has_nothing_wrong():
     assert "no scatter" in diagnosis.untestable["drift"]
 
 
-@pytest.mark.parametrize("factor", [1e-15, 1e15])
+@pytest.mark.parametrize("factor", [1e-15, pytest.param(1e15, marks=pytest.mark.nightly)])
 def test_the_unit_of_the_response_does_not_matter(factor):
     rows, _ = with_effect(signal(np.random.default_rng(8), "white", 1, 300), "white", "drift", 14.0)
     first, second = (
