@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         load_table_fit,
         physical_law,
     )
+    from stickslip_fit.law_comparison import LawComparison, compare_laws
     from stickslip_fit.laws import Law
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
@@ -64,6 +65,7 @@ _HOMES = {
     "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
     "errors": ("InputError",),
     "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit", "physical_law"),
+    "law_comparison": ("LawComparison", "compare_laws"),
     "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),

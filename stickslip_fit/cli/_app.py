@@ -13,7 +13,7 @@ from stickslip_fit.cli._examples import example_of
 from stickslip_fit.cli._files import check_files
 from stickslip_fit.cli._streams import open_standard_streams, run_with_streams, show_warning
 from stickslip_fit.cli.capture import app as capture
-from stickslip_fit.cli.changes import changed
+from stickslip_fit.cli.changes import changed, compare_laws
 from stickslip_fit.cli.demo import demo
 from stickslip_fit.cli.diagnose import anova, diagnose, diagnose_table, plan
 from stickslip_fit.cli.fit import calibrate, fit
@@ -33,6 +33,7 @@ VERBS = (
         diagnose_table,
         report,
         compare,
+        compare_laws,
         study,
         simulate,
         plan,

@@ -12,6 +12,7 @@ EXAMPLES = {
     "diagnose": "diagnose data/reference/campaign.csv --json d.json",
     "diagnose-table": "diagnose-table bench.csv --law friction.toml --time t",
     "report": "report data/reference/campaign.csv -o report.html",
+    "compare-laws": "compare-laws data/reference/campaign.csv --json laws.json",
     "compare": "compare data/reference/campaign.csv --chart time.png",
     "study": "study data/reference/study.toml --campaigns 3 -o study",
     "simulate": "simulate data/reference/plan.toml --law data/reference/law.toml -o log.csv",

@@ -1,4 +1,4 @@
-"""The command that compares an actuator with its past: changed."""
+"""The commands that compare: an actuator with its past (changed), the published with the physical laws."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from stickslip_fit.cli._files import INPUT
 from stickslip_fit.cli._options import (
     Json,
     LawNames,
+    LogPath,
     MachinePath,
     Sheet,
     check_savable,
@@ -62,3 +63,23 @@ def changed(
         changes.save(json)
         saved.append(f"saved to {json}")
     show(changes.summary(), Display(full, csv, latex, [old, new or old]), saved)
+
+
+def compare_laws(
+    log: LogPath,
+    machine: MachinePath = None,
+    sheet: Sheet = None,
+    json: Json = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
+) -> None:
+    """Compare the published laws with the physical ones: held-out errors, regime, and what would tell."""
+    from stickslip_fit import law_comparison
+
+    comparison = law_comparison.compare_laws(load_log(log, machine, sheet=sheet), command=command_line())
+    saved = []
+    if json is not None:
+        comparison.save(json)
+        saved.append(f"saved to {json}")
+    show(comparison.summary(), Display(full, csv, latex, log), saved)
