@@ -1,9 +1,9 @@
 """Held-out errors of two laws of one joint, one configuration left out at a time.
 
 Each law is fitted to all other configurations, session by session, and predicts the one left out; lambda of
-the physical law is chosen anew each time. Configurations, not traverses, are resampled for the intervals, for
-what a law gets wrong in one configuration it gets wrong in every replicate (B. Efron and R. Tibshirani, An
-Introduction to the Bootstrap, Chapman & Hall, 1993, section 8.3).
+the physical law is chosen anew each time where configurations are few. Configurations, not traverses, are
+resampled for the intervals, for what a law gets wrong in one it gets wrong in every replicate (B. Efron and
+R. Tibshirani, An Introduction to the Bootstrap, Chapman & Hall, 1993).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from stickslip_fit.machine import Machine
 
 MIN_CONFIGURATIONS = 5  # of which fewer say nothing of the error in another
 MAX_SPREAD = 2.0  # variance of a prediction over that of the noise; beyond, it is no test of a law
+MANY = 20  # configurations; one of more has no say in lambda, which then is that of all
 LIKELY = 0.05
-MAX_RATIOS = 5  # of lambda, tried without a configuration
 RESAMPLES = 2000
 DECIMALS = 6
 
@@ -90,7 +90,9 @@ def compare_held_out(
         training, test = rows[~out], rows[out]
         if training.empty:
             continue
-        found = profile_ratio(joint, training, machine, candidates, 0)
+        found = profiles
+        if configuration.max() < MANY:
+            found = profile_ratio(joint, training, machine, candidates, 0)
         best = [found[way].best if way in found else FRICTION_LIMITED for way in "+-"]
         physical = physical_law_with(joint, rows, machine, (best[0], best[1]))
         for k, law in enumerate((published, physical)):
@@ -123,11 +125,11 @@ def predict_held_out(law: StepLaw, training: pd.DataFrame, test: pd.DataFrame) -
 
 
 def _candidates(profiles: Mapping[str, RatioProfile]) -> list[float]:
-    """A few likely values of lambda in either direction."""
-    chosen = {1.0}
+    """The likeliest lambda in either direction, and the ends of what is likely."""
+    chosen: set[float] = set()
     for profile in profiles.values():
-        likely = profile.ratios[profile.likelihood > LIKELY]
-        chosen |= set(likely[np.unique(np.linspace(0, len(likely) - 1, MAX_RATIOS).astype(int))].tolist())
+        likely = profile.ratios[(profile.likelihood > LIKELY) & (profile.ratios < FRICTION_LIMITED)]
+        chosen |= {float(ratio) for ratio in likely[[0, -1]]} if len(likely) else set()
         chosen.add(profile.best)
     return sorted(chosen)
 

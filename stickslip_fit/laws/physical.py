@@ -77,6 +77,7 @@ def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: 
         lambda at inertia 1.
     """
     unit = unloaded / np.minimum(ratio, 1.0) / inertia  # a_f T1^2
+    by_unloaded = 1.0 / np.minimum(ratio, 1.0) / inertia
     ratio = ratio * inertia
     with np.errstate(divide="ignore", invalid="ignore"):
         held = np.where(np.abs(share) < 1.0, share, np.nan)
@@ -84,10 +85,11 @@ def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: 
         is_limited = ratio > 1.0 - held
         scaled = np.where(is_limited, (1.0 - held) / (1.0 + held), ratio * (1.0 - ratio * held / product))
         by_share = np.where(is_limited, -2.0 / (1.0 + held) ** 2, -((ratio / product) ** 2) * (1.0 + held**2))
+        by_unloaded = by_unloaded * scaled
         by_ratio = np.where(is_limited, 0.0, 1.0 - 2.0 * ratio * held / product)
     return UnitStep(
         gamma=unit * scaled,
-        by_unloaded=unit * scaled / unloaded,
+        by_unloaded=by_unloaded,
         by_share=unit * by_share,
         by_inertia=unit * (by_ratio * ratio - scaled) / inertia,
     )
