@@ -180,14 +180,6 @@ def compare_laws(log: Log, *, command: str = "") -> LawComparison:
     ------
     InputError
         If the log has no usable traverse, or its machine has not the published geometry.
-
-    Examples
-    --------
-    >>> import stickslip_fit as ssf
-    >>> log = ssf.read_log("data/reference/campaign.csv")
-    >>> joint = ssf.compare_laws(log).joints[-1]
-    >>> joint.joint, joint.errors.better
-    (3, 'published')
     """
     log.machine.require_geometry("the published and the physical laws")
     rows = usable_rows(log)
