@@ -29,7 +29,15 @@ if TYPE_CHECKING:
     from stickslip_fit.changes import Changes, detect_changes
     from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, fit_table, next_experiment
     from stickslip_fit.errors import InputError
-    from stickslip_fit.estimation import Result, TableFit, held_out_errors, load_result, load_table_fit
+    from stickslip_fit.estimation import (
+        Result,
+        TableFit,
+        held_out_errors,
+        load_result,
+        load_table_fit,
+        physical_law,
+    )
+    from stickslip_fit.law_comparison import LawComparison, compare_laws
     from stickslip_fit.laws import Law
     from stickslip_fit.logs import Log, Plan, read_log, read_plan, write_log
     from stickslip_fit.machine import Machine, load_machine
@@ -56,7 +64,8 @@ _HOMES = {
     "changes": ("Changes", "detect_changes"),
     "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
     "errors": ("InputError",),
-    "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit"),
+    "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit", "physical_law"),
+    "law_comparison": ("LawComparison", "compare_laws"),
     "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),

@@ -34,7 +34,7 @@ LAYERS = (
     ("diagnosis",),
     ("moves",),
     ("strategies",),
-    ("capture", "studies", "changes"),
+    ("capture", "studies", "changes", "law_comparison"),
     ("plotting",),
     ("reporting",),
     ("_workflow",),

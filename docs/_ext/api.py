@@ -27,6 +27,7 @@ MODULES = {
     "moves": ("stickslip_fit.moves",),
     "strategies": ("stickslip_fit.strategies",),
     "changes": ("stickslip_fit.changes",),
+    "law_comparison": ("stickslip_fit.law_comparison",),
     "studies": ("stickslip_fit.studies",),
     "capture": (
         "stickslip_fit.capture.protocols",

@@ -26,6 +26,7 @@ TAIL_COEFFICIENTS = TAIL_COEFFICIENTS * np.polynomial.legendre.legvander(GAUSS_N
 TAIL_COEFFICIENTS *= GAUSS_WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
 TAIL_TOL = 3e-7
+KINK_TOL = 0.02  # of a panel with a kink, one of many and narrow: the count is off by some 1e-5
 
 
 class StepCounter(ABC):
@@ -122,8 +123,9 @@ class SinusoidalCounter(StepCounter):
 class PanelCounter(StepCounter):
     """Any step size: `n_panels` Gauss-Legendre panels of equal width on each traverse."""
 
-    def __init__(self, start: Array, stop: Array, n_panels: int) -> None:
+    def __init__(self, start: Array, stop: Array, n_panels: int, tolerance: float) -> None:
         self.n_panels = n_panels
+        self.tolerance = tolerance
         half = (stop - start)[:, None] / (2 * n_panels)
         middles = start[:, None] + half * (2 * np.arange(n_panels) + 1)
         self.positions = (middles[:, :, None] + half[:, :, None] * GAUSS_NODES).reshape(len(start), -1)
@@ -133,7 +135,7 @@ class PanelCounter(StepCounter):
         """See `StepCounter.is_exact`: negligible last Legendre coefficients, or a joint that stalls."""
         rate = self._rate(gamma)
         tail = np.abs(rate.reshape(len(rate), self.n_panels, GAUSS_ORDER) @ TAIL_COEFFICIENTS)
-        return ~(tail.max(axis=(1, 2)) > TAIL_TOL * rate.mean(axis=1))
+        return ~(tail.max(axis=(1, 2)) > self.tolerance * rate.mean(axis=1))
 
     def counts(self, gamma: Array) -> Array:
         """See `StepCounter.counts`."""
@@ -149,6 +151,7 @@ class PanelCounter(StepCounter):
 
 
 MAX_PANEL_HALVINGS = 7  # a step size that needs more is not smooth
+KINK_HALVINGS = 3
 
 
 class CountableLaw(Protocol):
@@ -158,6 +161,10 @@ class CountableLaw(Protocol):
 
     @property
     def prismatic(self) -> bool:
+        """See `StepLaw`."""
+
+    @property
+    def has_kinks(self) -> bool:
         """See `StepLaw`."""
 
     def panel(self, values: Array) -> float:
@@ -199,6 +206,10 @@ class AdaptiveCounter:
             self._simple_counters.append(SinusoidalCounter)
         self._finer: tuple[IntArray, AdaptiveCounter] | None = None
 
+    @property
+    def _most_halvings(self) -> int:
+        return (KINK_HALVINGS if self.law.has_kinks else MAX_PANEL_HALVINGS) - 1
+
     @cached_property
     def start_state(self) -> State:
         """Where each traverse begins."""
@@ -208,7 +219,7 @@ class AdaptiveCounter:
         """Steps over each traverse, shape (n, p) -> (n,); NaN where the step size is not above 0."""
         counter, _, gamma, exact = self._select_counter(values)
         counts = np.where(exact, counter.counts(gamma), np.nan)
-        if len(rows := np.flatnonzero(~exact)) and self.halvings + 1 < MAX_PANEL_HALVINGS:
+        if len(rows := np.flatnonzero(~exact)) and self.halvings < self._most_halvings:
             counts[rows] = self._refine(rows).counts(values[rows])
         return counts
 
@@ -219,7 +230,7 @@ class AdaptiveCounter:
         by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
         slopes = np.einsum("nk,nkp->np", by_place, by_value)
         counts = np.where(exact, counter.counts(gamma), np.nan)
-        if len(rows := np.flatnonzero(~exact)) and self.halvings + 1 < MAX_PANEL_HALVINGS:
+        if len(rows := np.flatnonzero(~exact)) and self.halvings < self._most_halvings:
             counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows])
         return counts, slopes
 
@@ -239,10 +250,12 @@ class AdaptiveCounter:
             self._simple_counters.pop(0)  # Other values are likely to need more, too.
         longest = np.abs(self.row_values["stop"] - self.row_values["start"]).max(initial=0.0)
         doublings = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
-        return self._try_counter(values, PanelCounter, 2 ** (doublings + self.halvings))
+        is_last = self.law.has_kinks and self.halvings == self._most_halvings
+        tolerance = KINK_TOL if is_last else TAIL_TOL
+        return self._try_counter(values, PanelCounter, 2 ** (doublings + self.halvings), tolerance)
 
     def _try_counter(
-        self, values: Array, kind: Any, *arguments: int
+        self, values: Array, kind: Any, *arguments: float
     ) -> tuple[StepCounter, State, Array, BoolArray]:
         if (kind, *arguments) not in self._prepared:
             counter = kind(self.row_values["start"], self.row_values["stop"], *arguments)

@@ -299,7 +299,7 @@ class Composition(StepLaw):
     def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
         self.law = law
         self.causes = tuple(causes)
-        self.joint = law.joint
+        self.joint, self.has_kinks = law.joint, law.has_kinks
         self.cause_parameters = tuple(
             _qualify(cause, parameter) for cause in causes for parameter in cause.parameters
         )

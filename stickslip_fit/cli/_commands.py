@@ -103,6 +103,11 @@ COMMANDS = {
         "Compute how far from its goal a move may end.",
         "accuracy-map fit.json --chart map.svg",
     ),
+    "compare-laws": CommandEntry(
+        "changes",
+        "Compare the published laws with physical ones.",
+        "compare-laws data/reference/campaign.csv",
+    ),
     "step": CommandEntry(
         "step",
         "Compute a stage's step from its physics.",

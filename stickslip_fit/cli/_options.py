@@ -90,8 +90,8 @@ LawNames = Annotated[
         "--law",
         metavar="[JOINT=]LAW",
         parser=parse_path,
-        help="A law of your own: a FILE.toml of formulas, MODULE:NAME of Python, or the name of an installed "
-        "one; of one joint with JOINT= before it, e.g. 2=mylab:ELBOW; repeatable.",
+        help="physical, or a law of your own: FILE.toml of formulas, MODULE:NAME of Python, or an installed "
+        "one's name; of one joint with JOINT= before it, e.g. 2=mylab:ELBOW; repeatable.",
     ),
     INPUT,
 ]
@@ -227,12 +227,18 @@ def _find_law(name: str) -> Any:
         installed = installed_laws()
         if name in installed:
             return installed[name]
+        if name == "physical":
+            from stickslip_fit.estimation import physical_law
+
+            return physical_law
         known = (
             f"; installed packages offer {', '.join(installed)}{suggest(name, installed)}"
             if installed
             else ""
         )
-        raise InputError(f"is no law that is known; give MODULE:NAME, or a FILE.toml of formulas{known}")
+        raise InputError(
+            f"is no law that is known; give physical, MODULE:NAME, or a FILE.toml of formulas{known}"
+        )
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as Python itself has it for a script: a file of one's own beside the log
     try:

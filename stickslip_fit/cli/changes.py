@@ -1,4 +1,4 @@
-"""The command that compares an actuator with its past: changed."""
+"""The commands that compare: an actuator with its past (changed), the published with the physical laws."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from stickslip_fit._io import show_progress
 from stickslip_fit.cli._files import INPUT
 from stickslip_fit.cli._options import (
     Json,
     LawNames,
+    LogPath,
     MachinePath,
     Sheet,
     check_savable,
@@ -62,3 +64,25 @@ def changed(
         changes.save(json)
         saved.append(f"saved to {json}")
     show(changes.summary(), Display(full, csv, latex, [old, new or old]), saved)
+
+
+def compare_laws(
+    log: LogPath,
+    machine: MachinePath = None,
+    sheet: Sheet = None,
+    json: Json = None,
+    full: Full = False,
+    csv: Csv = None,
+    latex: Latex = None,
+) -> None:
+    """Compare the published laws with the physical ones: held-out errors, regime, and what would tell."""
+    from stickslip_fit import law_comparison
+
+    campaign = load_log(log, machine, sheet=sheet)
+    with show_progress() as progress:
+        comparison = law_comparison.compare_laws(campaign, command=command_line(), progress=progress)
+    saved = []
+    if json is not None:
+        comparison.save(json)
+        saved.append(f"saved to {json}")
+    show(comparison.summary(), Display(full, csv, latex, log), saved)

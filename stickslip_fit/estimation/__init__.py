@@ -3,6 +3,7 @@
 from stickslip_fit.estimation import _summary as _summary  # registers how results are summarized
 from stickslip_fit.estimation import _table_summary as _table_summary
 from stickslip_fit.estimation.closed_form import fit_closed_form, solve_calibration
+from stickslip_fit.estimation.drive_ratio import RatioProfile, physical_law, profile_ratio
 from stickslip_fit.estimation.least_squares import fit_least_squares
 from stickslip_fit.estimation.load_coefficient import (
     iterate_load_coefficient,
@@ -26,6 +27,7 @@ __all__ = [
     "HeldOutErrors",
     "JointFit",
     "NoiseLevel",
+    "RatioProfile",
     "Result",
     "TableFit",
     "fit_closed_form",
@@ -36,6 +38,8 @@ __all__ = [
     "load_coefficient_from_quadratic",
     "load_result",
     "load_table_fit",
+    "physical_law",
+    "profile_ratio",
     "solve_calibration",
     "solve_load_coefficient",
     "summarize_errors",

@@ -1,4 +1,4 @@
-"""The published step-size laws, and the steps over a traverse that follow from them."""
+"""The published and the physical step-size laws, and the steps over a traverse that follow from them."""
 
 from stickslip_fit.laws.base import (
     Configuration,
@@ -14,6 +14,15 @@ from stickslip_fit.laws.base import (
 from stickslip_fit.laws.choice import Laws, LawSource, choose_laws
 from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.integration import State, state_at
+from stickslip_fit.laws.physical import (
+    FRICTION_LIMITED,
+    Physical,
+    PhysicalBase,
+    PhysicalBaseAtOneReach,
+    PhysicalElbow,
+    PhysicalPrismatic,
+    PhysicalRotary,
+)
 from stickslip_fit.laws.published import (
     Base,
     BaseAtOneReach,
@@ -29,6 +38,7 @@ from stickslip_fit.laws.registry import UnknownLawError, describe_law, installed
 from stickslip_fit.laws.table import TableLaw
 
 __all__ = [
+    "FRICTION_LIMITED",
     "Base",
     "BaseAtOneReach",
     "Configuration",
@@ -38,6 +48,12 @@ __all__ = [
     "LawSource",
     "Laws",
     "Parameter",
+    "Physical",
+    "PhysicalBase",
+    "PhysicalBaseAtOneReach",
+    "PhysicalElbow",
+    "PhysicalPrismatic",
+    "PhysicalRotary",
     "Prismatic",
     "Rotary",
     "Rows",

@@ -106,6 +106,8 @@ class StepLaw(ABC):
         Columns of a row, besides start and stop, on which the step size depends.
     max_panel : float
         Widest integration panel that resolves the step size along a traverse, rad or m.
+    has_kinks : bool
+        Whether the step size, though continuous, may change its slope suddenly along a traverse.
     outlier_cause : str
         The cause of the few counts that are far off: steps are counted until a stop is heard. ``outliers``
         for a law whose counts end otherwise.
@@ -116,6 +118,7 @@ class StepLaw(ABC):
     parameters: tuple[Parameter, ...]
     columns: ClassVar[tuple[str, ...]] = ()
     max_panel: float = np.inf
+    has_kinks: bool = False
     outlier_cause: str = "end-stop-misfire"
 
     @property

@@ -24,6 +24,7 @@ from stickslip_fit.laws.base import StepLaw
 from stickslip_fit.laws.choice import Laws, LawSource, make_law
 from stickslip_fit.laws.formula import Law, restore_formula_law
 from stickslip_fit.laws.formula_step import FormulaStepLaw, restore_step_law
+from stickslip_fit.laws.physical import Physical, restore_physical
 from stickslip_fit.laws.published import (
     Base,
     BaseAtOneReach,
@@ -95,6 +96,8 @@ def describe_law(law: StepLaw) -> dict[str, Any]:
     """
     if type(law) in PUBLISHED:
         return dict(describe_published(law))
+    if isinstance(law, Physical):
+        return law.describe()
     if isinstance(law, FormulaStepLaw):
         return law.describe() | {"max_panel": law.max_panel if isfinite(law.max_panel) else None}
     parameters = [[parameter.name, str(parameter.unit)] for parameter in law.parameters]
@@ -149,7 +152,8 @@ def restore_law(description: Mapping[str, Any], machine: Machine, laws: Laws | N
     if "formula_law" in description:
         return _restore_formula(description, laws)
     if "source" not in description:
-        return restore_published(dict(description), machine)
+        physical = restore_physical(description, machine)
+        return restore_published(dict(description), machine) if physical is None else physical
     joint, source = int(description["joint"]), str(description["source"])
     given = None
     for law in _candidates(joint, machine, laws):

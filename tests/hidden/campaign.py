@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -54,12 +55,26 @@ class Campaign:
         return load
 
 
-def make_campaign(design: str, noise: str, seed: int, replicate: int = 0) -> Campaign:
+class Nature(Protocol):
+    """What the step size really is, where it is not a published law."""
+
+    def draw(self, joint: int, session: Ints, forward: Ints, rng: np.random.Generator) -> dict[str, Array]:
+        """What it depends on, at each traverse."""
+        ...
+
+    def pace(self, place: Place) -> Array:
+        """Step size at the nodes of traverses."""
+        ...
+
+
+def make_campaign(
+    design: str, noise: str, seed: int, replicate: int = 0, nature: Nature | None = None
+) -> Campaign:
     """Draw a campaign; another `replicate` differs in its noise alone."""
     if design not in DESIGNS:
         raise ValueError(f"there is no design {design!r}; choose from {tuple(DESIGNS)}")
     plan = DESIGNS[design](stream(seed, "plan"))
-    places = _places(plan, seed)
+    places = _places(plan, seed, nature)
     counts = np.empty(len(plan.joint))
     for each in places:
         counts[each.rows] = each.counts(each.step_size())
@@ -82,14 +97,15 @@ def make_campaign(design: str, noise: str, seed: int, replicate: int = 0) -> Cam
     )
 
 
-def _places(plan: Plan, seed: int) -> tuple[Place, ...]:
+def _places(plan: Plan, seed: int, nature: Nature | None) -> tuple[Place, ...]:
     positions, places = plan.positions(), []
     for joint in (1, 2, 3):
         rows = np.flatnonzero(plan.joint == joint)
         forward = plan.forward[rows]
-        values = draw_truth(joint, plan.session[rows], forward, stream(seed, f"truth {joint}"))
+        draw, pace = (draw_truth, None) if nature is None else (nature.draw, nature.pace)
+        values = draw(joint, plan.session[rows], forward, stream(seed, f"truth {joint}"))
         subset = {name: column[rows] for name, column in positions.items()}
-        places.append(place(joint, rows, subset, values, forward.astype(float)))
+        places.append(place(joint, rows, subset, values, forward.astype(float), pace))
     return tuple(places)
 
 

@@ -6,7 +6,7 @@ along a traverse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -60,6 +60,7 @@ class Place:
     weights: Array  # dx at each node
     values: Mapping[str, Array]  # the law's parameters
     forward: Array  # +1 or -1
+    pace: Callable[[Place], Array] | None = None  # step size, where it is not the published law's
 
     def of(self, column: Array) -> Array:
         """A column of the whole log at these traverses, shape (n, 1)."""
@@ -85,6 +86,8 @@ class Place:
     def unloaded(self) -> Array:
         """a or gamma0: the step size without load or recoil."""
         v = self.values
+        if self.pace is not None:
+            return replace(self, load=0 * self.load, recoil=0 * self.recoil).step_size()
         if self.joint == 3:
             return v["a"]
         if self.joint == 2:
@@ -92,8 +95,10 @@ class Place:
         return v["zero"] + v["per_m"] * self.reach
 
     def step_size(self) -> Array:
-        """Step size of the published law."""
+        """Step size of the published law, or of `pace`."""
         v = self.values
+        if self.pace is not None:
+            return self.pace(self)
         if self.joint == 3:
             return (1 - v["b"] * self.recoil) * (v["a"] - v["c"] * self.load)
         if self.joint == 2:
@@ -116,6 +121,7 @@ def place(
     positions: Mapping[str, Array],
     values: Mapping[str, Array],
     forward: Array,
+    pace: Callable[[Place], Array] | None = None,
 ) -> Place:
     """Put a joint's traverses on their nodes.
 
@@ -139,6 +145,7 @@ def place(
         length * w,
         {name: value[:, None] for name, value in values.items()},
         forward[:, None],
+        pace,
     )
     return unplaced.at()
 

@@ -1,0 +1,267 @@
+"""lambda, the drive ratio of a physical law, by its profile likelihood; and with it the regime.
+
+For each lambda the other parameters of every session are fitted, which is smooth; the sum of squares of a
+direction over all sessions is its profile. In log lambda the prior is even, as much of it above 1 as below.
+No count depends on lambda above the largest 1 + r of the log: then there is a lower bound, no estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.estimation._optimize import Groups, Minimum
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
+from stickslip_fit.laws import Rows, StepLaw
+from stickslip_fit.laws.physical import FRICTION_LIMITED, physical_law_with
+from stickslip_fit.machine import Machine
+
+LOWEST, HIGHEST = 0.1, 10.0  # of the prior
+COARSE = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+REFINEMENTS = 2
+UNLIKELY = 0.147  # likelihood ratio at the ends of an interval of 95 %
+NEGLIGIBLE = 1e-3  # of the largest density
+FLAT = 0.7  # likelihood ratio of neighbours between which nothing is looked for
+MAX_ITERATIONS = 60
+START_SLOPE = 0.2  # share of the step size that a full load takes
+
+
+@dataclass(frozen=True, eq=False)
+class RatioProfile:
+    """What the traverses of one joint and direction say of lambda.
+
+    Attributes
+    ----------
+    ratios : array, shape (k,)
+        In rising order; the last is `FRICTION_LIMITED`, for all above the one before it.
+    probability : array, shape (k,)
+        Posterior of the interval around each, 1 in sum.
+    share, share_error : array, shape (k,)
+        r of the law's last parameter given lambda, mean over sessions, and its standard error.
+    squares : array, shape (k,)
+        Sum of squares of the residuals, log(steps).
+    free : array of int, shape (k,)
+        Their degrees of freedom.
+    """
+
+    ratios: Array
+    probability: Array
+    share: Array
+    share_error: Array
+    squares: Array
+    free: IntArray
+
+    @property
+    def likelihood(self) -> Array:
+        """Relative to that of the most likely lambda, shape (k,)."""
+        return _relative_likelihood(self.squares, self.free)
+
+    @property
+    def best(self) -> float:
+        """`FRICTION_LIMITED` where that is not unlikely, else the most likely lambda."""
+        if self.likelihood[-1] > UNLIKELY:
+            return FRICTION_LIMITED
+        return float(self.ratios[np.argmax(self.likelihood)])
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of log(steps) that the most likely lambda leaves."""
+        at = int(np.argmax(self.likelihood))
+        return float(np.sqrt(self.squares[at] / self.free[at]))
+
+    @property
+    def friction_limited(self) -> float:
+        """Probability that lambda is above 1: friction-limited without load."""
+        return float(
+            self.probability[self.ratios > 1.0].sum() + self.probability[self.ratios == 1.0].sum() / 2
+        )
+
+    def interval(self) -> tuple[float, float]:
+        """Where lambda lies with 95 % confidence, by likelihood ratio; 0 or infinite where not bounded."""
+        inside = np.flatnonzero(self.likelihood > UNLIKELY)
+        first, last = inside[0], inside[-1]
+        low = 0.0 if first == 0 else float(np.mean(self.ratios[[first - 1, first]]))
+        high = np.inf if last == len(self.ratios) - 1 else float(np.mean(self.ratios[[last, last + 1]]))
+        return low, high
+
+    def share_interval(self, level: float = 0.95, spread: float = 0.0) -> tuple[float, float, float]:
+        """Mean of r, and its interval with lambda's uncertainty; `spread` is that of the model, relative."""
+        from scipy.special import ndtr
+
+        error = np.hypot(self.share_error, spread * self.share)
+        use = (self.probability > 0) & np.isfinite(error) & (error > 0)
+        if not use.any():
+            return np.nan, np.nan, np.nan
+        mean, error, weight = self.share[use], error[use], self.probability[use] / self.probability[use].sum()
+        grid = np.linspace(-1.0, 1.0, 8001)
+        total = weight @ ndtr((grid - mean[:, None]) / error[:, None])
+        low, high = np.interp([(1 - level) / 2, (1 + level) / 2], total, grid)
+        return float(weight @ mean), float(low), float(high)
+
+
+def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
+    """The physical law of a joint with the lambda that its traverses make most likely.
+
+    What `laws` takes for a joint, ``fit(log, laws={3: physical_law})``. Where traverses say nothing of lambda
+    it is friction-limited, as the published parameters are.
+
+    Parameters
+    ----------
+    joint : int
+    rows : DataFrame
+        Usable traverses of the joint.
+    machine : Machine
+
+    Returns
+    -------
+    StepLaw
+    """
+    profiles = profile_ratio(joint, pd.DataFrame(rows), machine) if len(rows) else {}
+    ratios = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
+    return physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+
+
+def profile_ratio(
+    joint: int,
+    rows: pd.DataFrame,
+    machine: Machine,
+    ratios: Sequence[float] = COARSE,
+    refinements: int = REFINEMENTS,
+) -> dict[str, RatioProfile]:
+    """The profile of each direction.
+
+    Parameters
+    ----------
+    joint : int
+    rows : DataFrame
+        Usable traverses of the joint.
+    machine : Machine
+    ratios : sequence of float, optional
+        Where to evaluate it, besides `FRICTION_LIMITED`.
+    refinements : int, optional
+        How often to halve the intervals that matter.
+    """
+    search = _RatioSearch(joint, rows, machine)
+    for ratio in sorted({*ratios, FRICTION_LIMITED}):
+        search.evaluate(ratio)
+    for _ in range(refinements):
+        for ratio in search.wanted():
+            search.evaluate(ratio)
+    return search.profiles()
+
+
+class _RatioSearch:
+    """Fits at one lambda after the other, the same in both directions, which share nothing."""
+
+    def __init__(self, joint: int, rows: pd.DataFrame, machine: Machine) -> None:
+        self.joint, self.rows, self.machine = joint, rows, machine
+        self.found: dict[float, dict[str, tuple[float, ...]]] = {}
+        self.minima: dict[float, Array] = {}
+
+    def evaluate(self, ratio: float) -> None:
+        """Sum of squares, mean r and its error of each direction at a lambda."""
+        law = physical_law_with(self.joint, self.rows, self.machine, (ratio, ratio))
+        problem = single_problem(law, self.rows, DEFAULT_OPTIONS)
+        minimum = self._minimize(problem, ratio)
+        squares = problem.groups.sums(minimum.residual**2)
+        size = np.bincount(problem.groups.of_row, minlength=len(problem.groups))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.linalg.pinv(
+                minimum.curvature * problem.scales[:, :, None] * problem.scales[:, None, :]
+            )
+        self.found[ratio] = {}
+        for way in dict.fromkeys(problem.directions):
+            own = problem.directions == way
+            free = int(max(size[own].sum() - minimum.rank[own].sum(), 1))
+            total = float(squares[own].sum())
+            variance = inverse[own, -1, -1] * total / free
+            known = variance > 0
+            weight = np.where(known, 1.0 / np.where(known, variance, 1.0), 0.0)
+            values = minimum.values[own, -1]
+            mean = float(weight @ values / weight.sum()) if known.any() else float(np.mean(values))
+            error = float(weight.sum() ** -0.5) if known.any() else np.inf
+            self.found[ratio][str(way)] = (total, mean, error, free)
+
+    def _minimize(self, problem: JointProblem, ratio: float) -> Minimum:
+        """Of each group the better of two searches: from usual values, and from the nearest lambda's."""
+        weight = np.ones(len(problem.y))
+        minimum = problem.minimize(weight, start_at(problem, ratio), MAX_ITERATIONS)
+        if self.minima:
+            nearest = min(self.minima, key=lambda other: abs(np.log(other / ratio)))
+            start = self.minima[nearest].copy()
+            shares = _shares(problem.law)
+            start[:, shares] *= min(nearest, 2.0) / min(ratio, 2.0)
+            other = problem.minimize(weight, start, MAX_ITERATIONS)
+            old, new = (problem.groups.sums(each.residual**2) for each in (minimum, other))
+            minimum = _either(new < old, other, minimum, problem.groups)
+        self.minima[ratio] = minimum.values
+        return minimum
+
+    def wanted(self) -> list[float]:
+        """Middles of the intervals next to what is likely in either direction."""
+        middles = set()
+        for profile in self.profiles().values():
+            likely = _relative_likelihood(profile.squares, profile.free)
+            for k in range(len(profile.ratios) - 2):  # all above the last but one is one interval
+                pair = likely[k : k + 2]
+                if pair.max() > NEGLIGIBLE and pair.min() < FLAT * pair.max():
+                    middles.add(float((profile.ratios[k] + profile.ratios[k + 1]) / 2))
+        return sorted(middles - set(self.found))
+
+    def profiles(self) -> dict[str, RatioProfile]:
+        """What is known so far."""
+        ratios = np.array(sorted(self.found))
+        found = {}
+        for way in self.found[FRICTION_LIMITED]:
+            squares, share, error, free = np.array([self.found[ratio][way] for ratio in ratios]).T
+            probability = _relative_likelihood(squares, free) * _prior(ratios)
+            posterior = probability / probability.sum()
+            found[way] = RatioProfile(ratios, posterior, share, error, squares, free.astype(np.intp))
+        return found
+
+
+def start_at(problem: JointProblem, ratio: float) -> Array:
+    """Start values whose response to load is usual, whatever the regime."""
+    start = problem.start.copy()
+    start[:, _shares(problem.law)] = min(START_SLOPE / (2.0 if ratio > 1.0 else ratio), 0.6 * max(1.0, ratio))
+    return start
+
+
+def _either(first: BoolArray, one: Minimum, other: Minimum, groups: Groups) -> Minimum:
+    """Of some groups the one minimum, of the rest the other."""
+    chosen = {
+        name: np.where(
+            first[:, *[None] * (getattr(one, name).ndim - 1)], getattr(one, name), getattr(other, name)
+        )
+        for name in ("values", "curvature", "converged", "rank", "at_bound")
+    }
+    residual = np.where(first[groups.of_row], one.residual, other.residual)
+    return replace(other, residual=residual, **chosen)
+
+
+def _shares(law: StepLaw) -> list[int]:
+    return [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
+
+
+def _relative_likelihood(squares: Array, free: npt.ArrayLike) -> Array:
+    """Of each lambda over that of the best, with the noise profiled out.
+
+    Laws of more parameters pay for them as in Akaike's criterion.
+    """
+    fits, free = np.isfinite(squares), np.asarray(free, float)
+    squares = np.where(fits, squares, np.inf)
+    best = int(np.argmin(squares / free))
+    excess = squares / squares[best] - 1.0
+    log = -free[best] / 2 * np.log1p(np.maximum(excess, -0.99)) + (free - free[best])
+    return np.exp(log - log.max())
+
+
+def _prior(ratios: Array) -> Array:
+    """Share of the prior in the interval around each; the last has all above the one before it."""
+    edges = np.log(np.r_[LOWEST, (ratios[1:-1] + ratios[:-2]) / 2, ratios[-2], HIGHEST])
+    return np.maximum(np.diff(edges), 0.0) / np.log(HIGHEST / LOWEST)

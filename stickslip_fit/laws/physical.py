@@ -1,0 +1,448 @@
+"""The physical laws of the three joints: a slider driven by Coulomb friction, in two regimes.
+
+The foot moves by D within the ramp time T1 and flies back; friction accelerates the slider by at most a_f.
+With the load r against the motion, as a share of friction, and lambda = D / (a_f T1^2)
+(`stickslip_fit.step`):
+
+- lambda < 1 - r, velocity-limited, the slider catches up: gamma = D [1 - lambda r / (1 - r^2)];
+- lambda > 1 - r, friction-limited: gamma = a_f T1^2 (1 - r) / (1 + r), whatever D.
+
+Far from 1 not all of a_f, T1 and D can be known from counts. Parameters are what counts show: the step size
+without load, min(D, a_f T1^2), and r at full load. lambda is one number for each direction, `ratios`, and
+part of the law: the sum of squares has a kink in it wherever a traverse changes regime, and none is worse for
+it once it is above 1 + r. `estimation.physical_law` finds it by its profile likelihood.
+
+The load of joint 3 is its weight, so that r = g / a_f. Of a rotary joint a_f falls as 1 / J, with the inertia
+J quadratic in q3 (joint 2) or in the reach (joint 1), and the torque of gravity grows linearly in it. The
+recoil is as in thesis Eq. 4.5; see `laws.published` for the thesis.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stickslip_fit._typing import Array
+from stickslip_fit.laws.base import (
+    Configuration,
+    Counter,
+    Parameter,
+    Rows,
+    StepLaw,
+    float_column,
+    traverse_length,
+)
+from stickslip_fit.laws.integration import State
+from stickslip_fit.laws.published import Base, BaseAtOneReach, Elbow, Prismatic, Rotary, published_law
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import PRISMATIC
+
+MAX_SHARE = 0.9  # of friction, by which the load may act
+FRICTION_LIMITED = 10.0  # lambda that no load within MAX_SHARE tells from a greater one
+START_SHARE = 0.15
+INERTIA = (-0.1, 0.3)  # gained from one end of the arm's range to the other, as a share
+VELOCITY_LIMITED = 0.75  # lambda below which a few per cent of inertia leave no trace
+PANELS, NODES = 3, 10  # of each smooth stretch of a rotary traverse
+
+Ratios = tuple[float, float]
+"""lambda in `+` and in `-`."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnitStep:
+    """Step sizes and their derivatives; arrays of one shape."""
+
+    gamma: Array
+    by_unloaded: Array
+    by_share: Array
+    by_inertia: Array
+
+
+def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: Array) -> UnitStep:
+    """Step size from what parameters stand for.
+
+    Parameters
+    ----------
+    unloaded : array
+        min(D, a_f T1^2) at inertia 1, m or rad.
+    share : array
+        The load against the motion as a share of friction, r; NaN comes out where it does not lie within 1.
+    inertia : array or float
+        By which a_f is divided.
+    ratio : array
+        lambda at inertia 1.
+    """
+    unit = unloaded / np.minimum(ratio, 1.0) / inertia  # a_f T1^2
+    by_unloaded = 1.0 / np.minimum(ratio, 1.0) / inertia
+    ratio = ratio * inertia
+    with np.errstate(divide="ignore", invalid="ignore"):
+        held = np.where(np.abs(share) < 1.0, share, np.nan)
+        product = 1.0 - held**2
+        is_limited = ratio > 1.0 - held
+        scaled = np.where(is_limited, (1.0 - held) / (1.0 + held), ratio * (1.0 - ratio * held / product))
+        by_share = np.where(is_limited, -2.0 / (1.0 + held) ** 2, -((ratio / product) ** 2) * (1.0 + held**2))
+        by_unloaded = by_unloaded * scaled
+        by_ratio = np.where(is_limited, 0.0, 1.0 - 2.0 * ratio * held / product)
+    return UnitStep(
+        gamma=unit * scaled,
+        by_unloaded=by_unloaded,
+        by_share=unit * by_share,
+        by_inertia=unit * (by_ratio * ratio - scaled) / inertia,
+    )
+
+
+class Physical(StepLaw):
+    """A slider driven by Coulomb friction; `ratios` is lambda in `+` and in `-`."""
+
+    ratios: Ratios
+
+    @property
+    def has_kinks(self) -> bool:  # type: ignore[override]
+        """See `StepLaw`."""
+        return min(self.ratios) < 2.0
+
+    def describe(self) -> dict[str, Any]:
+        """What `restore_physical` needs to build the law again, as plain JSON types."""
+        return {"name": self.name, "joint": self.joint, "lambda": list(self.ratios)}
+
+    def ratio(self, sign: Array) -> Array:
+        """The lambda of traverses whose direction has this sign."""
+        return np.where(sign > 0, *self.ratios)
+
+
+class PhysicalPrismatic(Physical):
+    """Joint 3: the step of a slider that carries its own weight, less the recoil of Eq. 4.5."""
+
+    name = "physical-prismatic"
+    joint = PRISMATIC
+    columns = ("q2", "theta", "psi", "start", "stop")
+    parameters = (
+        Parameter("a", "nm", "step size without gravity and recoil", lower=0.0),
+        Parameter("b", "1", "share lost to recoil with the arm upright", lower=-1.0, upper=1.0),
+        Parameter("r", "1", "weight over friction", -MAX_SHARE, MAX_SHARE),
+    )
+
+    def __init__(self, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
+        self.ratios = ratios
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        return self._evaluate(state.recoil, state.load, state.direction_sign, values[:, None, :])[0]
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        return self._evaluate(state.recoil, state.load, state.direction_sign, values[:, None, :])[1]
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`."""
+        others = np.broadcast_to([0.2, START_SHARE], (len(mean_step), 2))
+        return np.column_stack([1.2 * mean_step, others])
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return np.column_stack([mean_step, np.ones((len(mean_step), 2))])
+
+    def features(self, rows: Rows) -> Array:
+        """Recoil |cos q2| and load, of a direction; see `StepLaw.features`."""
+        return Prismatic().features(rows)
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """The published law's: one load gives r, and its curve follows."""
+        return Prismatic().calibration()
+
+    def counter(self, rows: Rows) -> Counter:
+        """Closed form of `StepLaw.counter`; NaN where the slider does not move forward."""
+        length, sign = traverse_length(rows), _direction_sign(rows)
+        recoil, load = self.features(rows).T
+
+        def count(values: Array) -> tuple[Array, Array]:
+            values = np.broadcast_to(values, (len(length), len(self.parameters)))
+            gamma, slopes = self._evaluate(recoil, load, sign, values)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                counts = np.where(gamma > 0, length / gamma, np.nan)
+                return counts, -slopes * (counts / gamma)[:, None]
+
+        return count
+
+    def _evaluate(self, recoil: Array, load: Array, sign: Array, values: Array) -> tuple[Array, Array]:
+        """Step size, and its derivatives on a last axis."""
+        a, b, r = np.moveaxis(values, -1, 0)
+        kept, against = 1.0 - b * recoil, sign * load
+        step = evaluate_step(a, r * against, 1.0, self.ratio(sign))
+        slopes = (kept * step.by_unloaded, -recoil * step.gamma, kept * step.by_share * against)
+        # Far from any minimum both factors may be below 0.
+        gamma = np.where(kept > 0, kept * step.gamma, np.nan)
+        return gamma, np.stack(np.broadcast_arrays(*slopes), axis=-1)
+
+
+class PhysicalRotary(Physical):
+    """Joints 1 and 2: inertia and load depend on the arm, and the load also on the angle along a traverse.
+
+    A subclass has the published law of its joint, from which come the load and the weights that make r linear
+    between its values, and says how inertia grows. Parameters are gamma0, then the inertia gained, if there
+    is one, then the values of r.
+
+    Attributes
+    ----------
+    published : Rotary
+    """
+
+    published: Rotary
+    max_panel = 0.6
+
+    @abstractmethod
+    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
+        """How much of each of its values r has with joints 2 and 3 there, arrays of one shape."""
+
+    @abstractmethod
+    def inertia_weight(self, q2: Array, q3: Array) -> Array | None:
+        """Share of the inertia to be gained that the arm has there; None without such a parameter."""
+
+    def gamma(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma`."""
+        return self._evaluate(state.q2, state.q3, state.load, state.direction_sign, values[:, None, :])[0]
+
+    def gamma_slopes(self, state: State, values: Array) -> Array:
+        """See `StepLaw.gamma_slopes`."""
+        return self._evaluate(state.q2, state.q3, state.load, state.direction_sign, values[:, None, :])[1]
+
+    def start_values(self, mean_step: Array) -> Array:
+        """See `StepLaw.start_values`."""
+        shares = len(self.parameters) - 1 - self._gains
+        others = np.r_[[0.05] * self._gains, [START_SHARE] * shares]
+        return np.column_stack([mean_step, np.broadcast_to(others, (len(mean_step), len(others)))])
+
+    def scales(self, mean_step: Array) -> Array:
+        """See `StepLaw.scales`."""
+        return np.column_stack([mean_step, np.ones((len(mean_step), len(self.parameters) - 1))])
+
+    @property
+    def _gains(self) -> int:
+        return sum(parameter.name == "inertia" for parameter in self.parameters)
+
+    def features(self, rows: Rows) -> Array:
+        """See `StepLaw.features`: those of a direction."""
+        return self.published.features(rows)
+
+    def calibration(self) -> tuple[Configuration, ...]:
+        """The published law's: each traverse passes through loads of many sizes."""
+        return self.published.calibration()
+
+    def counter(self, rows: Rows) -> Counter:
+        """Gauss-Legendre quadrature between the angles at which the regime changes; see `StepLaw.counter`.
+
+        NaN where the joint would come to a halt.
+        """
+        start, stop = float_column(rows, "start"), float_column(rows, "stop")
+        (amplitude, phase), sign = self.published.swing(rows), _direction_sign(rows)
+        q2 = float_column(rows, "q2") if "q2" in self.columns else np.zeros(len(start))
+        q3 = float_column(rows, "q3")
+        x, w = _composite_rule()
+
+        def count(values: Array) -> tuple[Array, Array]:
+            values = np.broadcast_to(values, (len(start), len(self.parameters)))
+            share, inertia = self._share_and_inertia(q2, q3, sign, values)[:2]
+            edge = 1.0 - self.ratio(sign) * inertia
+            ends = _regime_changes(sign * share * amplitude, phase, edge, start, stop)
+            owner, stretch = np.nonzero(ends[:, 1:] != ends[:, :-1])
+            low, width = ends[owner, stretch][:, None], (ends[:, 1:] - ends[:, :-1])[owner, stretch][:, None]
+            load = amplitude[owner, None] * np.cos(low + width * x - phase[owner, None])
+            own = q2[owner, None], q3[owner, None], load, sign[owner, None]
+            gamma, slopes = self._evaluate(*own, values[owner, None, :])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rate = np.where(gamma > 0, 1.0 / gamma, np.nan)
+            weight = np.abs(width) * w * rate
+            parts = np.column_stack([np.sum(weight, axis=1), -np.einsum("nk,nkp->np", weight * rate, slopes)])
+            total = np.stack([np.bincount(owner, part, len(start)) for part in parts.T], axis=-1)
+            return total[:, 0], total[:, 1:]
+
+        return count
+
+    def _share_and_inertia(
+        self, q2: Array, q3: Array, sign: Array, values: Array
+    ) -> tuple[Array, Array | float, list[Array], Array | None]:
+        """Share r and inertia J, with the weights of their parameters."""
+        weights, gain = self.share_weights(q2, q3), self.inertia_weight(q2, q3)
+        if gain is not None:
+            gain = np.where(self.ratio(sign) < VELOCITY_LIMITED, 0.0, gain)
+        shares = np.moveaxis(values[..., 1 + self._gains :], -1, 0)
+        share: Array = sum(weight * value for weight, value in zip(weights, shares, strict=True))
+        return share, 1.0 if gain is None else 1.0 + values[..., 1] * gain, weights, gain
+
+    def _evaluate(self, q2: Array, q3: Array, load: Array, sign: Array, values: Array) -> tuple[Array, Array]:
+        """Step size, shape (n, k), and derivatives, (n, k, p)."""
+        share, inertia, weights, gain = self._share_and_inertia(q2, q3, sign, values)
+        against = sign * load
+        step = evaluate_step(values[..., 0], share * against, inertia, self.ratio(sign))
+        slopes = [step.by_unloaded]
+        if gain is not None:
+            slopes.append(step.by_inertia * gain)
+        slopes += [step.by_share * against * weight for weight in weights]
+        return step.gamma, np.stack(np.broadcast_arrays(*slopes), axis=-1)
+
+
+def _direction_sign(rows: Rows) -> Array:
+    return np.sign(float_column(rows, "stop") - float_column(rows, "start"))
+
+
+def _composite_rule() -> tuple[Array, Array]:
+    """Nodes and weights on 0 to 1."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return ((np.arange(PANELS)[:, None] + (x + 1) / 2) / PANELS).ravel(), np.tile(w / (2 * PANELS), PANELS)
+
+
+def _regime_changes(amplitude: Array, phase: Array, edge: Array, start: Array, stop: Array) -> Array:
+    """Ends of each traverse, and where between them amplitude cos(q - phase) is `edge`, shape (n, 6).
+
+    A traverse of less than a turn passes it in no more than four places, counted with what lies a turn away.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = np.arccos(np.clip(np.where(amplitude == 0, 1.0, edge / amplitude), -1.0, 1.0))
+    low, high = np.minimum(start, stop), np.maximum(start, stop)
+    turns = 2 * np.pi * np.floor((low - phase + np.pi) / (2 * np.pi))
+    centre = phase + turns
+    places = np.stack(
+        [centre - half, centre + half, centre + 2 * np.pi - half, centre + 2 * np.pi + half], axis=1
+    )
+    inside = np.sort(np.clip(places, low[:, None], high[:, None]), axis=1)
+    ordered = np.concatenate([low[:, None], inside, high[:, None]], axis=1)
+    return np.where((start <= stop)[:, None], ordered, ordered[:, ::-1])
+
+
+class PhysicalElbow(PhysicalRotary):
+    """Joint 2: inertia quadratic and torque linear in q3, between the ends of the machine's range of q3."""
+
+    name = "physical-elbow"
+    joint = 2
+    columns = ("q3", "theta", "psi", "start", "stop")
+    parameters = (
+        Parameter("gamma0", "µrad", "step size without load, arm in", lower=0.0),
+        Parameter("inertia", "1", "inertia gained with the arm out, as a share", *INERTIA),
+        Parameter("r_q3_0", "1", "full load over friction, arm in", -MAX_SHARE, MAX_SHARE),
+        Parameter("r_q3_12", "1", "full load over friction, arm out", -MAX_SHARE, MAX_SHARE),
+    )
+
+    def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
+        self.machine = machine
+        self.ratios = ratios
+        self.published = Elbow(machine)
+
+    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `PhysicalRotary.share_weights`."""
+        return self.published.weights(q2, q3)
+
+    def inertia_weight(self, q2: Array, q3: Array) -> Array:
+        """See `PhysicalRotary.inertia_weight`: of link 3, by the distance of its centre of mass."""
+        low, high = self.machine.ranges[3]
+        arm = self.machine.l2 - (self.machine.links[2].com if self.machine.links else 0.0)
+        return ((arm + q3) ** 2 - (arm + low) ** 2) / ((arm + high) ** 2 - (arm + low) ** 2)
+
+
+class PhysicalBase(PhysicalRotary):
+    """Joint 1: inertia quadratic and torque linear in the arm's reach rho = -(l2 + q3) sin q2."""
+
+    name = "physical-base"
+    joint = 1
+    columns = ("q2", "q3", "theta", "psi", "start", "stop")
+    parameters: tuple[Parameter, ...] = (
+        Parameter("gamma0", "µrad", "step size without load at no reach", lower=0.0),
+        Parameter("inertia", "1", "inertia gained with the arm level and out, as a share", *INERTIA),
+        Parameter("r_reach_0", "1", "full load over friction at no reach", -MAX_SHARE, MAX_SHARE),
+        Parameter("r_reach_full", "1", "full load over friction, arm level and out", -MAX_SHARE, MAX_SHARE),
+    )
+
+    def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
+        self.machine = machine
+        self.ratios = ratios
+        self.published: Rotary = Base(machine)
+
+    def _relative_reach(self, q2: Array, q3: Array) -> Array:
+        _, rho = self.published.weights(q2, q3)
+        return rho / (self.machine.l2 + self.machine.ranges[3][1])
+
+    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `PhysicalRotary.share_weights`."""
+        reach = self._relative_reach(q2, q3)
+        return [1.0 - reach, reach]
+
+    def inertia_weight(self, q2: Array, q3: Array) -> Array | None:
+        """See `PhysicalRotary.inertia_weight`."""
+        return self._relative_reach(q2, q3) ** 2
+
+
+class PhysicalBaseAtOneReach(PhysicalBase):
+    """Joint 1 in a log that has one reach, at q2 and q3 (rad, m)."""
+
+    name = "physical-base-one-reach"
+    parameters = (
+        Parameter("gamma0", "µrad", "step size without load at the log's one reach", lower=0.0),
+        Parameter("r", "1", "full load over friction at the log's one reach", -MAX_SHARE, MAX_SHARE),
+    )
+
+    def __init__(
+        self,
+        machine: Machine,
+        q2: float,
+        q3: float,
+        ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED),
+    ) -> None:
+        self.machine = machine
+        self.ratios = ratios
+        self.q2 = q2
+        self.q3 = q3
+        self.published = BaseAtOneReach(machine, q2, q3)
+
+    def describe(self) -> dict[str, Any]:
+        """See `Physical.describe`."""
+        return super().describe() | {"q2_rad": self.q2, "q3_m": self.q3}
+
+    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
+        """See `PhysicalRotary.share_weights`."""
+        return self.published.weights(q2, q3)
+
+    def inertia_weight(self, q2: Array, q3: Array) -> None:
+        """See `PhysicalRotary.inertia_weight`: none of its own."""
+        return None
+
+
+def physical_law_with(joint: int, rows: Rows, machine: Machine, ratios: Ratios) -> Physical:
+    """The physical law of `joint` with this lambda in `+` and `-`; as `published_law`.
+
+    Examples
+    --------
+    >>> from stickslip_fit.machine import load_machine
+    >>> physical_law_with(3, {}, load_machine(), (FRICTION_LIMITED, 0.5)).name
+    'physical-prismatic'
+    """
+    published = published_law(joint, rows, machine)
+    if isinstance(published, Prismatic):
+        return PhysicalPrismatic(ratios)
+    if isinstance(published, Elbow):
+        return PhysicalElbow(machine, ratios)
+    if isinstance(published, BaseAtOneReach):
+        return PhysicalBaseAtOneReach(machine, published.q2, published.q3, ratios)
+    return PhysicalBase(machine, ratios)
+
+
+def restore_physical(description: Mapping[str, Any], machine: Machine) -> Physical | None:
+    """The law that `Physical.describe` described; None for another kind of law."""
+    name = description.get("name")
+    if name == PhysicalPrismatic.name:
+        return PhysicalPrismatic(_ratios(description))
+    if name == PhysicalElbow.name:
+        return PhysicalElbow(machine, _ratios(description))
+    if name == PhysicalBase.name:
+        return PhysicalBase(machine, _ratios(description))
+    if name == PhysicalBaseAtOneReach.name:
+        place = float(description["q2_rad"]), float(description["q3_m"])
+        return PhysicalBaseAtOneReach(machine, *place, _ratios(description))
+    return None
+
+
+def _ratios(description: Mapping[str, Any]) -> Ratios:
+    up, down = map(float, description["lambda"])
+    return up, down
