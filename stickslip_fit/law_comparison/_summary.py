@@ -89,7 +89,7 @@ def _describe_regimes(regimes: tuple[Regime, ...]) -> str:
 def _errors(comparison: LawComparison) -> Table:
     columns = (
         *words("joint", "better"),
-        *numbers("published", "physical", "repeatability", "configurations"),
+        *numbers("published", "physical", "replicate scatter", "configurations"),
     )
     rows = tuple(
         (
@@ -97,7 +97,7 @@ def _errors(comparison: LawComparison) -> Table:
             one.errors.better or "cannot tell",
             _error(one.errors.published),
             _error(one.errors.physical),
-            MISSING if isnan(one.repeatability) else format_percent(one.repeatability),
+            MISSING if isnan(one.replicate_scatter) else format_percent(one.replicate_scatter),
             str(one.errors.configurations),
         )
         for one in comparison.joints

@@ -103,7 +103,7 @@ class JointComparison:
     ----------
     joint : int
     errors : HeldOutComparison
-    repeatability : float
+    replicate_scatter : float
         Standard deviation of log(steps) of replicates; NaN without enough of them.
     regimes : tuple of Regime
     experiments : tuple of Experiment
@@ -112,7 +112,7 @@ class JointComparison:
 
     joint: int
     errors: HeldOutComparison
-    repeatability: float
+    replicate_scatter: float
     regimes: tuple[Regime, ...]
     experiments: tuple[Experiment, ...]
 
@@ -189,7 +189,7 @@ def compare_laws(
     rows = usable_rows(log)
     if not len(log.joints):
         raise InputError("the log has no joint")
-    joints = []
+    joints: list[JointComparison] = []
     for joint in log.joints:
         progress(f"comparing the laws of joint {joint}", len(joints) / len(log.joints))
         joints.append(_compare_joint(joint, rows[rows["joint"] == joint], log.machine))
@@ -201,15 +201,15 @@ def _compare_joint(joint: int, rows: pd.DataFrame, machine: Machine) -> JointCom
     errors = compare_held_out(joint, rows, machine, profiles)
     noise = estimate_from_replicates(published_law(joint, rows, machine), rows)
     known = [level for level in noise.values() if level.df >= MIN_DF]
-    repeatability = float(np.sqrt(np.mean([level.value**2 for level in known]))) if known else np.nan
+    scatter = float(np.sqrt(np.mean([level.value**2 for level in known]))) if known else np.nan
     best = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
     law = physical_law_with(joint, rows, machine, (best[0], best[1]))
     fit = fit_joint(law, rows, machine)[0]
     regimes = tuple(_regime(law, fit, way, profile) for way, profile in sorted(profiles.items()))
     is_open = not errors.better or any(regime.name == "cannot tell" for regime in regimes)
-    scatter = repeatability if known else min(profile.noise for profile in profiles.values())
-    experiments = list_experiments(joint, rows, machine, profiles, scatter) if is_open else ()
-    return JointComparison(joint, errors, repeatability, regimes, experiments)
+    spread = scatter if known else min(profile.noise for profile in profiles.values())
+    experiments = list_experiments(joint, rows, machine, profiles, spread) if is_open else ()
+    return JointComparison(joint, errors, scatter, regimes, experiments)
 
 
 def _regime(law: Physical, fit: JointFit, direction: str, profile: RatioProfile) -> Regime:
@@ -233,7 +233,7 @@ def _joint_row(one: JointComparison) -> dict[str, Any]:
         for key, value in asdict(getattr(one.errors, name)).items():
             row[f"{name}_error_{key}_pct"] = 100 * value
     row["error_ratio_low"], row["error_ratio_high"] = map(float, np.exp(one.errors.log_ratio))
-    row |= {"repeatability_pct": 100 * one.repeatability}
+    row |= {"replicate_scatter_pct": 100 * one.replicate_scatter}
     return row | {"configurations": one.errors.configurations, "traverses": one.errors.traverses}
 
 

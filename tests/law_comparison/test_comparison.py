@@ -95,7 +95,7 @@ def test_published_logs_go_to_the_published_law(tmp_path):
     comparison = compare_laws(read(hide("thesis", seed=2), tmp_path, guide))
     (joint,) = comparison.joints
     assert joint.errors.better == "published"
-    assert joint.errors.published.rms < 1.25 * joint.repeatability
+    assert joint.errors.published.rms < 1.25 * joint.replicate_scatter
 
 
 def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would(tmp_path):
