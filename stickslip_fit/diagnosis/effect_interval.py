@@ -12,7 +12,7 @@ detection (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal case).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -106,11 +106,11 @@ def estimate_effect(
     values, covariance = fit.values[place], fit.covariance[place, place]
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
-    changes = compute_changes(linearized, selected.version, trials)
+    plain = linearize_unweighted(selection)
+    changes = compute_changes(plain, selected.version, trials)
     whitened = linearized.project(linearized.whiten(changes))
     forms, sizes, kept = _forms_beyond_fit(selection, selected)
     rows = whitened[:, 0] + forms @ sizes
-    plain = linearize_unweighted(selection.problem, linearized)
     even = plain.project(np.concatenate([changes, linearized.unwhiten(forms)], axis=1))
     slopes, even_forms = (even[:, 1 : len(trials)] - even[:, :1]) / steps, even[:, len(trials) :]
     total = even[:, 0] + even_forms @ sizes
@@ -163,14 +163,15 @@ def expect_noise(
     return problem.with_noise(problem.estimate_noise(linearized, left).expected())
 
 
-def linearize_unweighted(problem: DiagnosisProblem, linearized: LinearizedFit) -> LinearizedFit:
-    """The baseline with the same noise in all rows."""
+def linearize_unweighted(selection: Selection) -> LinearizedFit:
+    """The laws without causes about their values in the fit with causes, the same noise in all rows."""
+    problem = selection.problem
+    parts = [
+        replace(part, values=fitted.values[:, : part.values.shape[1]])
+        for part, fitted in zip(problem.parts, selection.fit.parts, strict=True)
+    ]
     return linearize_fit(
-        linearized.rows,
-        linearized.parts,
-        problem.responses,
-        np.ones(len(linearized)),
-        shared=problem.n_shared,
+        problem.rows, parts, problem.responses, np.ones(len(problem)), shared=problem.n_shared
     )
 
 

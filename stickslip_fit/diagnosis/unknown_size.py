@@ -118,7 +118,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     """Rms of unknown structure, of which `shape`, (n,), is an estimate, whitened."""
     problem, misfit = selection.problem, selected.misfit
     assert misfit is not None
-    linearized, plain = selection.linearized, linearize_unweighted(problem, problem.linearize())
+    linearized, plain = selection.linearized, linearize_unweighted(selection)
     law, candidates, left = None, _alternatives(misfit), None
     if selected.version is None:
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
