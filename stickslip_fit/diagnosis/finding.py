@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, field
 from typing import Any
 
@@ -25,6 +25,11 @@ def shown_size(parameter: SizedParameter) -> Interval:
     if parameter.unit not in UNITS:
         return parameter.size
     return Interval(*(float(from_si(value, parameter.unit)) for value in astuple(parameter.size)))
+
+
+def joints_of_laws(laws: Iterable[Any]) -> tuple[int, ...]:
+    """The joints that some laws describe; none for laws of other machines."""
+    return tuple(sorted(int(law.joint) for law in laws if hasattr(law, "joint")))
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,12 @@ from stickslip_fit.diagnosis.leave_out import prepare_looks
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, select_causes
+from stickslip_fit.diagnosis.selection import (
+    Selection,
+    allocate_alpha,
+    compute_cause_jacobian,
+    select_causes,
+)
 from stickslip_fit.machine import Machine
 
 MIN_SQUARE = 1e-300
@@ -275,7 +280,7 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
         for one, place in zip(selected, places, strict=True)
     ]
     effects = linearized.whiten(np.concatenate(changes, axis=1))
-    slopes = linearized.whiten(_cause_jacobian(selection))
+    slopes = linearized.whiten(compute_cause_jacobian(selection))
     critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
         detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)
@@ -296,15 +301,6 @@ def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: floa
             for one, effect in zip(selected, linearized.project(effects).T, strict=True)
         ),
     )
-
-
-def _cause_jacobian(selection: Selection) -> Array:
-    """Change of every response with each parameter of the selected causes, shape (n, q)."""
-    problem, shared = selection.problem, len(selection.fit.values)
-    slopes = np.zeros((len(problem), shared))
-    for part in selection.fit.parts:
-        slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)[:, -shared:]
-    return slopes
 
 
 def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:

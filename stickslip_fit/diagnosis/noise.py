@@ -4,7 +4,9 @@ All three are estimated from residuals without their best-fitting structure. Rep
 deviation for each joint and direction. Configurations with larger noise follow from a two-component
 mixture with empirical-Bayes weights (H. Robbins, Proc. Third Berkeley Symp. 1:157, 1956). Outliers are
 tested by a likelihood ratio against noise alone, maximized over the tail weights that the bulk of the
-residuals allows (R. L. Berger and D. D. Boos, J. Am. Stat. Assoc. 89:1012, 1994).
+residuals allows (R. L. Berger and D. D. Boos, J. Am. Stat. Assoc. 89:1012, 1994). How uncertain these
+estimates are shows in the expected variance of each response (G. K. Smyth, Stat. Appl. Genet. Mol. Biol.
+3:3, 2004, for the standard deviations).
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import chdtrc, stdtrit
+from scipy.optimize import brentq
+from scipy.special import chdtrc, digamma, polygamma, stdtrit
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
@@ -39,6 +42,7 @@ MIN_NOISY_PROBABILITY = 0.02  # above which a configuration may be a noisy one
 # Repeatability
 MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
+PRIOR_DF = (4.0, 1e4)  # of what drives have in common; with the most, they do not differ
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
 MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
@@ -71,10 +75,13 @@ class Heteroscedasticity:
     max_ratio : array, shape (n,)
         That of the noisy component, unless the configuration is clearly quiet or heavy tails alone explain
         the mixture.
+    mean_square : array, shape (n,)
+        Posterior mean of its square; `ratio` is that of its inverse square.
     """
 
     ratio: Array
     max_ratio: Array
+    mean_square: Array
 
 
 def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heteroscedasticity:
@@ -104,10 +111,11 @@ def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heterosceda
                     best, ratio = likelihood, RELATIVE_SDS[steps] / RELATIVE_SDS[0]
                     noisy_probability = np.exp(np.log(share) + noisy - mixture)
     if best < null + MIN_MIXTURE_LOG_RATIO:
-        return Heteroscedasticity(np.ones(len(deviation)), np.ones(len(deviation)))
+        return Heteroscedasticity(*np.ones((3, len(deviation))))
     estimate = 1.0 / np.sqrt(1.0 - noisy_probability + noisy_probability / ratio**2)
+    mean_square = 1.0 - noisy_probability + noisy_probability * ratio**2
     maybe_noisy = (noisy_probability > MIN_NOISY_PROBABILITY) & (best > null + MIN_TAIL_LOG_RATIO)
-    return Heteroscedasticity(estimate[kind], np.where(maybe_noisy, ratio, 1.0)[kind])
+    return Heteroscedasticity(estimate[kind], np.where(maybe_noisy, ratio, 1.0)[kind], mean_square[kind])
 
 
 def _log_likelihood(deviation: Array, sd: float, df: float, kind: IntArray) -> Array:
@@ -126,6 +134,8 @@ class NoiseEstimate:
     ----------
     sd : array
         Standard deviation of each drive's responses in quiet configurations, without rounding.
+    df : array
+        Of each of these.
     heteroscedasticity : Heteroscedasticity
         Of configurations, beside `unevenness`.
     unevenness : Unevenness
@@ -134,6 +144,7 @@ class NoiseEstimate:
     """
 
     sd: Array
+    df: Array
     heteroscedasticity: Heteroscedasticity
     unevenness: Unevenness
     skewness: Skewness | None
@@ -142,6 +153,46 @@ class NoiseEstimate:
     def ratio(self) -> Array:
         """Standard deviation of each row relative to that of its drive, shape (n,)."""
         return self.unevenness.ratio * self.heteroscedasticity.ratio
+
+    def expected(self) -> NoiseEstimate:
+        """With posterior means of the variances, as honest standard errors have them.
+
+        As weights the estimates themselves are too sharp: rows whose noise is underestimated weigh most, so
+        that the standard error is too small (P. Meier, Biometrics 9:59, 1953).
+        """
+        noisy = self.heteroscedasticity
+        return replace(
+            self,
+            sd=np.sqrt(shrink_variances(self.sd**2, self.df)),
+            heteroscedasticity=replace(noisy, ratio=np.sqrt(noisy.mean_square)),
+        )
+
+
+def shrink_variances(variance: Array, df: Array) -> Array:
+    """Posterior means of variances that were estimated with so many degrees of freedom, shape (k,).
+
+    Their prior is a scaled inverse chi-square about their mean, whose degrees of freedom follow from their
+    spread (G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3:3, 2004, section 6.2). Variances with fewer than
+    `MIN_DRIVE_DF` degrees of freedom are taken to be the mean.
+
+    Examples
+    --------
+    Estimates that differ by no more than chance are pooled; 5 % are added for the error of the pool.
+
+    >>> shrink_variances(np.array([0.8, 1.2]), np.array([20.0, 20.0])).round(2)
+    array([1.05, 1.05])
+    """
+    known = df >= MIN_DRIVE_DF
+    if not known.any():
+        return variance
+    own, least, most = np.where(known, df, 0.0), *PRIOR_DF
+    log_variance = np.log(variance[known]) - digamma(df[known] / 2) + np.log(df[known] / 2)
+    excess = float(np.var(log_variance, ddof=1)) if known.sum() > 1 else 0.0
+    excess -= float(np.mean(polygamma(1, df[known] / 2)))
+    excess = float(np.clip(excess, polygamma(1, most / 2), polygamma(1, least / 2)))
+    prior_df = brentq(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most)
+    mean = float(own @ variance) / (float(own.sum()) - 2.0)
+    return np.asarray((own * variance + (prior_df - 2.0) * mean) / (own + prior_df - 2.0))
 
 
 def estimate_noise(
@@ -178,7 +229,7 @@ def estimate_noise(
     if skewness:
         scale = np.sqrt((sd[drive] * ratio) ** 2 + rounding)
         skewness = fit_skewness(deviation / scale / np.sqrt(free))
-    return NoiseEstimate(sd, noisy, uneven, skewness)
+    return NoiseEstimate(sd, np.bincount(drive, free, len(sd)), noisy, uneven, skewness)
 
 
 def _estimate_unevenness(

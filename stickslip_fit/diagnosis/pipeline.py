@@ -12,7 +12,8 @@
 7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
    cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests
    on one or two rows. `proposed_term`: a law for structure without a name.
-8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`).
+8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`,
+   `effect_interval`, `unknown_size`).
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
    `withdrawal`: a cause that does not predict better is not named.
 10. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.

@@ -238,6 +238,15 @@ def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers
     return departure[outliers]
 
 
+def compute_cause_jacobian(selection: Selection) -> Array:
+    """Change of every response with each parameter of the selected causes, shape (n, q)."""
+    problem, shared = selection.problem, len(selection.fit.values)
+    slopes = np.zeros((len(problem), shared))
+    for part in selection.fit.parts:
+        slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)[:, -shared:]
+    return slopes
+
+
 def empty_selection(problem: DiagnosisProblem) -> Selection:
     """The selection of a log that is too small for a test."""
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))

@@ -16,10 +16,10 @@ import numpy as np
 
 from stickslip_fit._format import format_percent, format_significant
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.effect_size import size_unknown
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection, refit_selection
+from stickslip_fit.diagnosis.unknown_size import size_unknown
 
 
 def is_supported(gain: Gain) -> bool:

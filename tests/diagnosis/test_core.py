@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.stats import kstest, multivariate_normal, ncx2, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
-from stickslip_fit.diagnosis.effect_size import noncentral_tail, strength_interval
+from stickslip_fit.diagnosis.effect_interval import noncentral_tail, strength_interval
 from stickslip_fit.diagnosis.hypotheses import AR1, make_hypothesis, sum_lags
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.diagnosis.effect_size import estimate_ar1_effect
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     build_per_session_hypotheses,
@@ -17,8 +16,9 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.misfit import StructureRemoved, batch_hypotheses, compute_misfit
-from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers
+from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers, shrink_variances
 from stickslip_fit.diagnosis.separability import compute_cosines
+from stickslip_fit.diagnosis.unknown_size import estimate_ar1_effect
 from stickslip_fit.laws import Prismatic
 
 NOISE, WIDE = 0.003, 2.0
@@ -186,3 +186,19 @@ def test_cosines_are_those_of_the_angles_between_spans(rows, linearize):
     cosines = compute_cosines([*every, memory], every)
     np.testing.assert_allclose(cosines[:-1], np.minimum(expected, 1.0), atol=1e-12)
     assert not cosines[-1].any()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.2, 1.0])
+def test_a_weighted_mean_is_as_uncertain_as_its_expected_variances_say(spread):
+    """2,000 means of six drives whose variances are estimated with 12 degrees of freedom each."""
+    rng, df, n = np.random.default_rng(8), np.full(6, 12.0), 2000
+    variance = np.exp(spread * rng.standard_normal((n, 6)))
+    estimate = variance * rng.chisquare(12, (n, 6)) / 12
+    expected = np.array([shrink_variances(one, df) for one in estimate])
+    means = rng.standard_normal((n, 6)) * np.sqrt(variance)
+
+    def standardize(used):
+        return np.sum(means / used, axis=1) / np.sqrt(np.sum(1 / used, axis=1))
+
+    assert np.mean(np.abs(standardize(estimate)) < 1.96) < 0.93
+    assert np.mean(np.abs(standardize(expected)) < 1.96) == pytest.approx(0.95, abs=0.015)

@@ -129,3 +129,13 @@ def test_structure_without_a_name_is_recognised(strength, least):
     scores = diagnosed("outside", 40_000, logs=300, strength=strength)
     unknown = sum(each.found[:1] == ("unknown",) for each in scores)
     assert unknown >= binom.ppf(0.001, len(scores), least)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("strength", [6.0, 12.0, 25.0])
+def test_the_interval_of_an_effect_holds_its_size(strength):
+    """In 93 to 97 % of the logs in which it is named; the margin is that of some 950 logs."""
+    scores = diagnosed("single", 50_000, logs=1000, strength=strength)
+    inside = [each.inside for each in scores if each.inside is not None]
+    low, high = binom.ppf(0.001, len(inside), 0.93), binom.ppf(0.999, len(inside), 0.97)
+    assert low <= sum(inside) <= high

@@ -1,0 +1,246 @@
+"""How large an effect is: its rms over all rows, and the interval of that.
+
+What is wanted is the rms of an effect over all rows with equal weight, beyond what calibration absorbs. Its
+error is propagated from that of the parameters, which are fitted and known by the expected variance of each
+response (`noise`). Parameters with a prior have a posterior
+distribution; others make an effect longer than it is, by what noise adds in every direction of theirs.
+
+The length z of an estimated effect, in standard errors, is noncentral chi distributed; since it was selected
+only because it exceeded the detection threshold, its interval inverts the distribution of z conditional on
+detection (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal case).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtrc, gammaln
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
+from stickslip_fit.diagnosis.hypotheses import compute_changes
+from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
+from stickslip_fit.units import Interval
+
+QUANTILES_95 = (0.025, 0.5, 0.975)
+Z_95 = 1.959964
+MAX_CONDITIONAL_STRENGTH = 12.0  # beyond, the alarm was certain and conditioning changes nothing
+DIFFERENCE_STEP = 1e-3  # of a parameter's scale
+MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
+FORM_RANK_TOL, RANK_TOL = 0.05, 1e-10
+MIN_LENGTH = 1e-12
+N_MIXTURE_TERMS = 100  # of a noncentral chi-square, beyond twice the largest one
+
+
+@dataclass(frozen=True, eq=False)
+class LawEffect:
+    """The effect of what extends the laws, beyond what calibration absorbs; n rows.
+
+    Attributes
+    ----------
+    rows : array, shape (n,)
+        Whitened.
+    changes : array, shape (n,)
+        Of the responses, calibrated with equal weights.
+    spread : array, shape (n, q)
+        What `changes` may be off by: times independent standard normal numbers.
+    shrunk : bool
+        Whether the parameters have a prior, so that `changes` are a posterior mean.
+    """
+
+    rows: Array
+    changes: Array
+    spread: Array
+    shrunk: bool
+
+    @property
+    def strength(self) -> float:
+        """Norm, in standard deviations of the noise."""
+        return max(float(np.linalg.norm(self.rows)), MIN_LENGTH)
+
+    @property
+    def error(self) -> float:
+        """Standard error of the norm of `changes`."""
+        return max(float(np.linalg.norm(self.spread.T @ self.changes)) / self._length, MIN_LENGTH)
+
+    @property
+    def dimensions(self) -> float:
+        """In how many independent directions noise adds to the norm of `changes`, as much as along it."""
+        return 1.0 if self.shrunk else max(float(np.sum(self.spread**2)) / self.error**2, 1.0)
+
+    @property
+    def length(self) -> float:
+        """Norm of `changes`; of a posterior mean, with what the posterior variance adds across it."""
+        across = float(np.sum(self.spread**2)) - self.error**2 if self.shrunk else 0.0
+        return float(np.sqrt(self._length**2 + max(across, 0.0)))
+
+    @property
+    def rms(self) -> float:
+        """Of `changes`."""
+        return self._length / float(np.sqrt(len(self.changes)))
+
+    @property
+    def _length(self) -> float:
+        return max(float(np.linalg.norm(self.changes)), MIN_LENGTH)
+
+    def interval(self, threshold: float) -> Interval:
+        """Rms of `changes`, given that `rows` were detected because they are longer than `threshold`."""
+        z = self.length / self.error
+        found = strength_interval(z, self.dimensions, threshold / self.strength * z)
+        return found.times(self.error / float(np.sqrt(len(self.changes))))
+
+
+def estimate_effect(
+    selection: Selection, linearized: LinearizedFit, selected: SelectedCause, place: slice
+) -> LawEffect:
+    """The effect of a selected cause, whose parameters are `place` of those of the fit.
+
+    `linearized` is the baseline.
+    """
+    fit = _refit(selection)
+    values, covariance = fit.values[place], fit.covariance[place, place]
+    steps = DIFFERENCE_STEP * np.array(selected.version.scale)
+    trials = np.concatenate([values[None], values + np.diag(steps)])
+    plain = linearize_unweighted(selection)
+    changes = compute_changes(plain, selected.version, trials)
+    whitened = linearized.project(linearized.whiten(changes))
+    forms, sizes, kept = _forms_beyond_fit(selection, selected)
+    rows = whitened[:, 0] + forms @ sizes
+    even = plain.project(np.concatenate([changes, linearized.unwhiten(forms)], axis=1))
+    slopes, even_forms = (even[:, 1 : len(trials)] - even[:, :1]) / steps, even[:, len(trials) :]
+    total = even[:, 0] + even_forms @ sizes
+    # Where a direction of the parameters is unknown, its covariance has no square root but 0.
+    variance, axes = np.linalg.eigh(covariance)
+    own = slopes @ (axes * np.sqrt(np.maximum(variance, 0.0)))
+    spread = np.concatenate([own, np.sqrt(kept) * even_forms], axis=1)
+    shrunk = bool(np.isfinite(selection.fit.prior_sd[place]).all())
+    return LawEffect(rows, total, spread, shrunk)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    """Parameters of all causes in the law.
+
+    Attributes
+    ----------
+    values : array, shape (q,)
+    covariance : array, shape (q, q)
+    """
+
+    values: Array
+    covariance: Array
+
+
+def _refit(selection: Selection) -> _Refit:
+    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now."""
+    fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
+    linearized = problem.linearize()
+    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
+    residual = linearized.project(linearized.whiten(fit.residual))
+    prior = 1.0 / fit.prior_sd**2
+    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
+    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
+    covariance = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True) / np.outer(size, size)
+    values = fit.values + covariance @ (slopes.T @ residual - prior * fit.values)
+    parameters = [parameter for one in selection.law_causes for parameter in one.version.parameters]
+    lower, upper = (np.array([getattr(one, end) for one in parameters]) for end in ("lower", "upper"))
+    return _Refit(np.clip(values, lower, upper), covariance)
+
+
+def expect_noise(
+    problem: DiagnosisProblem, linearized: LinearizedFit, left: StructureRemoved | None = None
+) -> DiagnosisProblem:
+    """The problem with the expected variances of its noise.
+
+    `linearized` are its residuals, and `left` those without structure, if any is in them.
+    """
+    left = StructureRemoved(linearized.residual, np.zeros(len(problem))) if left is None else left
+    return problem.with_noise(problem.estimate_noise(linearized, left).expected())
+
+
+def linearize_unweighted(selection: Selection) -> LinearizedFit:
+    """The laws without causes about their values in the fit with causes, the same noise in all rows."""
+    problem = selection.problem
+    parts = [
+        replace(part, values=fitted.values[:, : part.values.shape[1]])
+        for part, fitted in zip(problem.parts, selection.fit.parts, strict=True)
+    ]
+    return linearize_fit(
+        problem.rows, parts, problem.responses, np.ones(len(problem)), shared=problem.n_shared
+    )
+
+
+def _forms_beyond_fit(selection: Selection, selected: SelectedCause) -> tuple[Array, Array, float]:
+    """The cause's alternative forms, whitened, (n, m), what the effect has of each, and the share kept.
+
+    No form where noise explains what they have, and of unknown structure, which has none.
+    """
+    plain = selection.problem.linearize_extended(selection.fit)
+    left, singular, _ = np.linalg.svd(plain.project(alternative_forms(plain, selected)), full_matrices=False)
+    forms = left[:, singular > FORM_RANK_TOL]
+    forms = forms[:, :0] if selected.cause == UNKNOWN else forms
+    along = forms.T @ plain.residual
+    excess = float(along @ along) - len(along)
+    if not len(along) or excess < MIN_EXCESS_SD * np.sqrt(2.0 * len(along)):
+        return forms[:, :0], along[:0], 0.0
+    kept = excess / (excess + len(along))
+    return forms, kept * along, kept
+
+
+def detection_threshold(selected: SelectedCause, df: int, alpha: float) -> float:
+    """Strength of an effect above which a selected cause is detected."""
+    misfit = selected.misfit
+    assert misfit is not None
+    critical = misfit.critical_value(allocate_alpha(alpha))
+    return detection_length(critical, misfit.n_shapes(selected.cause), df)
+
+
+def strength_interval(z: float, dimensions: float, threshold: float) -> Interval:
+    """Strength of an effect of length `z` that was detected because `z` exceeded `threshold`.
+
+    `z` is in standard errors; `dimensions` is the number of estimated parameters.
+
+    Examples
+    --------
+    A strong effect has the ordinary interval; one just above the threshold may well be close to 0.
+
+    >>> strong, weak = strength_interval(20.0, 1, 4.0), strength_interval(4.2, 1, 4.0)
+    >>> round(strong.low, 1), round(strong.high, 1), round(weak.low, 1)
+    (18.0, 22.0, 0.0)
+    >>> round(strength_interval(11.8, 1, 9.3).low, 1)
+    9.7
+    """
+    if z > MAX_CONDITIONAL_STRENGTH:
+        limits = (np.sqrt(max((z + shift) ** 2 - dimensions + 1.0, 0.0)) for shift in (0.0, -Z_95, Z_95))
+        return Interval(*map(float, limits))
+    threshold = min(threshold, z * (1 - 1e-9))
+
+    def cdf(strength: float) -> float:
+        """Probability of less than `z`, given detection."""
+        # By survival functions: far below the threshold, 1 - cdf would round to 0.
+        detection = max(noncentral_tail(threshold**2, dimensions, strength**2), 1e-300)
+        return 1.0 - noncentral_tail(z**2, dimensions, strength**2) / detection
+
+    def solve(probability: float) -> float:
+        if cdf(1e-6) < probability:
+            return 0.0
+        return float(brentq(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, xtol=1e-4))
+
+    high, middle, low = map(solve, QUANTILES_95)
+    return Interval(middle, low, high)
+
+
+def noncentral_tail(x: float, df: float, noncentrality: float) -> float:
+    """Probability that a noncentral chi-square exceeds `x`: the Poisson mixture of central ones.
+
+    All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only.
+    """
+    half = noncentrality / 2.0
+    extra = np.arange(2 * int(max(x, half)) + N_MIXTURE_TERMS)
+    weight = np.exp(extra * np.log(half) - half - gammaln(extra + 1.0))
+    return float(weight @ chdtrc(df + 2.0 * extra, x))

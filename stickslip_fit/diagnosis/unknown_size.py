@@ -1,0 +1,270 @@
+"""How large unknown structure is: what extends the law for it, and what that leaves.
+
+A smooth function or a short expression only comes near an effect that nobody has described. So the
+posterior distribution of the rms has two parts: the fit of what stands in the law, and what the unstructured
+alternatives find in the residuals of that, a mixture over all of them, their strengths, and nothing at all,
+by their evidence. The AR(1) coefficient is estimated by simulation, since projecting out the calibration
+parameters reduces the correlation of residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import softmax
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.effect_interval import (
+    MAX_CONDITIONAL_STRENGTH,
+    MIN_LENGTH,
+    QUANTILES_95,
+    Z_95,
+    LawEffect,
+    detection_threshold,
+    estimate_effect,
+    expect_noise,
+    linearize_unweighted,
+    strength_interval,
+)
+from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
+from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
+from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.misfit import (
+    MAX_EXPLAINED,
+    STRENGTHS,
+    UNKNOWN,
+    Misfit,
+    batch_hypotheses,
+    classify_cause,
+    remove_structure,
+)
+from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.units import Interval
+
+AR1_GRID = np.arange(0.0, 0.96, 0.05)
+N_SIMULATIONS = 200
+N_DRAWS = 2000  # of the posterior distribution of a size
+N_ALTERNATIVES = 40  # likeliest ones, of which the mixture is made
+MIN_LEFT = 0.01  # share of the square of an alternative's effect that what stands in the law leaves
+
+
+def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
+    """The finding of unknown structure in the residuals that a selection leaves."""
+    misfit, linearized = selected.misfit, selection.linearized
+    assert misfit is not None
+    best = misfit.best_hypothesis(UNKNOWN)
+    residual = linearized.residual if selected.version is None else misfit.residual
+    shape = _shrink_structure(best, residual)
+    squares = float(shape @ shape)
+    if isinstance(best, AR1):
+        effect = estimate_ar1_effect(replace(linearized, residual=residual), best).times(
+            _rms(linearized.scale)
+        )
+    else:
+        effect = _size_structure(selection, selected, shape, alpha)
+    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
+    closest = max(known, key=lambda cause: known[cause]) if known else ""
+    explains = {
+        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+        for cause in known
+        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
+    }
+    share = explains.get(closest, 0.0)
+    size = np.abs(shape)
+    joints = joints_of_laws(
+        part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
+    )
+    # Where nothing but the causes was searched, the shape is that of one that is not supported.
+    is_cause = not best.cause.startswith(UNKNOWN)
+    carrier = f"{best.cause} to some extent" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
+    return Finding(
+        UNKNOWN,
+        None,
+        (),
+        selected.p_value,
+        joints,
+        effect,
+        (),
+        closest=closest,
+        share=share,
+        carrier=carrier,
+        explains=explains,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Component:
+    """One structure that may be there, or nothing, given the residuals.
+
+    Attributes
+    ----------
+    structure : Hypothesis or None
+    mean, sd : array, shape (m,)
+        Of its coefficients.
+    log_weight : float
+        Logarithm of its probability, but for a constant.
+    """
+
+    structure: Hypothesis | None
+    mean: Array
+    sd: Array
+    log_weight: float
+
+
+def _size_structure(selection: Selection, selected: SelectedCause, shape: Array, alpha: float) -> Interval:
+    """Rms of unknown structure, of which `shape`, (n,), is an estimate, whitened."""
+    problem, misfit = selection.problem, selected.misfit
+    assert misfit is not None
+    linearized, plain = selection.linearized, linearize_unweighted(selection)
+    law, candidates, left = None, _alternatives(misfit), None
+    if selected.version is None:
+        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+    else:
+        law = estimate_effect(selection, problem.linearize(), selected, selection.slices[-1])
+        linearized = problem.linearize_extended(selection.fit)
+        candidates = _beyond_law(misfit, linearized)
+    ratio = (expect_noise(problem, selection.linearized, left).scale / problem.scale) ** 2
+    inflation = float(np.sqrt(shape**2 @ ratio / max(float(shape @ shape), MIN_LENGTH)))
+    components = _weigh_components(candidates, linearized, len(_alternatives(misfit)))
+    nothing = [] if law is None else [_Component(None, np.zeros(0), np.zeros(0), 0.0)]
+    rms = _draw_rms(
+        law,
+        [*nothing, *components],
+        inflation,
+        lambda rows: plain.project(linearized.unwhiten(rows)),
+        len(shape),
+    )
+    low, middle, high = (float(limit) for limit in np.quantile(rms, QUANTILES_95))
+    error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
+    if middle / error > MAX_CONDITIONAL_STRENGTH:
+        return Interval(middle, low, high)
+    threshold = detection_threshold(selected, linearized.df, alpha)
+    threshold *= _rms(linearized.unwhiten(shape)) / max(float(np.linalg.norm(shape)), MIN_LENGTH)
+    return strength_interval(middle / error, 1, threshold / error).times(error)
+
+
+def _alternatives(misfit: Misfit) -> list[Hypothesis]:
+    """The unstructured alternatives; where nothing but causes was searched, the likeliest of these."""
+    found = [
+        one for one in misfit.hypotheses if isinstance(one, Hypothesis) and classify_cause(one) == UNKNOWN
+    ]
+    return found or [misfit.best_subspace(UNKNOWN)]
+
+
+def _beyond_law(misfit: Misfit, extended: LinearizedFit) -> list[Hypothesis]:
+    """What a law with the structure in it leaves of the alternatives that are likeliest in its residuals."""
+    everything = _alternatives(misfit)
+    # Residuals are orthogonal to the law; only the lengths of the directions are too great.
+    evidence = batch_hypotheses(everything, extended.df).log_evidence(extended.residual[:, None])[:, 0]
+    found = []
+    for k in np.argsort(-evidence, kind="stable")[:N_ALTERNATIVES]:
+        one = everything[k]
+        effects = extended.project(one.directions * np.sqrt(one.prior_share))
+        left = make_hypothesis(one.cause, one.version, None, effects)
+        if left is not None and left.length**2 > MIN_LEFT:
+            found.append(left)
+    return found
+
+
+def _weigh_components(
+    candidates: Sequence[Hypothesis], linearized: LinearizedFit, number: int
+) -> list[_Component]:
+    """Candidates, of a `number` that are equally likely beforehand, at each strength, given the residuals."""
+    residual, components = linearized.residual, []
+    total = float(residual @ residual)
+    for one in candidates:
+        along = one.coefficients(residual)
+        for strength in STRENGTHS:
+            signal = strength**2 * one.prior_share
+            kept = signal / (1.0 + signal)
+            explained = min(float(kept @ along**2) / total, MAX_EXPLAINED)
+            log_evidence = -0.5 * float(np.sum(np.log1p(signal))) - 0.5 * linearized.df * np.log1p(-explained)
+            log_weight = log_evidence - np.log(number * len(STRENGTHS))
+            components.append(_Component(one, kept * along, np.sqrt(kept), float(log_weight)))
+    return components
+
+
+def _draw_rms(
+    law: LawEffect | None,
+    components: Sequence[_Component],
+    inflation: float,
+    calibrate: Callable[[Array], Array],
+    n: int,
+) -> Array:
+    """Draws of the rms over n rows of what is in the law and of a component, shape (N_DRAWS,).
+
+    `inflation` is that of the coefficients' errors; `calibrate` turns whitened rows into changes of
+    responses.
+    """
+    rng, draws = np.random.default_rng(0), []
+    log_weight = np.array([one.log_weight for one in components])
+    numbers = rng.multinomial(N_DRAWS, softmax(log_weight))
+    for one, number in zip(components, numbers, strict=True):
+        if not number:
+            continue
+        columns = [np.zeros((n, 0))] if one.structure is None else [calibrate(one.structure.directions)]
+        mean, sd = [one.mean], [inflation * one.sd]
+        if law is not None:
+            columns += [law.changes[:, None], law.spread]
+            mean += [np.ones(1), np.zeros(law.spread.shape[1])]
+            sd += [np.zeros(1), np.ones(law.spread.shape[1])]
+        triangle = np.linalg.qr(np.concatenate(columns, axis=1), mode="r")
+        centre, spread = np.concatenate(mean)[:, None], np.concatenate(sd)[:, None]
+        noise = rng.standard_normal((len(centre), number))
+        draws.append(np.linalg.norm(triangle @ (centre + spread * noise), axis=0) / np.sqrt(n))
+    return np.concatenate(draws)
+
+
+def _shrink_structure(structure: Hypothesis | AR1, residual: Array) -> Array:
+    """Posterior mean of a structure given the residuals, shape (n,)."""
+    if isinstance(structure, AR1):
+        return structure.shape(residual)
+    return structure.combine(_kept_shares(structure, residual) * structure.coefficients(residual))
+
+
+def _kept_shares(structure: Hypothesis, residual: Array) -> Array:
+    """Share of each coefficient that its posterior mean keeps, shape (m,)."""
+    signal = estimate_strength(structure, residual) ** 2 * structure.prior_share
+    return np.asarray(signal / (1.0 + signal))
+
+
+def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
+    """Rms of what each residual keeps of the one before, in units of its innovation.
+
+    Of `ar1` only the sign and the order of rows are used.
+    """
+    sign = np.sign(ar1.coefficient)
+    observed = sign * _lag1_correlation(linearized.residual[:, None], ar1)[0]
+    noise = np.random.default_rng(0).standard_normal((len(linearized), N_SIMULATIONS))
+    simulated = [
+        sign * _lag1_correlation(linearized.project(_simulate_ar1(noise, ar1, sign * coefficient)), ar1)
+        for coefficient in AR1_GRID
+    ]
+    limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)
+    high, middle, low = (float(np.interp(observed, limit, AR1_GRID)) for limit in limits)
+    return Interval(*(value / np.sqrt(1.0 - value**2) for value in (middle, low, high)))
+
+
+def _simulate_ar1(noise: Array, ar1: AR1, coefficient: float) -> Array:
+    """A stationary AR(1) sequence with these innovations, (n, k)."""
+    series = noise.copy()
+    for row, before in enumerate(ar1.before):
+        if before >= 0:
+            series[row] += coefficient * series[before]
+        else:
+            series[row] /= np.sqrt(1.0 - coefficient**2)
+    return series
+
+
+def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
+    """Of each row with the one before, (n, k) -> (k,)."""
+    follows = ar1.before >= 0
+    products = residuals[follows] * residuals[ar1.before[follows]]
+    return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
