@@ -72,8 +72,9 @@ def test_five_faults_are_told_at_once_with_line_key_value_and_what_to_do():
         parse_toml(FIVE.encode(), "plan.toml", PlanFile, load_machine())
     assert {str(problem) for problem in caught.value.problems} == {
         "plan.toml, line 1, column seed, value 'one': give a whole number from 0 to 9223372036854775807",
-        "plan.toml, line 2, column chek_every, value '5': is no key of this table; did you mean check_every? "
-        "It may have name, seed, check_every, order, replicates, sessions, timing, noise, sweep",
+        "plan.toml, line 2, column chek_every, value '5': is no key of this table, which may have "
+        "name, seed, check_every, order, replicates, sessions, timing, noise, sweep; "
+        "did you mean check_every?",
         "plan.toml, line 3, column replicates, value '0': give a whole number from 1 to 10000",
         "plan.toml, line 9, column sweep 1 q2_deg, value '99': give a number in deg, -210 to 30, "
         "or a list of such",

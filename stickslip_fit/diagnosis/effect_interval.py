@@ -2,8 +2,8 @@
 
 What is wanted is the rms of an effect over all rows with equal weight, beyond what calibration absorbs. Its
 error is propagated from that of the parameters, which are fitted and known by the expected variance of each
-response (`noise`). Parameters with a prior have a posterior
-distribution; others make an effect longer than it is, by what noise adds in every direction of theirs.
+response (`noise`). Parameters with a prior have a posterior distribution; others make an effect longer than
+it is, by what noise adds in every direction of theirs.
 
 The length z of an estimated effect, in standard errors, is noncentral chi distributed; since it was selected
 only because it exceeded the detection threshold, its interval inverts the distribution of z conditional on

@@ -55,7 +55,7 @@ FAULTS = {
     "arm lengths beside": (
         '[[joint]]\nkind = "rotary"\nrange_deg = [0, 9]\n[geometry]\na1_mm = 3',
         "geometry",
-        "it may have name, joint",
+        "which may have name, joint",
     ),
 }
 

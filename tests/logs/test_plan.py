@@ -133,7 +133,7 @@ FAULTS = [
     (["check_every = 0", SESSIONS, SWEEP], "check_every", "0", "whole number from 1"),
     (["replicates = 2.5", SESSIONS, SWEEP], "replicates", "2.5", "whole number from 1"),
     (['order = "shuffled"', SESSIONS, SWEEP], "order", "shuffled", "'as-written', 'random'"),
-    (["sed = 4", SESSIONS, SWEEP], "sed", "4", "did you mean seed? It may have name"),
+    (["sed = 4", SESSIONS, SWEEP], "sed", "4", "which may have name, seed"),
     ([SWEEP], "sessions.dates", None, "give dates, such as"),
     (["[sessions]\ndates = ['5 March']", SWEEP], "sessions.dates", "[5 March]", "give dates, such as"),
     (["[sessions]\ndates = [20120305]", SWEEP], "sessions.dates", "[20120305]", "give dates"),
