@@ -276,7 +276,7 @@ def test_a_controller_that_hangs_is_stopped_by_the_clock(short):
     assert "s (" in short.player.troubles[0]
 
 
-def test_a_fault_of_the_ear_ends_the_drive(short):
+def test_a_fault_of_the_detector_ends_the_drive(short):
     short.joints.fault = "the microphone is dead: plug it in"
     short.answer(QUIT)
     short.run()

@@ -115,7 +115,7 @@ class ListeningOperator:
         return self.manipulator.position(3) == 0.0
 
 
-def test_the_ear_is_tuned_with_a_person_who_hears_the_stop():
+def test_the_detector_is_tuned_with_a_person_who_hears_the_stop():
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
     keys = ListeningOperator(emulator.manipulator)

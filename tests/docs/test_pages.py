@@ -50,6 +50,7 @@ LONG = (
     "extend-the-law.md",
     "laws-and-causes-as-formulas.md",
     "plan-the-next-experiment.md",
+    "which-law.md",
     "your-own-instrument.md",
     "your-own-manipulator.md",
 )

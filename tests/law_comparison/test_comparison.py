@@ -77,7 +77,7 @@ def regimes_and_shares(regime, logs, folder):
     return np.mean(found, axis=0)
 
 
-@pytest.mark.parametrize("logs", [6, pytest.param(500, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("logs", [3, pytest.param(500, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("regime", "named"), [("friction", 0.9), ("velocity", 0.7)])
 def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime, named, logs, tmp_path):
     """Less two standard errors; where the slider catches up, small logs may say that they cannot tell."""
