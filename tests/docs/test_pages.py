@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import json
 import re
@@ -185,3 +186,16 @@ READERS = {
     "csv": _csv,
     "text": lambda *_: None,
 }
+
+
+def test_every_package_of_the_api_has_its_place_in_the_contents():
+    source = (ROOT / "docs" / "_ext" / "api.py").read_text("utf-8")
+    (modules,) = (
+        node.value
+        for node in ast.parse(source).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MODULES"
+    )
+    contents = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")
+    assert set(re.findall(r"^\.\./generated/api/(\w+)$", contents, re.MULTILINE)) == set(
+        ast.literal_eval(modules)
+    )
