@@ -18,6 +18,7 @@ A model is the scalar kernels in `stickslip_fit.step._kernels`, by its `kind`, a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from math import isfinite
 from typing import ClassVar
@@ -31,15 +32,15 @@ from stickslip_fit.errors import InputError
 MAX_ELEMENTS = 50
 
 
-class BristleModel:
+class BristleModel(ABC):
     """What all models have."""
 
     kind: ClassVar[int]
 
     @property
+    @abstractmethod
     def parameters(self) -> Array:
         """What the kernels need, shape (p,)."""
-        raise NotImplementedError
 
     @property
     def states(self) -> int:
@@ -47,14 +48,14 @@ class BristleModel:
         return 1
 
     @property
+    @abstractmethod
     def limit(self) -> float:
         """Kinetic friction, N."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def deflections(self) -> Array:
         """Of each state in steady sliding, m; shape (states,)."""
-        raise NotImplementedError
 
     def evaluate(self, deflection: npt.ArrayLike, velocity: float) -> tuple[float, Array]:
         """Compute the resistance to sliding, N, and the rates of the bristle states.
