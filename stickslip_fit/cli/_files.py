@@ -15,7 +15,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_stream
+from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_stream, write_atomically
 from stickslip_fit.errors import InputError, InputIssue
 
 LOG_SUFFIXES = (".csv", ".parquet", ".xlsx")
@@ -184,3 +184,19 @@ def list_log_files(folder: Path) -> Iterator[Path]:
         visited.add(identify_file(here))
         below[:] = [name for name in below if identify_file(Path(here, name)) not in visited]
         yield from (Path(here, name) for name in names if name.lower().endswith(LOG_SUFFIXES))
+
+
+def read_template(name: str) -> str:
+    """The text of a file that comes with the package, to be changed."""
+    from importlib.resources import files
+
+    return files("stickslip_fit").joinpath("templates", name).read_text("utf-8")
+
+
+def write_template(name: str, output: Path | None, kind: str) -> None:
+    """Write such a file, or print it."""
+    if output is None:
+        print(read_template(name), end="")
+    else:
+        write_atomically(output, read_template(name))
+        print(f"{kind} written to {output}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stickslip_fit._io import make_folder, show_progress, write_atomically
-from stickslip_fit.cli._files import INPUT
+from stickslip_fit.cli._files import INPUT, read_template
 from stickslip_fit.cli._options import (
     MachinePath,
     command_line,
@@ -21,7 +21,7 @@ from stickslip_fit.cli._options import (
     reference_law,
 )
 from stickslip_fit.cli._show import Display, show
-from stickslip_fit.cli.diagnose import diagnose_with_progress, plan_template
+from stickslip_fit.cli.diagnose import diagnose_with_progress
 
 if TYPE_CHECKING:
     from stickslip_fit._summary import Summary
@@ -90,7 +90,8 @@ def find_hidden_effect() -> Path:
     plan, law, changed = (FOLDER / name for name in ("plan.toml", "law.toml", "hidden-law.toml"))
     hidden, nothing = FOLDER / "campaign.csv", FOLDER / "nothing-hidden.csv"
     true_law = reference_law().read_text("utf-8")
-    for path, text in ((plan, plan_template("example")), (law, true_law), (changed, true_law + HIDDEN)):
+    example = read_template("plan_example.toml")
+    for path, text in ((plan, example), (law, true_law), (changed, true_law + HIDDEN)):
         write_atomically(path, text)
     machine = load_machine()
     planned = read_plan(plan, machine)

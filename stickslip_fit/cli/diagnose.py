@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stickslip_fit._io import show_progress, write_atomically
-from stickslip_fit.cli._files import INPUT, Output
+from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import (
     Force,
     Json,
@@ -301,7 +301,7 @@ def plan(
         given |= {"--example": example} if thesis is not None else {}
         if others := [name for name, value in given.items() if value]:
             raise InputError(f"{option} makes a plan, and takes no {', '.join(others)}")
-        write_template(thesis or "example", output)
+        write_template(f"plan_{thesis or 'example'}.toml", output, "plan")
         return
     if not source:
         raise InputError("name a LOG or a PLAN; --example or --thesis writes a plan to begin with")
@@ -324,23 +324,6 @@ def plan(
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
     show(advice.summary, Display(full, csv, latex, source), saved)
-
-
-def plan_template(name: str) -> str:
-    """The text of a plan of the thesis, or of the example."""
-    from importlib.resources import files
-
-    return files("stickslip_fit").joinpath("templates", f"plan_{name}.toml").read_text("utf-8")
-
-
-def write_template(name: str, output: Path | None) -> None:
-    """Write a plan, or print it."""
-    text = plan_template(name)
-    if output is None:
-        print(text, end="")
-    else:
-        write_atomically(output, text)
-        print(f"plan written to {output}")
 
 
 def diagnose_with_progress(

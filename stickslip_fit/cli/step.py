@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import show_progress, write_atomically
-from stickslip_fit.cli._files import INPUT, Output
+from stickslip_fit._io import show_progress
+from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import Force, check_chart, parse_path, reject_options
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
 from stickslip_fit.errors import InputError
@@ -41,7 +41,7 @@ def step(
     """Compute a stage's step from its physics, and what the step depends on."""
     if example:
         reject_options({"STAGE": stage, "--chart": chart, "--csv": csv, "--latex": latex}, "with --example")
-        write_example(output)
+        write_template("stage_example.toml", output, "stage file")
         return
     if stage is None:
         raise InputError("name a STAGE file; --example writes one to begin with")
@@ -60,15 +60,3 @@ def step(
         write_figure(analysis.plot_step(), chart, "step")
         saved.append(f"step and sweeps drawn in {chart}")
     show(analysis.summary(), Display(full, csv, latex, [stage]), saved)
-
-
-def write_example(output: Path | None) -> None:
-    """Write the example of a stage file, or print it."""
-    from importlib.resources import files
-
-    text = files("stickslip_fit").joinpath("templates", "stage_example.toml").read_text("utf-8")
-    if output is None:
-        print(text, end="")
-    else:
-        write_atomically(output, text)
-        print(f"stage file written to {output}")
