@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings

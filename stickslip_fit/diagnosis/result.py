@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
