@@ -20,9 +20,9 @@ from stickslip_fit.diagnosis.stage_change import StageChange, StageReading
 
 WORDS = {
     "friction": "friction or preload",
-    "mass": "the moving mass",
-    "voltage": "the drive voltage",
-    "ramp time": "the ramp time",
+    "mass": "moving mass",
+    "voltage": "drive voltage",
+    "ramp time": "ramp time",
 }
 UNKNOWN_ERROR = 0.5  # of a change, beyond which a fingerprint says nothing of it
 
@@ -31,13 +31,23 @@ def stage_sections(readings: Sequence[StageReading]) -> tuple[Section, ...]:
     """A section, or none where nothing was read."""
     if not readings:
         return ()
-    tables = tuple(_fingerprint_table(reading) for reading in readings)
+    told = [f"{describe_reading(reading)}{_describe_left_out(reading)}" for reading in readings]
+    tables = tuple(map(_fingerprint_table, readings))
+    return (Section("What changed in the stage", tuple(told), tables, key="stage"),)
+
+
+def _describe_left_out(reading: StageReading) -> str:
+    if not reading.left_out:
+        return ""
+    joints = join_words([str(joint) for joint in reading.left_out])
+    one = len(reading.left_out) == 1
     return (
-        Section("What changed in the stage", tuple(map(describe_reading, readings)), tables, key="stage"),
+        f" {'Joint' if one else 'Joints'} {joints} {'is' if one else 'are'} left out: "
+        f"{'its' if one else 'their'} counts do not follow the physical law."
     )
 
 
-def describe_reading(reading: StageReading) -> str:
+def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
     """Which change of the stage findings stand for, as a sentence or two."""
     causes = join_words(reading.causes)
     if not reading.suffices:
@@ -47,29 +57,26 @@ def describe_reading(reading: StageReading) -> str:
             f"Under load {causes} {acts} as no single change of friction, mass, voltage or ramp time would "
             f"(p {p_value})."
         )
-    credible = reading.credible
-    told = join_words([_describe_change(change) for change in credible], "or")
-    regime = f"; the steps are {reading.regime}" if reading.regime else ""
-    text = f"In the stage, {causes} {'is' if len(reading.causes) == 1 else 'are'} {told}{regime}."
-    if {change.quantity for change in credible} == {"friction", "mass"}:
+    changes = reading.credible
+    told = join_words([_describe_change(change, intervals) for change in changes], "or")
+    regime = f" ({reading.regime} steps)" if reading.regime else ""
+    text = f"As a change of the stage, {causes} would be: {told}{regime}."
+    if intervals and {change.quantity for change in changes} == {"friction", "mass"}:
         return f"{text} Counts cannot tell friction from mass."
-    if len(credible) > 1:
-        return f"{text} Counts cannot tell which ({_probabilities(credible)})."
+    if intervals and len(changes) > 1:
+        shares = ", ".join(f"{one.quantity} {100 * one.probability:.0f} %" for one in changes)
+        return f"{text} Counts cannot tell which of them: {shares}."
     return text
 
 
-def _describe_change(change: StageChange) -> str:
+def _describe_change(change: StageChange, intervals: bool) -> str:
     size = change.size
-    least, most = sorted(map(abs, (size.low, size.high)))
-    verb = "growing" if size.estimate > 0 else "falling"
-    by = f"{format_percent(abs(size.estimate))} ({format_percent_range(least, most)} %)"
-    if size.low * size.high < 0:
-        by = f"{format_percent(abs(size.estimate))} ({format_percent_range(size.low, size.high)} %)"
-    return f"{WORDS[change.quantity]} {verb} by {by}"
-
-
-def _probabilities(changes: Sequence[StageChange]) -> str:
-    return ", ".join(f"{change.quantity} {format_percent(change.probability)}" for change in changes)
+    sign = -1.0 if size.estimate < 0 else 1.0
+    by = format_percent(abs(size.estimate))
+    if intervals:
+        low, high = sorted((sign * size.low, sign * size.high))
+        by = f"{by} ({format_percent_range(low, high)} %)"
+    return f"{by} {'more' if sign > 0 else 'less'} {WORDS[change.quantity]}"
 
 
 def _fingerprint_table(reading: StageReading) -> Table:
@@ -90,8 +97,8 @@ def _fingerprint_table(reading: StageReading) -> Table:
     )
     note = (
         "± one standard error, where the change is at its largest. Friction-limited: the step without load "
-        "follows friction, the response to load does not; velocity-limited: the reverse, and the step follows "
-        "the voltage."
+        "follows friction, the response to load does not; velocity-limited: the reverse, and the step "
+        "follows the voltage."
     )
     return Table(f"How steps change with {join_words(reading.causes)}", columns, rows, note=note, folded=True)
 

@@ -50,6 +50,7 @@ SAME_COURSE = 0.6  # correlation of two findings that are one change
 QUANTITIES = ("friction", "mass", "voltage", "ramp time")
 CREDIBLE = 0.95
 NO_FIT = 0.001  # p-value below which none of the changes suffices
+MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
 PRIOR_SD = 0.15  # of the logarithm of a quantity's change
 SIZES = np.linspace(-0.7, 0.7, 2801)
 
@@ -87,12 +88,15 @@ class StageReading:
         response to load, each with ``_error``; friction_limited, the probability of this regime.
     p_value : float
         That the likeliest change suffices, against a free change of each joint and direction.
+    left_out : tuple of int
+        Joints whose counts do not follow the physical law, in one direction or both.
     """
 
     causes: tuple[str, ...]
     changes: tuple[StageChange, ...]
     fingerprint: pd.DataFrame
     p_value: float
+    left_out: tuple[int, ...] = ()
 
     @property
     def suffices(self) -> bool:
@@ -147,7 +151,8 @@ def read_stage(
     while unread:
         together = [name for name in unread if _correlation(courses[unread[0]], courses[name]) > SAME_COURSE]
         unread = [name for name in unread if name not in together]
-        readings.append(_read(selection, tuple(together), courses, machine))
+        if (reading := _read(selection, tuple(together), courses, machine)) is not None:
+            readings.append(reading)
     return tuple(readings)
 
 
@@ -200,8 +205,11 @@ def _course(selection: Selection, version: Cause, values: Array) -> Array | None
 
 def _read(
     selection: Selection, causes: tuple[str, ...], courses: Mapping[str, Array], machine: Machine
-) -> StageReading:
-    """What causes with one course say; the course is that of the first, whose effect is the largest."""
+) -> StageReading | None:
+    """What causes with one course say; None where the physical law describes no joint.
+
+    The course is that of the first, whose effect is the largest.
+    """
     problem, course = selection.problem, courses[causes[0]]
     response, effect = problem.responses.copy(), np.zeros(len(problem))
     for one in selection.law_causes:
@@ -218,10 +226,14 @@ def _read(
                 data = response[chosen], effect[chosen], problem.scale[chosen], course[chosen]
                 rows = problem.rows.iloc[chosen].reset_index(drop=True)
                 prints.append(fit_changes(joint, way, rows, machine, *data))
-    return _combine(causes, prints)
+    described = [one for one in prints if one.spread < MAX_SPREAD]
+    left_out = tuple(sorted({one.joint for one in prints if one.spread >= MAX_SPREAD}))
+    return _combine(causes, described, left_out) if described else None
 
 
-def _combine(causes: tuple[str, ...], prints: Sequence[Fingerprint]) -> StageReading:
+def _combine(
+    causes: tuple[str, ...], prints: Sequence[Fingerprint], left_out: tuple[int, ...]
+) -> StageReading:
     """The posterior over changes, with lambda of each joint and direction integrated out."""
     terms = {name: [_log_likelihoods(one, name) for one in prints] for name in SINGLE}
     log_posterior = {
@@ -243,7 +255,7 @@ def _combine(causes: tuple[str, ...], prints: Sequence[Fingerprint]) -> StageRea
     limited = _friction_limited(prints, terms, log_posterior)
     excess, free = _excess_deviance(prints, terms, best, log_posterior[best])
     table = pd.DataFrame([_fingerprint_row(one, float(p)) for one, p in zip(prints, limited, strict=True)])
-    return StageReading(causes, tuple(changes), table, float(chdtrc(free, excess)))
+    return StageReading(causes, tuple(changes), table, float(chdtrc(free, excess)), left_out)
 
 
 def _log_likelihoods(one: Fingerprint, change: str) -> Array:
