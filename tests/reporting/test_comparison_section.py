@@ -15,7 +15,7 @@ from stickslip_fit.strategies import (
     LeastSquares,
     compare_strategies,
 )
-from stickslip_fit.strategies._summary import strategies_table
+from stickslip_fit.strategies._summary import JointStrategies, strategies_table
 from tests.conftest import CALIBRATION, SWEEPS
 
 JOINT_3 = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] == 3)
@@ -47,7 +47,7 @@ def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_p
     assert ("a", {"href": "#strategies"}) in page.elements
     assert "Least rms:" in page.text
     caption = "Strategies for joint 3 (prismatic)"
-    assert page.tables[caption] == [list(row) for row in strategies_table(found, 3).rows]
+    assert page.tables[caption] == [list(row) for row in strategies_table(JointStrategies(found, 3)).rows]
     accuracy = found.accuracy().set_index("strategy")
     errors = "Joint 3 (prismatic): errors of the step size"
     for strategy, rms in zip(page.column(errors, "strategy"), page.column(errors, "rmsnm"), strict=True):
