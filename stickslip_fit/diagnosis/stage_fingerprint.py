@@ -205,12 +205,12 @@ class StageEffects:
             See `ChangeFit`.
         course : array, shape (n,)
         """
-        own, none = size[0] * course, np.zeros(len(course))
+        own, none = np.log1p(np.expm1(size[0]) * course), np.zeros(len(course))
         unit, share, ratio = {  # logarithms of what a_f T1^2, r and lambda are multiplied by
             "friction": (own, -own, -own),
             "voltage": (none, none, own),
             "ramp time": (2 * own, none, -2 * own),
-            FREE: (own, size[-1] * course, none),
+            FREE: (own, np.log1p(np.expm1(size[-1]) * course), none),
         }[change]
         now, values = self.ratio * np.exp(ratio), self.values.copy()
         values[:, 0] *= np.exp(unit) * np.minimum(now, 1.0) / min(self.ratio, 1.0)
