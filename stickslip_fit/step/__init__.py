@@ -21,6 +21,7 @@ from stickslip_fit.step.friction import (
     MaxwellSlip,
     spread_maxwell_slip,
 )
+from stickslip_fit.step.hysteresis import Hysteresis, MaxwellCapacitor, PrandtlIshlinskii
 from stickslip_fit.step.motion import FootMotion, make_motion, motion_from_table
 from stickslip_fit.step.ode import BristleMotion, Foot, RecoilBase, StepLimitError, solve_motion
 from stickslip_fit.step.stage import (
@@ -44,8 +45,11 @@ __all__ = [
     "Elastoplastic",
     "Foot",
     "FootMotion",
+    "Hysteresis",
     "LuGre",
+    "MaxwellCapacitor",
     "MaxwellSlip",
+    "PrandtlIshlinskii",
     "RecoilBase",
     "Stage",
     "StageAnalysis",
