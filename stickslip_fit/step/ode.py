@@ -6,7 +6,7 @@ is a mass on a spring whose rest position is the waveform; without, it follows t
 on a spring, takes the reaction of both.
 
 Each piece of the waveform is integrated by itself, so that no solver steps over a jump of the foot's
-acceleration: by Runge-Kutta 5(4) where numba is installed, else by
+acceleration: by the Rosenbrock method of `stickslip_fit.step._kernels` where numba is installed, else by
 scipy's LSODA (Maxwell-slip, which has jumps, by its explicit RK45).
 """
 
@@ -115,7 +115,7 @@ class BristleMotion:
     steps : ndarray, shape (periods,)
         Displacement of the slider over each period, m.
     solver_steps : int
-        Of the Runge-Kutta method, or right-hand sides that LSODA evaluated.
+        Of the Rosenbrock method, or right-hand sides that LSODA evaluated.
     """
 
     time: Array
@@ -233,9 +233,9 @@ def _check(
     if mass * abs(load) >= model.limit:
         raise InputError("friction does not hold the load, which is no smaller: the slider runs away")
     ends = motion.position + (motion.velocity + motion.acceleration * motion.duration / 2) * motion.duration
-    jumps = np.roll(motion.position, -1) - ends
-    is_instant = (motion.duration == 0) & (motion.position != np.roll(motion.position, -1))
-    has_jump = np.any(is_instant) or np.max(np.abs(jumps)) > 1e-9 * np.ptp(ends)
+    next_positions = np.roll(motion.position, -1)
+    is_instant = (motion.duration == 0) & (motion.position != next_positions)
+    has_jump = np.any(is_instant) or np.max(np.abs(next_positions - ends)) > 1e-9 * np.ptp(ends)
     if has_jump and not (foot and foot.is_dynamic):
         message = "the foot jumps, which bristles cannot follow"
         raise InputError(f"{message}; give the flyback a time, or the foot a resonance")
@@ -331,26 +331,17 @@ def _run_lsoda(
 def _collect(
     states: Array, pieces: Array, intervals: Array, shape: tuple, mechanical: int, periods: int, taken: int
 ) -> BristleMotion:
-    from stickslip_fit.step._kernels import resist
+    from stickslip_fit.step._kernels import resist_all
 
     is_dynamic, has_base, _, kind, parameters = shape
-    own = pieces[intervals[:, 0].astype(int)]
-    passed = intervals[:, 2]
-    speed, extension = (
-        own[:, 2] + own[:, 3] * passed,
-        own[:, 1] + (own[:, 2] + own[:, 3] * passed / 2) * passed,
-    )
-    base, base_speed = np.zeros((2, len(states)))
     if is_dynamic:
-        extension, speed = states[:, 2], states[:, 3]
-    if has_base:
-        base, base_speed = states[:, mechanical - 2], states[:, mechanical - 1]
-    rates = np.empty(states.shape[1])
-    sliding = states[:, 1] - speed - base_speed
-    friction = [
-        -resist(kind, parameters, state, w, rates, mechanical)
-        for state, w in zip(states, sliding, strict=True)
-    ]
+        extension, speed = states[:, 2:4].T
+    else:
+        _, position, velocity, change = pieces[intervals[:, 0].astype(int)].T
+        passed = intervals[:, 2]
+        extension, speed = position + (velocity + change * passed / 2) * passed, velocity + change * passed
+    base, base_speed = states[:, mechanical - 2 : mechanical].T if has_base else np.zeros((2, len(states)))
+    friction = -resist_all(kind, parameters, states, states[:, 1] - speed - base_speed, mechanical)
     time = np.cumsum(intervals[:, 2] - intervals[:, 1])
     ends = states[len(states) // periods - 1 :: len(states) // periods, 0]
     zero = np.zeros(1)
