@@ -24,6 +24,7 @@ from stickslip_fit.step.friction import (
 from stickslip_fit.step.hysteresis import Hysteresis, MaxwellCapacitor, PrandtlIshlinskii
 from stickslip_fit.step.motion import FootMotion, make_motion, motion_from_table
 from stickslip_fit.step.ode import BristleMotion, Foot, RecoilBase, StepLimitError, solve_motion
+from stickslip_fit.step.recoil import recoil_share
 from stickslip_fit.step.stage import (
     Contact,
     Drive,
@@ -68,6 +69,7 @@ __all__ = [
     "make_motion",
     "motion_from_table",
     "quantity_of",
+    "recoil_share",
     "settling_time",
     "solve_motion",
     "spread_maxwell_slip",
