@@ -14,8 +14,8 @@ times of the events do not matter, and the slider's way along the base is shorte
 - catching up at t_c = lambda T1: b(t_c) + b(T1 + t_c) - b(T1) - t_c db/dt(T1).
 
 Without mount no approximation is needed. Relative to the centre of base and foot, the slider obeys the
-equation of a fixed base with a_f (1 + mu) in place of a_f and (1 - phi) D in place of D, for any waveform. The
-step is (1 + mu) a_f T1^2, longer, if friction limits it, and (1 - phi) D if the slider catches up.
+equation of a fixed base with a_f (1 + mu) in place of a_f and (1 - phi) D in place of D, for any waveform.
+The step is (1 + mu) a_f T1^2, longer, if friction limits it, and (1 - phi) D if the slider catches up.
 """
 
 from __future__ import annotations

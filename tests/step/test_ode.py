@@ -61,7 +61,7 @@ def test_the_linear_system_of_a_stage_is_that_of_the_equations_of_motion(model, 
     friction, command = (model.kind, model.parameters), np.array([1e-7, 0.02, 300.0])
     mechanical = 2 + 2 * has_piezo + 2 * (base is not None)
     y = 1e-3 * np.arange(1.0, mechanical + model.states + 1)
-    y[mechanical:] = 0.6 * np.sign(w) * model.deflections
+    y[mechanical:] = np.linspace(0.6, 1.3, model.states) * np.sign(w) * model.deflections
     foot_speed = y[3] if has_piezo else command[1] + command[2] * 1e-5
     y[1] = w + foot_speed + (y[mechanical - 1] if base is not None else 0.0)
 
