@@ -3,10 +3,12 @@
 from stickslip_fit.step import _summary as _summary  # registers how a stage is summarized
 from stickslip_fit.step.analysis import StageAnalysis, analyse_stage
 from stickslip_fit.step.closed_form import (
+    RelativeStep,
     StepDerivatives,
     back_slip,
     drive_ratio,
     is_friction_limited,
+    relative_step,
     settling_time,
     step_derivatives,
     step_size,
@@ -52,6 +54,7 @@ __all__ = [
     "MaxwellSlip",
     "PrandtlIshlinskii",
     "RecoilBase",
+    "RelativeStep",
     "Stage",
     "StageAnalysis",
     "StageDrift",
@@ -70,6 +73,7 @@ __all__ = [
     "motion_from_table",
     "quantity_of",
     "recoil_share",
+    "relative_step",
     "settling_time",
     "solve_motion",
     "spread_maxwell_slip",

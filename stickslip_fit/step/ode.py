@@ -58,10 +58,7 @@ class Foot:
     damping_ratio: float = 0.02
 
     def __post_init__(self) -> None:
-        if not (
-            isfinite(self.mass) and self.mass > 0 and self.resonance > 0 and 0 <= self.damping_ratio < 10
-        ):
-            raise InputError("the foot's mass and resonance must be above 0, its damping ratio 0 to 10")
+        _check_body("foot", self, self.resonance > 0, "above 0")
 
     @property
     def is_dynamic(self) -> bool:
@@ -93,11 +90,14 @@ class RecoilBase:
     damping_ratio: float = 0.02
 
     def __post_init__(self) -> None:
-        usable = isfinite(self.mass) and self.mass > 0 and 0 <= self.resonance < np.inf
-        if not (usable and 0 <= self.damping_ratio < 10):
-            raise InputError(
-                "the base's mass must be above 0, its resonance 0 or more, its damping ratio 0 to 10"
-            )
+        _check_body("base", self, 0 <= self.resonance < np.inf, "0 or more")
+
+
+def _check_body(name: str, body: Foot | RecoilBase, has_resonance: bool, resonance: str) -> None:
+    if not (0 < body.mass < np.inf and has_resonance and 0 <= body.damping_ratio < 10):
+        raise InputError(
+            f"the {name}'s mass must be above 0, its resonance {resonance}, its damping ratio 0 to 10"
+        )
 
 
 @dataclass(frozen=True, eq=False)
