@@ -125,12 +125,12 @@ class Hysteresis(ABC):
             raise InputError("hysteresis is computed for one motion at a time")
         weights, thresholds = self.plays
         reach, play = gain * thresholds, np.full(len(weights), motion.position[0])
-        scales = (np.abs(values * motion.duration**i) for i, values in enumerate(_arrays(motion)[1:]))
+        scales = (np.abs(values * motion.duration**i) for i, values in enumerate(motion.arrays[1:]))
         slack = ROUNDING * max(float(scale.max()) for scale in scales)
         pieces: list[tuple[float, ...]] = []
         for _ in range(2):
             pieces = []
-            for duration, start, speed, change in zip(*_arrays(motion), strict=True):
+            for duration, start, speed, change in zip(*motion.arrays, strict=True):
                 play = _follow(play, start, reach)
                 for begin, end in _monotone(duration, speed, change):
                     x, v = start + (speed + change * begin / 2) * begin, speed + change * begin
@@ -250,10 +250,6 @@ def _check_pairs(
         raise InputError(f"give 1 to {MAX_OPERATORS} {what}, each with {first} and {second}")
     if not all(0 < value < np.inf for value in (*values, *limits)):
         raise InputError(f"each {first} and {second} of {what} must be above 0 and finite")
-
-
-def _arrays(motion: FootMotion) -> tuple[Array, Array, Array, Array]:
-    return motion.duration, motion.position, motion.velocity, motion.acceleration
 
 
 def _follow(play: Array, value: float, threshold: Array) -> Array:

@@ -200,7 +200,7 @@ def solve_motion(
     if solver == "compiled" and not _kernels.COMPILED:
         raise InputError("the compiled solver needs numba: install stickslip-fit[numba], or take lsoda")
     is_dynamic = foot is not None and foot.is_dynamic
-    pieces = np.stack([motion.duration, motion.position, motion.velocity, motion.acceleration], axis=1)
+    pieces = np.stack(motion.arrays, axis=1)
     intervals = _intervals(pieces[:, 0], samples, periods)
     mechanical = 2 + 2 * is_dynamic + 2 * (base is not None)
     y = np.zeros(mechanical + model.states)
@@ -232,7 +232,7 @@ def _check(
         raise InputError("give one motion, a slider mass above 0 and a finite load")
     if mass * abs(load) >= model.limit:
         raise InputError("friction does not hold the load, which is no smaller: the slider runs away")
-    ends = motion.position + (motion.velocity + motion.acceleration * motion.duration / 2) * motion.duration
+    ends = motion.ends
     next_positions = np.roll(motion.position, -1)
     is_instant = (motion.duration == 0) & (motion.position != next_positions)
     has_jump = np.any(is_instant) or np.max(np.abs(next_positions - ends)) > 1e-9 * np.ptp(ends)
