@@ -78,20 +78,22 @@ TIME_SLOPES[3:5] = 1.8046452872882734, 2.325825639765069
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def flow(kind: int, p: Array, own: int, i: int, z: float, w: float) -> tuple[float, float, float]:
+def flow(
+    kind: int, p: Array, own: int, i: int, z: float, w: float, side: float
+) -> tuple[float, float, float]:
     """Rate of bristle i in sliding at velocity w, and its derivatives by w and by its deflection z.
 
-    The model's own parameters begin at `own`.
+    The model's own parameters begin at `own`; `side` is the sign of w, beyond which |w| is continued.
     """
     if kind == MAXWELL_SLIP:
-        slips = z * w > 0.0 and abs(z) >= p[own + i]
+        slips = z * side > 0.0 and abs(z) >= p[own + i]
         return (0.0, 0.0, 0.0) if slips else (w, 1.0, 0.0)
-    sign = 1.0 if w >= 0.0 else -1.0
+    size_of_w = side * w
     if kind == DAHL:
-        left = 1.0 - sign * z / p[own]
+        left = 1.0 - side * z / p[own]
         size = max(abs(left), 1e-12)  # of which a power may be negative
         share = abs(left) ** p[own + 1] * (1.0 if left >= 0.0 else -1.0)
-        return w * share, share, -abs(w) * p[own + 1] * size ** (p[own + 1] - 1.0) / p[own]
+        return w * share, share, -size_of_w * p[own + 1] * size ** (p[own + 1] - 1.0) / p[own]
     ratio = w / p[own + 2]
     # Beyond 6 vs the exponential is 2e-16.
     more = p[own + 1] * exp(-ratio * ratio) if abs(ratio) < 6.0 and p[own + 1] > 0.0 else 0.0
@@ -100,7 +102,7 @@ def flow(kind: int, p: Array, own: int, i: int, z: float, w: float) -> tuple[flo
     plastic, by_size, by_steady = 1.0, 0.0, 0.0
     if kind == ELASTOPLASTIC:
         size, width = abs(z), steady - p[own + 3]
-        if z * w <= 0.0 or size <= p[own + 3]:
+        if z * side <= 0.0 or size <= p[own + 3]:
             plastic = 0.0
         elif size < steady:
             phase = pi * (size - 0.5 * (steady + p[own + 3])) / width
@@ -108,18 +110,23 @@ def flow(kind: int, p: Array, own: int, i: int, z: float, w: float) -> tuple[flo
             by_size = 0.5 * pi * cos(phase) / width
             by_steady = -by_size * (size - p[own + 3]) / width
     relative = z / steady
-    by_speed = sign * plastic + abs(w) * steady_by_speed * (by_steady - plastic / steady)
-    by_deflection = -abs(w) * (plastic + by_size * abs(z)) / steady
-    return w - plastic * abs(w) * relative, 1.0 - by_speed * relative, by_deflection
+    by_speed = side * plastic + size_of_w * steady_by_speed * (by_steady - plastic / steady)
+    by_deflection = -size_of_w * (plastic + by_size * abs(z)) / steady
+    return w - plastic * size_of_w * relative, 1.0 - by_speed * relative, by_deflection
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def resist(kind: int, p: Array, z: Array, w: float, rates: Array, first: int) -> float:
-    """Resistance to sliding at velocity w; writes the rates of the bristles, which begin at `first`."""
+def resist(kind: int, p: Array, z: Array, w: float, rates: Array, first: int, side: float) -> float:
+    """Resistance to sliding at velocity w; writes the rates of the bristles, which begin at `first`.
+
+    `side` as for `flow`, 0 for that of w.
+    """
     n = len(z) - first
+    if side == 0.0:
+        side = 1.0 if w >= 0.0 else -1.0
     force = p[0] * w
     for i in range(n):
-        rates[first + i] = flow(kind, p, 1 + 2 * n, i, z[first + i], w)[0]
+        rates[first + i] = flow(kind, p, 1 + 2 * n, i, z[first + i], w, side)[0]
         force += p[1 + i] * z[first + i] + p[1 + n + i] * rates[first + i]
     return force
 
@@ -129,8 +136,15 @@ def resist_all(kind: int, p: Array, states: Array, w: Array, first: int) -> Arra
     """`resist` for each row of states, in sliding at each of the velocities."""
     forces, rates = np.empty(len(states)), np.empty(states.shape[1])
     for i in range(len(states)):
-        forces[i] = resist(kind, p, states[i], w[i], rates, first)
+        forces[i] = resist(kind, p, states[i], w[i], rates, first, 0.0)
     return forces
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def slide(y: Array, speed: float, has_piezo: bool, has_base: bool) -> float:
+    """Sliding velocity of a state, `speed` of the waveform; of rates, the sliding acceleration."""
+    w = y[1] - (y[3] if has_piezo else speed)
+    return w - (y[5 if has_piezo else 3] if has_base else 0.0)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -144,13 +158,14 @@ def slope(
     kind: int,
     p: Array,
     command: Array,
+    side: float,
 ) -> None:
-    """Write the time derivative of the state, at a time after the piece's beginning."""
+    """Write the rates of the state, at a time after the piece's beginning; `side` as for `resist`."""
     at_base = 4 if has_piezo else 2
     first = at_base + 2 if has_base else at_base
     base_speed = y[at_base + 1] if has_base else 0.0
-    speed = y[3] if has_piezo else command[1] + command[2] * t
-    force = resist(kind, p, y, y[1] - speed - base_speed, dy, first)
+    w = slide(y, command[1] + command[2] * t, has_piezo, has_base)
+    force = resist(kind, p, y, w, dy, first, side)
     dy[0] = y[1]
     dy[1] = -force / c[0] - c[1]
     drive = 0.0
@@ -181,6 +196,7 @@ def linearize(
     kind: int,
     p: Array,
     command: Array,
+    side: float,
     bristles: Array,
     by_time: Array,
 ) -> float:
@@ -191,11 +207,10 @@ def linearize(
     at_base = 4 if has_piezo else 2
     first = at_base + 2 if has_base else at_base
     n = len(y) - first
-    speed = y[3] if has_piezo else command[1] + command[2] * t
-    w = y[1] - speed - (y[at_base + 1] if has_base else 0.0)
+    w = slide(y, command[1] + command[2] * t, has_piezo, has_base)
     force_by_speed = p[0]
     for i in range(n):
-        _, bristles[0, i], bristles[1, i] = flow(kind, p, 1 + 2 * n, i, y[first + i], w)
+        _, bristles[0, i], bristles[1, i] = flow(kind, p, 1 + 2 * n, i, y[first + i], w, side)
         bristles[2, i] = p[1 + i] + p[1 + n + i] * bristles[1, i]
         force_by_speed += p[1 + n + i] * bristles[0, i]
     by_time[:] = 0.0
@@ -299,11 +314,11 @@ def integrate(
     The steps left are negative where the budget ran out, or the state is no longer finite.
     """
     n = len(y)
+    first_bristle = (4 if has_piezo else 2) + (2 if has_base else 0)
     u = np.empty((STAGES, n))
-    trial, r, by_time = np.empty(n), np.empty(n), np.empty(n)
-    bristles, factors = np.empty((4, n - (4 if has_piezo else 2) - (2 if has_base else 0))), np.empty(9)
-    t, h = begin, min(first, end - begin)
-    force_by_speed = linearize(t, y, has_piezo, has_base, c, kind, p, command, bristles, by_time)
+    rates, trial, r, by_time = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    bristles, factors = np.empty((4, n - first_bristle)), np.empty(9)
+    t, h, planned, is_new = begin, min(first, end - begin), 0.0, True
     while t < end:
         if budget <= 0:
             return h, -1
@@ -311,6 +326,15 @@ def integrate(
         is_last = t + 1.000001 * h >= end
         if is_last:
             h = end - t
+        if is_new:
+            slope(t, y, rates, has_piezo, has_base, c, kind, p, command, 0.0)
+            w = slide(y, command[1] + command[2] * t, has_piezo, has_base)
+            gain = slide(rates, command[2], has_piezo, has_base)
+            side = 1.0 if (gain if w * w <= absolute[first_bristle] * abs(gain) else w) >= 0.0 else -1.0
+            force_by_speed = linearize(
+                t, y, has_piezo, has_base, c, kind, p, command, side, bristles, by_time
+            )
+            is_new = False
         g = 1.0 / (GAMMA * h)
         factorize(g, has_piezo, has_base, c, bristles, force_by_speed, factors)
         for stage in range(STAGES):
@@ -322,7 +346,7 @@ def integrate(
                     trial[i] = moved
                 else:
                     trial[i] += u[stage - 1, i]
-            slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, p, command)
+            slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, p, command, side)
             for i in range(n):
                 coupled = 0.0
                 for j in range(stage):
@@ -342,12 +366,29 @@ def integrate(
         factor = MOST_FACTOR if total == 0.0 else SAFETY * total**-0.2
         factor = min(MOST_FACTOR, max(LEAST_FACTOR, factor))
         if total <= 1.0:
+            ahead = slide(trial, command[1] + command[2] * (t + h), has_piezo, has_base)
+            if ahead * side < 0.0 and ahead * ahead * h > absolute[first_bristle] * abs(ahead - w):
+                # The sliding changed sides, which bends the rates: the step shall end there.
+                planned = max(planned, h)
+                h = turn(side * w, side * gain, side * ahead, h)
+                continue
             t = end if is_last else t + h
             for i in range(n):
                 y[i] = trial[i]
-            force_by_speed = linearize(t, y, has_piezo, has_base, c, kind, p, command, bristles, by_time)
-        h *= factor
+            is_new = True
+            h, planned = max(h * factor, planned), 0.0
+        else:
+            h *= factor
     return h, budget
+
+
+@njit(cache=True, error_model="numpy")
+def turn(w: float, gain: float, ahead: float, h: float) -> float:
+    """When a velocity of 0 or more is 0 that has this acceleration, and is `ahead` below 0 after h."""
+    bend = (ahead - w - gain * h) / (h * h)
+    root = max(gain * gain - 4.0 * bend * w, 0.0) ** 0.5
+    time = 2.0 * w / (root - gain) if gain < 0.0 else (gain + root) / (-2.0 * bend)
+    return min(max(time, 1e-3 * h), 0.999 * h) if isfinite(time) else 0.5 * h
 
 
 @njit(cache=True, error_model="numpy")

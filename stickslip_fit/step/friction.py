@@ -84,7 +84,7 @@ class BristleModel(ABC):
 
         z = np.array(deflection, dtype=float).reshape(self.states)
         rates = np.zeros(self.states)
-        return float(resist(self.kind, self.parameters, z, float(velocity), rates, 0)), rates
+        return float(resist(self.kind, self.parameters, z, float(velocity), rates, 0, 0.0)), rates
 
 
 class OneBristle(BristleModel):

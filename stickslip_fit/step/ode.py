@@ -312,7 +312,7 @@ def _run_lsoda(
             if evaluations > max_steps:
                 raise _too_stiff(max_steps)
             change = np.empty(len(state))
-            slope(t, state, change, *shape, command)
+            slope(t, state, change, *shape, command, 0.0)
             return change
 
         jolt(y, piece[2] - last, shape[0], shape[1], shape[2])

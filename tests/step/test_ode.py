@@ -67,7 +67,7 @@ def test_the_linear_system_of_a_stage_is_that_of_the_equations_of_motion(model, 
 
     def rate(t, state):
         change = np.empty(len(y))
-        slope(t, state, change, *shape, *friction, command)
+        slope(t, state, change, *shape, *friction, command, 0.0)
         return change
 
     scales = np.r_[np.tile([1e-7, 1e-3], mechanical // 2), model.deflections]
@@ -78,7 +78,7 @@ def test_the_linear_system_of_a_stage_is_that_of_the_equations_of_motion(model, 
         ]
     )
     bristles, by_time, factors = np.empty((4, model.states)), np.empty(len(y)), np.empty(9)
-    by_speed = linearize(1e-5, y, *shape, *friction, command, bristles, by_time)
+    by_speed = linearize(1e-5, y, *shape, *friction, command, np.sign(w), bristles, by_time)
     expected = (rate(1.001e-5, y) - rate(0.999e-5, y)) / 2e-8
     np.testing.assert_allclose(by_time, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
     g, r = 3e5, np.r_[np.tile([0.01, 100.0], mechanical // 2), np.full(model.states, 1e-3)]
