@@ -313,11 +313,12 @@ def integrate(
 
     The steps left are negative where the budget ran out, or the state is no longer finite.
     """
-    n = len(y)
+    n, q = len(y), p.copy()
     first_bristle = (4 if has_piezo else 2) + (2 if has_base else 0)
     u = np.empty((STAGES, n))
     rates, trial, r, by_time = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     bristles, factors = np.empty((4, n - first_bristle)), np.empty(9)
+    limits = len(p) - (n - first_bristle)  # of the elements of Maxwell-slip
     t, h, planned, is_new = begin, min(first, end - begin), 0.0, True
     while t < end:
         if budget <= 0:
@@ -327,12 +328,17 @@ def integrate(
         if is_last:
             h = end - t
         if is_new:
-            slope(t, y, rates, has_piezo, has_base, c, kind, p, command, 0.0)
+            slope(t, y, rates, has_piezo, has_base, c, kind, q, command, 0.0)
             w = slide(y, command[1] + command[2] * t, has_piezo, has_base)
             gain = slide(rates, command[2], has_piezo, has_base)
             side = 1.0 if (gain if w * w <= absolute[first_bristle] * abs(gain) else w) >= 0.0 else -1.0
+            if kind == MAXWELL_SLIP:  # over one step, an element either holds or slips
+                for i in range(n - first_bristle):
+                    slack = absolute[first_bristle + i]
+                    slips = side * y[first_bristle + i] >= p[limits + i] - slack
+                    q[limits + i] = 0.0 if slips else np.inf
             force_by_speed = linearize(
-                t, y, has_piezo, has_base, c, kind, p, command, side, bristles, by_time
+                t, y, has_piezo, has_base, c, kind, q, command, side, bristles, by_time
             )
             is_new = False
         g = 1.0 / (GAMMA * h)
@@ -346,7 +352,7 @@ def integrate(
                     trial[i] = moved
                 else:
                     trial[i] += u[stage - 1, i]
-            slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, p, command, side)
+            slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, q, command, side)
             for i in range(n):
                 coupled = 0.0
                 for j in range(stage):
@@ -367,10 +373,17 @@ def integrate(
         factor = min(MOST_FACTOR, max(LEAST_FACTOR, factor))
         if total <= 1.0:
             ahead = slide(trial, command[1] + command[2] * (t + h), has_piezo, has_base)
+            sooner = h
             if ahead * side < 0.0 and ahead * ahead * h > absolute[first_bristle] * abs(ahead - w):
-                # The sliding changed sides, which bends the rates: the step shall end there.
-                planned = max(planned, h)
-                h = turn(side * w, side * gain, side * ahead, h)
+                sooner = turn(side * w, side * gain, side * ahead, h)
+            if kind == MAXWELL_SLIP:
+                for i in range(first_bristle, n):
+                    limit = p[limits + i - first_bristle]
+                    if q[limits + i - first_bristle] > 0.0 and side * trial[i] > limit + absolute[i]:
+                        left = turn(limit - side * y[i], -side * rates[i], limit - side * trial[i], h)
+                        sooner = min(sooner, left)
+            if sooner < h:  # rates bend where sliding changes sides, or an element slips: the step ends there
+                h, planned = sooner, max(planned, h)
                 continue
             t = end if is_last else t + h
             for i in range(n):
