@@ -41,6 +41,10 @@ def _fill_below_diagonal(rows: int, numbers: str) -> Array:
 
 
 njit: Any = import_module("numba").njit if COMPILED else _leave
+compiled = njit(cache=True, error_model="numpy")
+inlined = njit(
+    cache=True, error_model="numpy", inline="always"
+)  # passing arrays on would cost more than the work
 
 LUGRE, ELASTOPLASTIC, DAHL, MAXWELL_SLIP = range(4)
 SAFETY, LEAST_FACTOR, MOST_FACTOR = 0.9, 0.2, 5.0
@@ -77,7 +81,7 @@ TIME_SLOPES[:3] = GAMMA, -0.42387512638858027, -0.3384627126235924
 TIME_SLOPES[3:5] = 1.8046452872882734, 2.325825639765069
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def flow(
     kind: int, p: Array, own: int, i: int, z: float, w: float, side: float
 ) -> tuple[float, float, float]:
@@ -115,7 +119,7 @@ def flow(
     return w - plastic * size_of_w * relative, 1.0 - by_speed * relative, by_deflection
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def resist(kind: int, p: Array, z: Array, w: float, rates: Array, first: int, side: float) -> float:
     """Resistance to sliding at velocity w; writes the rates of the bristles, which begin at `first`.
 
@@ -131,7 +135,7 @@ def resist(kind: int, p: Array, z: Array, w: float, rates: Array, first: int, si
     return force
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def resist_all(kind: int, p: Array, states: Array, w: Array, first: int) -> Array:
     """`resist` for each row of states, in sliding at each of the velocities."""
     forces, rates = np.empty(len(states)), np.empty(states.shape[1])
@@ -140,14 +144,14 @@ def resist_all(kind: int, p: Array, states: Array, w: Array, first: int) -> Arra
     return forces
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def slide(y: Array, speed: float, has_piezo: bool, has_base: bool) -> float:
     """Sliding velocity of a state, `speed` of the waveform; of rates, the sliding acceleration."""
     w = y[1] - (y[3] if has_piezo else speed)
     return w - (y[5 if has_piezo else 3] if has_base else 0.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@compiled
 def slope(
     t: float,
     y: Array,
@@ -186,7 +190,7 @@ def slope(
         dy[3] = (drive + force) / c[2] - recoil
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def linearize(
     t: float,
     y: Array,
@@ -229,7 +233,7 @@ def linearize(
     return force_by_speed
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def factorize(
     g: float, has_piezo: bool, has_base: bool, c: Array, bristles: Array, force_by_speed: float, f: Array
 ) -> None:
@@ -254,7 +258,7 @@ def factorize(
     f[6], f[7], f[8] = change_by, by_w, 1.0 / (1.0 - by_w * change_by)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def solve(
     r: Array, u: Array, k: int, has_piezo: bool, has_base: bool, c: Array, bristles: Array, f: Array
 ) -> None:
@@ -293,7 +297,7 @@ def solve(
         u[k, first + i] = (r[first + i] + bristles[0, i] * w) * bristles[3, i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def integrate(
     y: Array,
     begin: float,
@@ -395,7 +399,7 @@ def integrate(
     return h, budget
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def turn(w: float, gain: float, ahead: float, h: float) -> float:
     """When a velocity of 0 or more is 0 that has this acceleration, and is `ahead` below 0 after h."""
     bend = (ahead - w - gain * h) / (h * h)
@@ -404,7 +408,7 @@ def turn(w: float, gain: float, ahead: float, h: float) -> float:
     return min(max(time, 1e-3 * h), 0.999 * h) if isfinite(time) else 0.5 * h
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def run(
     y: Array,
     pieces: Array,
@@ -452,7 +456,7 @@ def run(
     return budget
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def jolt(y: Array, change: float, has_piezo: bool, has_base: bool, c: Array) -> None:
     """Momentum that a foot without piezo dynamics gives to the base where its speed jumps."""
     if has_base and not has_piezo:

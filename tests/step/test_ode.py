@@ -44,7 +44,8 @@ MODELS = {
 def test_a_step_is_within_a_fiftieth_of_a_nanometre_of_a_much_tighter_solution(model, solver):
     usual = solve_motion(MOTION, MASS, model, LOAD, solver=solver)
     tight = solve_motion(MOTION, MASS, model, LOAD, solver=solver, relative=1e-10)
-    assert np.max(np.abs(usual.steps - tight.steps)) < 0.02e-9
+    # The compiled solver ends its steps where sliding changes sides and where an element slips.
+    assert np.max(np.abs(usual.steps - tight.steps)) < (1e-4 if solver == "compiled" else 0.02) * 1e-9
     # A share of the tolerance, so that the reference is one; the step itself is some 270 nm.
     assert usual.steps[-1] > 200e-9
 
