@@ -332,7 +332,7 @@ def integrate(
         if is_last:
             h = end - t
         if is_new:
-            slope(t, y, rates, has_piezo, has_base, c, kind, q, command, 0.0)
+            slope(t, y, rates, has_piezo, has_base, c, kind, p, command, 0.0)
             w = slide(y, command[1] + command[2] * t, has_piezo, has_base)
             gain = slide(rates, command[2], has_piezo, has_base)
             side = 1.0 if (gain if w * w <= absolute[first_bristle] * abs(gain) else w) >= 0.0 else -1.0
@@ -341,6 +341,8 @@ def integrate(
                     slack = absolute[first_bristle + i]
                     slips = side * y[first_bristle + i] >= p[limits + i] - slack
                     q[limits + i] = 0.0 if slips else np.inf
+            if kind == MAXWELL_SLIP or side * w < 0.0:
+                slope(t, y, rates, has_piezo, has_base, c, kind, q, command, side)
             force_by_speed = linearize(
                 t, y, has_piezo, has_base, c, kind, q, command, side, bristles, by_time
             )
@@ -356,7 +358,10 @@ def integrate(
                     trial[i] = moved
                 else:
                     trial[i] += u[stage - 1, i]
-            slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, q, command, side)
+            if stage == 0:
+                r[:] = rates
+            else:
+                slope(t + TIMES[stage] * h, trial, r, has_piezo, has_base, c, kind, q, command, side)
             for i in range(n):
                 coupled = 0.0
                 for j in range(stage):

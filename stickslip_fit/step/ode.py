@@ -233,7 +233,7 @@ def _check(
     if mass * abs(load) >= model.limit:
         raise InputError("friction does not hold the load, which is no smaller: the slider runs away")
     ends = motion.ends
-    next_positions = np.roll(motion.position, -1)
+    next_positions = np.append(motion.position[1:], motion.position[0])
     is_instant = (motion.duration == 0) & (motion.position != next_positions)
     has_jump = np.any(is_instant) or np.max(np.abs(next_positions - ends)) > 1e-9 * np.ptp(ends)
     if has_jump and not (foot and foot.is_dynamic):
