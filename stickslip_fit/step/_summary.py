@@ -73,6 +73,8 @@ def _hysteresis(analysis: StageAnalysis) -> list[str]:
     if drive.hysteresis is None:
         return []
     opening = drive.gain * drive.hysteresis.opening(drive.voltage)
+    if opening == 0:
+        return ["The voltage is too small to open the loop of the piezo's hysteresis: nothing slides in it."]
     share = format_number(100 * opening / drive.amplitude, "1", 1)
     return [
         f"The piezo's hysteresis opens a loop of {_nm(opening)} nm, {share} % of its travel of "

@@ -114,6 +114,8 @@ def test_the_keys_of_hysteresis_are_read_and_answered(tmp_path):
     # 2 (0.1 x 3 + 0.08 x 1) x 30 nm: of the second play, 20 V less 2 x 9 V is left.
     assert "opens a loop of 22.8 nm, 4.6 %" in " ".join(shown.split())
     assert "A linear piezo of the same travel would step 490.8 nm" in " ".join(shown.split())
+    small = read_stage(write(tmp_path, table, ("voltage_V = 80", "voltage_V = 5"), *plays))
+    assert "too small to open the loop" in str(analyse_stage(small).summary())
     read = read_stage(write(tmp_path, table, *elements))
     assert read.drive.hysteresis == MaxwellCapacitor((0.2, 0.15), (2.0, 4.0))
 
