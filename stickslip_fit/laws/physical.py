@@ -39,6 +39,7 @@ from stickslip_fit.laws.base import (
 from stickslip_fit.laws.integration import State
 from stickslip_fit.laws.published import Base, BaseAtOneReach, Elbow, Prismatic, Rotary, published_law
 from stickslip_fit.machine import Machine
+from stickslip_fit.step import relative_step
 from stickslip_fit.units import PRISMATIC
 
 MAX_SHARE = 0.9  # of friction, by which the load may act
@@ -77,22 +78,14 @@ def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: 
     ratio : array
         lambda at inertia 1.
     """
-    unit = unloaded / np.minimum(ratio, 1.0) / inertia  # a_f T1^2
     by_unloaded = 1.0 / np.minimum(ratio, 1.0) / inertia
-    ratio = ratio * inertia
-    with np.errstate(divide="ignore", invalid="ignore"):
-        held = np.where(np.abs(share) < 1.0, share, np.nan)
-        product = 1.0 - held**2
-        is_limited = ratio > 1.0 - held
-        scaled = np.where(is_limited, (1.0 - held) / (1.0 + held), ratio * (1.0 - ratio * held / product))
-        by_share = np.where(is_limited, -2.0 / (1.0 + held) ** 2, -((ratio / product) ** 2) * (1.0 + held**2))
-        by_unloaded = by_unloaded * scaled
-        by_ratio = np.where(is_limited, 0.0, 1.0 - 2.0 * ratio * held / product)
+    unit, ratio = unloaded * by_unloaded, ratio * inertia  # a_f T1^2 and lambda at this inertia
+    relative = relative_step(ratio, share)
     return UnitStep(
-        gamma=unit * scaled,
-        by_unloaded=by_unloaded,
-        by_share=unit * by_share,
-        by_inertia=unit * (by_ratio * ratio - scaled) / inertia,
+        gamma=unit * relative.step,
+        by_unloaded=by_unloaded * relative.step,
+        by_share=unit * relative.by_share,
+        by_inertia=unit * (relative.by_ratio * ratio - relative.step) / inertia,
     )
 
 

@@ -3,10 +3,12 @@
 from stickslip_fit.step import _summary as _summary  # registers how a stage is summarized
 from stickslip_fit.step.analysis import StageAnalysis, analyse_stage
 from stickslip_fit.step.closed_form import (
+    RelativeStep,
     StepDerivatives,
     back_slip,
     drive_ratio,
     is_friction_limited,
+    relative_step,
     settling_time,
     step_derivatives,
     step_size,
@@ -21,8 +23,10 @@ from stickslip_fit.step.friction import (
     MaxwellSlip,
     spread_maxwell_slip,
 )
+from stickslip_fit.step.hysteresis import Hysteresis, MaxwellCapacitor, PrandtlIshlinskii
 from stickslip_fit.step.motion import FootMotion, make_motion, motion_from_table
 from stickslip_fit.step.ode import BristleMotion, Foot, RecoilBase, StepLimitError, solve_motion
+from stickslip_fit.step.recoil import recoil_share
 from stickslip_fit.step.stage import (
     Contact,
     Drive,
@@ -44,9 +48,13 @@ __all__ = [
     "Elastoplastic",
     "Foot",
     "FootMotion",
+    "Hysteresis",
     "LuGre",
+    "MaxwellCapacitor",
     "MaxwellSlip",
+    "PrandtlIshlinskii",
     "RecoilBase",
+    "RelativeStep",
     "Stage",
     "StageAnalysis",
     "StageDrift",
@@ -64,6 +72,8 @@ __all__ = [
     "make_motion",
     "motion_from_table",
     "quantity_of",
+    "recoil_share",
+    "relative_step",
     "settling_time",
     "solve_motion",
     "spread_maxwell_slip",

@@ -54,6 +54,7 @@ def _headline(analysis: StageAnalysis) -> list[str]:
                 f"The slider catches up with the foot ({sides}): without load the step is the foot's travel, "
                 "whatever the mass; voltage sets it."
             )
+    lines += _hysteresis(analysis)
     if not isnan(analysis.load_slope):
         weight = f"One g against the motion costs {_nm(-analysis.load_slope)} nm"
         share = 100 * analysis.load_curvature
@@ -65,6 +66,21 @@ def _headline(analysis: StageAnalysis) -> list[str]:
             f"{_nm(analysis.coulomb_step)} nm{regime}."
         )
     return lines
+
+
+def _hysteresis(analysis: StageAnalysis) -> list[str]:
+    drive = analysis.stage.drive
+    if drive.hysteresis is None:
+        return []
+    opening = drive.gain * drive.hysteresis.opening(drive.voltage)
+    if opening == 0:
+        return ["The voltage is too small to open the loop of the piezo's hysteresis: nothing slides in it."]
+    share = format_number(100 * opening / drive.amplitude, "1", 1)
+    return [
+        f"The piezo's hysteresis opens a loop of {_nm(opening)} nm, {share} % of its travel of "
+        f"{_nm(drive.amplitude)} nm. A linear piezo of the same travel would step "
+        f"{_nm(analysis.linear_step)} nm."
+    ]
 
 
 def _flags(analysis: StageAnalysis) -> list[str]:

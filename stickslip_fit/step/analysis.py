@@ -54,6 +54,8 @@ class StageAnalysis:
         the friction does not hold 1 g.
     coulomb_step : float
         With Coulomb friction on a foot that follows its waveform, m.
+    linear_step : float
+        Of a piezo with the same travel and no hysteresis, m; that of the stage if it has none.
     in_use : tuple of (int, float)
         Numbers of steps made without a pause, and the step after them, m; empty for a stage without drift.
     """
@@ -66,6 +68,7 @@ class StageAnalysis:
     load_slope: float
     load_curvature: float
     coulomb_step: float
+    linear_step: float
     in_use: tuple[tuple[int, float], ...] = ()
 
     @property
@@ -131,6 +134,7 @@ def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None
         elasticities[name] = float((high - low) / (2 * SMALL * step))
     below, above = sweeps[0].steps[[0, -1]]
     odd = (above - below) / 2
+    hysteresis = stage.drive.hysteresis
     rigid = replace(stage, contact=_without_bristles(stage.contact), foot=None, base=None)
     return StageAnalysis(
         stage=stage,
@@ -141,6 +145,7 @@ def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None
         load_slope=float(odd),
         load_curvature=float(((above + below) / 2 - step) / -odd) if odd else float("nan"),
         coulomb_step=rigid.step(),
+        linear_step=replace(stage, drive=stage.drive.without_hysteresis()).step() if hysteresis else step,
         in_use=tuple((count, step_or_nan(stage.after(count))) for count in USE if stage.drift is not None),
     )
 

@@ -44,6 +44,14 @@ class StepDerivatives(NamedTuple):
     flyback_time: Array
 
 
+class RelativeStep(NamedTuple):
+    """Step size over a_f T1^2, and its derivatives, each an array."""
+
+    step: Array
+    by_ratio: Array
+    by_share: Array
+
+
 class _Motion(NamedTuple):
     """What all formulas are made of; broadcast arrays, nan outside the domain."""
 
@@ -55,6 +63,7 @@ class _Motion(NamedTuple):
     slowing: Array  # A
     gaining: Array  # B
     foot_speed: Array  # U
+    ratio: Array  # lambda
     is_limited: BoolArray
 
     @property
@@ -77,29 +86,14 @@ class _Motion(NamedTuple):
 def drive_ratio(
     friction_acceleration: npt.ArrayLike, ramp_time: npt.ArrayLike, amplitude: npt.ArrayLike
 ) -> Array:
-    """Compute lambda = D / (a_f T1^2): how fast the ramp is for the friction.
-
-    Parameters
-    ----------
-    friction_acceleration : array_like
-        a_f, m/s^2 (rad/s^2 for a rotary joint), as in all functions of this module.
-    ramp_time : array_like
-        T1, s.
-    amplitude : array_like
-        D, m (rad).
-
-    Returns
-    -------
-    ndarray
-        Dimensionless.
+    """Compute lambda = D / (a_f T1^2): how fast the ramp is for the friction; parameters as for `step_size`.
 
     Examples
     --------
     >>> float(drive_ratio(50.0, 1e-4, 1e-6))
     2.0
     """
-    m = _motion(friction_acceleration, ramp_time, amplitude, 0.0, 0.0)
-    return m.amplitude / (m.friction * m.ramp_time**2)
+    return _motion(friction_acceleration, ramp_time, amplitude, 0.0, 0.0).ratio
 
 
 def is_friction_limited(
@@ -118,6 +112,38 @@ def is_friction_limited(
     array([False, False,  True])
     """
     return _motion(friction_acceleration, ramp_time, amplitude, load, 0.0).is_limited
+
+
+def relative_step(ratio: npt.ArrayLike, share: npt.ArrayLike) -> RelativeStep:
+    """Compute the step with instant flyback over a_f T1^2, from which all others follow.
+
+    Parameters
+    ----------
+    ratio : array_like
+        lambda.
+    share : array_like
+        r = G / a_f: load against the motion over friction.
+
+    Returns
+    -------
+    RelativeStep
+        The step and its derivatives by `ratio` and by `share`; nan unless |r| < 1. Where the regimes meet,
+        the derivatives are those of the smaller lambda.
+
+    Examples
+    --------
+    >>> [round(float(value), 3) for value in relative_step(0.5, 0.1)]
+    [0.475, 0.899, -0.258]
+    """
+    ratio, held = np.asarray(ratio, dtype=float), np.asarray(share, dtype=float)
+    held = np.where(np.abs(held) < 1, held, np.nan)
+    with np.errstate(invalid="ignore"):
+        is_limited, slowed = ratio > 1 - held, ratio / (1 - held**2)
+        return RelativeStep(
+            np.where(is_limited, (1 - held) / (1 + held), ratio * (1 - slowed * held)),
+            np.where(is_limited, 0 * held, 1 - 2 * slowed * held),
+            np.where(is_limited, -2 / (1 + held) ** 2, -(slowed**2) * (1 + held**2)),
+        )
 
 
 def step_size(
@@ -156,9 +182,7 @@ def step_size(
            [1000.   ,  821.328]])
     """
     m = _motion(friction_acceleration, ramp_time, amplitude, load, flyback_time)
-    limited = m.friction * m.ramp_time**2 * m.gaining / m.slowing
-    reached = m.amplitude - m.foot_speed**2 * m.load / (m.slowing * m.gaining)
-    return np.where(m.is_limited, limited, reached) - _back_slip(m)
+    return m.friction * m.ramp_time**2 * relative_step(m.ratio, m.load / m.friction).step - _back_slip(m)
 
 
 def back_slip(
@@ -234,23 +258,17 @@ def step_derivatives(
     (True, 0.0)
     """
     m = _motion(friction_acceleration, ramp_time, amplitude, load, flyback_time)
-    product = m.slowing * m.gaining
-    zero = 0 * m.friction
-    of_limited = (
-        m.ramp_time**2 * (m.gaining / m.slowing + 2 * m.friction * m.load / m.slowing**2),
-        2 * m.friction * m.ramp_time * m.gaining / m.slowing,
-        zero,
-        -2 * (m.friction * m.ramp_time / m.slowing) ** 2,
+    time, unit = m.ramp_time, relative_step(m.ratio, m.load / m.friction)
+    unscaled = unit.step - m.ratio * unit.by_ratio
+    steps = (
+        time**2 * (unscaled - m.load / m.friction * unit.by_share),
+        2 * m.friction * time * unscaled,
+        unit.by_ratio,
+        time**2 * unit.by_share,
+        0 * m.friction,
     )
-    of_reached = (
-        2 * m.friction * m.load * (m.foot_speed / product) ** 2,
-        2 * m.foot_speed**2 * m.load / (product * m.ramp_time),
-        1 - 2 * m.foot_speed * m.load / (m.ramp_time * product),
-        -(m.friction**2 + m.load**2) * (m.foot_speed / product) ** 2,
-    )
-    steps = [np.where(m.is_limited, a, b) for a, b in zip(of_limited, of_reached, strict=True)]
     losses = _back_slip_derivatives(m)
-    return StepDerivatives(*[a - b for a, b in zip([*steps, zero], losses, strict=True)])
+    return StepDerivatives(*[a - b for a, b in zip(steps, losses, strict=True)])
 
 
 def _motion(
@@ -269,8 +287,8 @@ def _motion(
     outside = ~((a_f > 0) & (t_1 > 0) & (d > 0) & (np.abs(g) < a_f) & (t_f >= 0))
     for values in (a_f, t_1, d, g, t_f):
         values[outside] = np.nan
-    speed = d / t_1
-    return _Motion(a_f, t_1, d, g, t_f, a_f + g, a_f - g, speed, speed > (a_f - g) * t_1)
+    ratio = d / (a_f * t_1**2)
+    return _Motion(a_f, t_1, d, g, t_f, a_f + g, a_f - g, d / t_1, ratio, ratio > 1 - g / a_f)
 
 
 def _back_slip(m: _Motion) -> Array:

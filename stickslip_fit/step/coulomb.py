@@ -109,7 +109,7 @@ def coulomb_step(
     """
     friction, g, ratio, count = _check(motion, friction_acceleration, load, breakaway, periods)
     sets = [np.broadcast_to(values, count).reshape(-1) for values in (friction, g, ratio)]
-    pieces = [_side_by_side(values, count) for values in _arrays(motion)]
+    pieces = [_side_by_side(values, count) for values in motion.arrays]
     steps = np.empty(sets[0].size)
     for begin in range(0, len(steps), CHUNK):
         part = slice(begin, begin + CHUNK)
@@ -163,10 +163,6 @@ def _check(
         raise InputError("friction does not hold the load, which is no smaller: the slider runs away")
     shape = np.broadcast_shapes(motion.duration.shape[1:], friction.shape, g.shape, ratio.shape)
     return friction, g, ratio, shape
-
-
-def _arrays(motion: FootMotion) -> tuple[Array, Array, Array, Array]:
-    return motion.duration, motion.position, motion.velocity, motion.acceleration
 
 
 def _side_by_side(values: Array, count: tuple[int, ...]) -> Array:

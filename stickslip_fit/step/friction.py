@@ -19,7 +19,7 @@ A model is the scalar kernels in `stickslip_fit.step._kernels`, by its `kind`, a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import isfinite
 from typing import ClassVar
 
@@ -33,19 +33,17 @@ MAX_ELEMENTS = 50
 
 
 class BristleModel(ABC):
-    """What all models have."""
+    """What all models have.
+
+    The resistance is viscosity times w, and for each bristle stiffness times z and damping times dz/dt.
+    """
 
     kind: ClassVar[int]
 
     @property
     @abstractmethod
     def parameters(self) -> Array:
-        """What the kernels need, shape (p,)."""
-
-    @property
-    def states(self) -> int:
-        """Number of bristle states."""
-        return 1
+        """What the kernels need: viscosity; stiffness, then damping of each bristle; the model's own."""
 
     @property
     @abstractmethod
@@ -55,7 +53,12 @@ class BristleModel(ABC):
     @property
     @abstractmethod
     def deflections(self) -> Array:
-        """Of each state in steady sliding, m; shape (states,)."""
+        """Of each bristle in steady sliding, m; shape (states,)."""
+
+    @property
+    def states(self) -> int:
+        """Number of bristle states."""
+        return len(self.deflections)
 
     def evaluate(self, deflection: npt.ArrayLike, velocity: float) -> tuple[float, Array]:
         """Compute the resistance to sliding, N, and the rates of the bristle states.
@@ -81,11 +84,28 @@ class BristleModel(ABC):
 
         z = np.array(deflection, dtype=float).reshape(self.states)
         rates = np.zeros(self.states)
-        return float(resist(self.kind, self.parameters, z, float(velocity), rates, 0)), rates
+        return float(resist(self.kind, self.parameters, z, float(velocity), rates, 0, 0.0)), rates
+
+
+class OneBristle(BristleModel):
+    """A model with one bristle: `kinetic` friction, N, and `stiffness`, N/m, are among its attributes."""
+
+    kinetic: float
+    stiffness: float
+
+    @property
+    def limit(self) -> float:
+        """See `BristleModel`."""
+        return self.kinetic
+
+    @property
+    def deflections(self) -> Array:
+        """See `BristleModel`."""
+        return np.array([self.kinetic / self.stiffness])
 
 
 @dataclass(frozen=True)
-class LuGre(BristleModel):
+class LuGre(OneBristle):
     """The LuGre model.
 
     Attributes
@@ -124,18 +144,10 @@ class LuGre(BristleModel):
 
     @property
     def parameters(self) -> Array:
-        """Values in the order of the fields, shape (p,)."""
-        return np.array([getattr(self, field.name) for field in fields(self)], dtype=float)
-
-    @property
-    def limit(self) -> float:
-        """See `BristleModel`."""
-        return self.kinetic
-
-    @property
-    def deflections(self) -> Array:
-        """See `BristleModel`."""
-        return np.array([self.kinetic / self.stiffness])
+        """See `BristleModel`; its own are steady deflection, what static friction adds to it, and speed."""
+        more = (self.static - self.kinetic) / self.stiffness
+        own = (*self.deflections, more, self.stribeck_speed)
+        return np.array([self.viscosity, self.stiffness, self.damping, *own])
 
 
 @dataclass(frozen=True)
@@ -168,9 +180,14 @@ class Elastoplastic(LuGre):
                 f"kinetic friction / stiffness = {steady:g} m, the steady deflection of sliding"
             )
 
+    @property
+    def parameters(self) -> Array:
+        """See `LuGre`; and the break-away deflection."""
+        return np.append(super().parameters, self.breakaway_deflection)
+
 
 @dataclass(frozen=True)
-class Dahl(BristleModel):
+class Dahl(OneBristle):
     """Dahl's model.
 
     Attributes
@@ -195,18 +212,8 @@ class Dahl(BristleModel):
 
     @property
     def parameters(self) -> Array:
-        """Values in the order of the fields, shape (p,)."""
-        return np.array([self.kinetic, self.stiffness, self.exponent])
-
-    @property
-    def limit(self) -> float:
-        """See `BristleModel`."""
-        return self.kinetic
-
-    @property
-    def deflections(self) -> Array:
-        """See `BristleModel`."""
-        return np.array([self.kinetic / self.stiffness])
+        """See `BristleModel`; its own are steady deflection and exponent."""
+        return np.array([0.0, self.stiffness, 0.0, *self.deflections, self.exponent])
 
 
 @dataclass(frozen=True)
@@ -246,14 +253,10 @@ class MaxwellSlip(BristleModel):
         return np.array(self.limits) / np.array(self.stiffnesses)
 
     @property
-    def states(self) -> int:
-        """Number of elements."""
-        return len(self.limits)
-
-    @property
     def parameters(self) -> Array:
-        """Damping, stiffnesses, limits; shape (1 + 2 n,)."""
-        return np.array([self.damping, *self.stiffnesses, *self.limits])
+        """See `BristleModel`; its own are the deflections at which elements slip."""
+        stiffness = np.array(self.stiffnesses)
+        return np.array([0.0, *stiffness, *(self.damping * stiffness / stiffness.sum()), *self.deflections])
 
 
 def spread_maxwell_slip(

@@ -34,6 +34,16 @@ class FootMotion:
     acceleration: Array
 
     @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Duration, position, velocity and acceleration."""
+        return self.duration, self.position, self.velocity, self.acceleration
+
+    @property
+    def ends(self) -> Array:
+        """Position at the end of each piece, m."""
+        return self.position + (self.velocity + self.acceleration * self.duration / 2) * self.duration
+
+    @property
     def period(self) -> Array:
         """Duration of all pieces, s."""
         return self.duration.sum(axis=0)

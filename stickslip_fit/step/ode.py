@@ -6,7 +6,7 @@ is a mass on a spring whose rest position is the waveform; without, it follows t
 on a spring, takes the reaction of both.
 
 Each piece of the waveform is integrated by itself, so that no solver steps over a jump of the foot's
-acceleration: by Runge-Kutta 5(4) where numba is installed, else by
+acceleration: by the Rosenbrock method of `stickslip_fit.step._kernels` where numba is installed, else by
 scipy's LSODA (Maxwell-slip, which has jumps, by its explicit RK45).
 """
 
@@ -58,10 +58,7 @@ class Foot:
     damping_ratio: float = 0.02
 
     def __post_init__(self) -> None:
-        if not (
-            isfinite(self.mass) and self.mass > 0 and self.resonance > 0 and 0 <= self.damping_ratio < 10
-        ):
-            raise InputError("the foot's mass and resonance must be above 0, its damping ratio 0 to 10")
+        _check_body("foot", self, self.resonance > 0, "above 0")
 
     @property
     def is_dynamic(self) -> bool:
@@ -93,11 +90,14 @@ class RecoilBase:
     damping_ratio: float = 0.02
 
     def __post_init__(self) -> None:
-        usable = isfinite(self.mass) and self.mass > 0 and 0 <= self.resonance < np.inf
-        if not (usable and 0 <= self.damping_ratio < 10):
-            raise InputError(
-                "the base's mass must be above 0, its resonance 0 or more, its damping ratio 0 to 10"
-            )
+        _check_body("base", self, 0 <= self.resonance < np.inf, "0 or more")
+
+
+def _check_body(name: str, body: Foot | RecoilBase, has_resonance: bool, resonance: str) -> None:
+    if not (0 < body.mass < np.inf and has_resonance and 0 <= body.damping_ratio < 10):
+        raise InputError(
+            f"the {name}'s mass must be above 0, its resonance {resonance}, its damping ratio 0 to 10"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class BristleMotion:
     steps : ndarray, shape (periods,)
         Displacement of the slider over each period, m.
     solver_steps : int
-        Of the Runge-Kutta method, or right-hand sides that LSODA evaluated.
+        Of the Rosenbrock method, or right-hand sides that LSODA evaluated.
     """
 
     time: Array
@@ -200,7 +200,7 @@ def solve_motion(
     if solver == "compiled" and not _kernels.COMPILED:
         raise InputError("the compiled solver needs numba: install stickslip-fit[numba], or take lsoda")
     is_dynamic = foot is not None and foot.is_dynamic
-    pieces = np.stack([motion.duration, motion.position, motion.velocity, motion.acceleration], axis=1)
+    pieces = np.stack(motion.arrays, axis=1)
     intervals = _intervals(pieces[:, 0], samples, periods)
     mechanical = 2 + 2 * is_dynamic + 2 * (base is not None)
     y = np.zeros(mechanical + model.states)
@@ -232,10 +232,10 @@ def _check(
         raise InputError("give one motion, a slider mass above 0 and a finite load")
     if mass * abs(load) >= model.limit:
         raise InputError("friction does not hold the load, which is no smaller: the slider runs away")
-    ends = motion.position + (motion.velocity + motion.acceleration * motion.duration / 2) * motion.duration
-    jumps = np.roll(motion.position, -1) - ends
-    is_instant = (motion.duration == 0) & (motion.position != np.roll(motion.position, -1))
-    has_jump = np.any(is_instant) or np.max(np.abs(jumps)) > 1e-9 * np.ptp(ends)
+    ends = motion.ends
+    next_positions = np.append(motion.position[1:], motion.position[0])
+    is_instant = (motion.duration == 0) & (motion.position != next_positions)
+    has_jump = np.any(is_instant) or np.max(np.abs(next_positions - ends)) > 1e-9 * np.ptp(ends)
     if has_jump and not (foot and foot.is_dynamic):
         message = "the foot jumps, which bristles cannot follow"
         raise InputError(f"{message}; give the flyback a time, or the foot a resonance")
@@ -312,7 +312,7 @@ def _run_lsoda(
             if evaluations > max_steps:
                 raise _too_stiff(max_steps)
             change = np.empty(len(state))
-            slope(t, state, change, *shape, command)
+            slope(t, state, change, *shape, command, 0.0)
             return change
 
         jolt(y, piece[2] - last, shape[0], shape[1], shape[2])
@@ -331,26 +331,17 @@ def _run_lsoda(
 def _collect(
     states: Array, pieces: Array, intervals: Array, shape: tuple, mechanical: int, periods: int, taken: int
 ) -> BristleMotion:
-    from stickslip_fit.step._kernels import resist
+    from stickslip_fit.step._kernels import resist_all
 
     is_dynamic, has_base, _, kind, parameters = shape
-    own = pieces[intervals[:, 0].astype(int)]
-    passed = intervals[:, 2]
-    speed, extension = (
-        own[:, 2] + own[:, 3] * passed,
-        own[:, 1] + (own[:, 2] + own[:, 3] * passed / 2) * passed,
-    )
-    base, base_speed = np.zeros((2, len(states)))
     if is_dynamic:
-        extension, speed = states[:, 2], states[:, 3]
-    if has_base:
-        base, base_speed = states[:, mechanical - 2], states[:, mechanical - 1]
-    rates = np.empty(states.shape[1])
-    sliding = states[:, 1] - speed - base_speed
-    friction = [
-        -resist(kind, parameters, state, w, rates, mechanical)
-        for state, w in zip(states, sliding, strict=True)
-    ]
+        extension, speed = states[:, 2:4].T
+    else:
+        _, position, velocity, change = pieces[intervals[:, 0].astype(int)].T
+        passed = intervals[:, 2]
+        extension, speed = position + (velocity + change * passed / 2) * passed, velocity + change * passed
+    base, base_speed = states[:, mechanical - 2 : mechanical].T if has_base else np.zeros((2, len(states)))
+    friction = -resist_all(kind, parameters, states, states[:, 1] - speed - base_speed, mechanical)
     time = np.cumsum(intervals[:, 2] - intervals[:, 1])
     ends = states[len(states) // periods - 1 :: len(states) // periods, 0]
     zero = np.zeros(1)

@@ -15,6 +15,7 @@ from stickslip_fit.step.closed_form import drive_ratio, is_friction_limited
 from stickslip_fit.step.coulomb import coulomb_motion, coulomb_step
 from stickslip_fit.step.drift import StageDrift
 from stickslip_fit.step.friction import BristleModel, Dahl, Elastoplastic, LuGre, spread_maxwell_slip
+from stickslip_fit.step.hysteresis import Hysteresis
 from stickslip_fit.step.motion import FootMotion, WaveformName, make_motion, motion_from_table
 from stickslip_fit.step.ode import Foot, RecoilBase, solve_motion
 
@@ -98,13 +99,15 @@ class Drive:
     voltage : float
         Peak to peak, V.
     gain : float
-        Travel of the foot per volt, m/V.
+        Travel of the foot per volt, with hysteresis of a large change, m/V.
     ramp_time, flyback_time, rest_time : float
         s.
     waveform : {'ramp', 'parabola', 's-curve'}
         See `make_motion`.
     table : tuple of two tuples, optional
-        Times, s, and shares of the voltage, in place of all the others.
+        Times, s, and shares of the voltage, in place of times and waveform.
+    hysteresis : Hysteresis or None
+        Of the piezo in settled use; None for a travel that follows the voltage.
     """
 
     voltage: float
@@ -114,19 +117,27 @@ class Drive:
     rest_time: float = 0.0
     waveform: WaveformName = "ramp"
     table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    hysteresis: Hysteresis | None = None
 
     @property
     def amplitude(self) -> float:
         """Travel of the foot, m."""
-        return self.voltage * self.gain
+        swing = self.voltage if self.hysteresis is None else self.hysteresis.span(self.voltage)
+        return swing * self.gain
 
     def motion(self) -> FootMotion:
         """Make the foot's motion; InputError for values that make none."""
+        travel = self.voltage * self.gain
         if self.table is not None:
-            times, shares = self.table
-            return motion_from_table(times, self.amplitude * np.array(shares))
-        times = (self.ramp_time, self.flyback_time, self.rest_time)
-        return make_motion(self.waveform, self.amplitude, *times)
+            motion = motion_from_table(self.table[0], travel * np.array(self.table[1]))
+        else:
+            times = (self.ramp_time, self.flyback_time, self.rest_time)
+            motion = make_motion(self.waveform, travel, *times)
+        return motion if self.hysteresis is None else self.hysteresis.apply(motion, self.gain)
+
+    def without_hysteresis(self) -> Drive:
+        """The drive of a linear piezo with the same travel."""
+        return replace(self, gain=self.amplitude / self.voltage, hysteresis=None)
 
 
 @dataclass(frozen=True)
@@ -179,7 +190,8 @@ class Stage:
     @property
     def has_ramp(self) -> bool:
         """Whether the closed forms of `step_size` describe the foot's motion."""
-        return self.drive.table is None and self.drive.waveform == "ramp"
+        drive = self.drive
+        return drive.table is None and drive.waveform == "ramp" and drive.hysteresis is None
 
     @property
     def drive_ratio(self) -> float:

@@ -13,6 +13,7 @@ from pydantic import model_validator
 from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, read_toml
 from stickslip_fit.errors import InputError
 from stickslip_fit.step.drift import StageDrift
+from stickslip_fit.step.hysteresis import Hysteresis, MaxwellCapacitor, PrandtlIshlinskii
 from stickslip_fit.step.motion import WaveformName
 from stickslip_fit.step.ode import Foot, RecoilBase
 from stickslip_fit.step.stage import GRAVITY, Contact, ContactName, Drive, Stage
@@ -69,7 +70,7 @@ class DriveTable(TomlTable):
     voltage: Annotated[float, Quantity(("V",), (1e-6, 1e5))]
     """Peak to peak."""
     gain: Annotated[float, Quantity(("nm/V",), (1e-15, 1e-3))]
-    """Travel of the foot per volt."""
+    """Travel of the foot per volt; with hysteresis, of a large change of voltage."""
     waveform: WaveformName = "ramp"
     """Forward at constant speed, at constant acceleration from rest, or rest to rest."""
     ramp_time: RampTime = None
@@ -84,6 +85,38 @@ class DriveTable(TomlTable):
     """Of a table, in place of waveform, ramp_time, flyback_time and rest_time."""
     shares: Annotated[list[float] | None, Give("give a list of numbers, one for each time")] = None
     """Of the voltage, at the table's times; the last is the first."""
+
+
+class HysteresisTable(TomlTable):
+    """The piezo's hysteresis, by play operators or by elements; without this table travel follows voltage."""
+
+    weights: Annotated[list[float] | None, Quantity(("%", "1"), (0.0, 1.0), "give a list of numbers; {}")] = (
+        None
+    )
+    """Of play operators (Prandtl-Ishlinskii): share of a large travel that each carries."""
+    thresholds: Annotated[list[float] | None, Quantity(("V",), (0.0, 1e5), "give a list of numbers; {}")] = (
+        None
+    )
+    """Of play operators: half the change of voltage after which each joins."""
+    stiffnesses: Annotated[list[float] | None, Quantity(("1",), (0.0, 1e6), "give a list of numbers; {}")] = (
+        None
+    )
+    """Of elasto-slide elements (Maxwell): over that of the spring beside them, 1/gain."""
+    break_voltages: Annotated[
+        list[float] | None, Quantity(("V",), (0.0, 1e5), "give a list of numbers; {}")
+    ] = None
+    """Of elasto-slide elements: at which each slides."""
+
+    def make_hysteresis(self) -> Hysteresis | None:
+        """The model, if the table has one; InputError for values that make none."""
+        plays, elements = (self.weights, self.thresholds), (self.stiffnesses, self.break_voltages)
+        given = [pair for pair in (plays, elements) if pair != (None, None)]
+        if not given:
+            return None
+        if len(given) == 2 or None in given[0]:
+            raise InputError("give weights and thresholds, or stiffnesses and break_voltages")
+        make = PrandtlIshlinskii if given[0] is plays else MaxwellCapacitor
+        return make(*(tuple(values or ()) for values in given[0]))
 
 
 class FootTable(TomlTable):
@@ -133,6 +166,7 @@ class StageFile(TomlTable):
     slider: SliderTable
     contact: ContactTable
     drive: DriveTable
+    hysteresis: HysteresisTable
     foot: FootTable
     base: BaseTable
     drift: DriftTable
@@ -172,6 +206,11 @@ class StageFile(TomlTable):
             )
         if not bristles and (foot.resonance is not None or base.mass is not None):
             yield "choose a model with bristles for a foot with a resonance, or a base", ("contact", "model")
+        try:
+            self.hysteresis.make_hysteresis()
+        except InputError as error:
+            yield str(error), ("hysteresis", next(iter(self.hysteresis._written)))
+            return
         yield from self._drive_misfits(bristles and foot.resonance is None)
 
     def _drive_misfits(self, needs_flyback: bool) -> Iterator[Misfit]:
@@ -227,7 +266,8 @@ class StageFile(TomlTable):
         own = self.drive
         table = (tuple(own.times), tuple(own.shares)) if own.times and own.shares else None
         times = (own.ramp_time or 0.0, own.flyback_time, own.rest_time)
-        return Drive(own.voltage, own.gain, *times, own.waveform, table)
+        hysteresis = self.hysteresis.make_hysteresis()
+        return Drive(own.voltage, own.gain, *times, own.waveform, table, hysteresis)
 
 
 def read_stage(path: str | Path) -> Stage:

@@ -21,6 +21,8 @@ from stickslip_fit.step import (
     solve_motion,
     spread_maxwell_slip,
 )
+from stickslip_fit.step._kernels import factorize, linearize, slope, solve
+from stickslip_fit.step.ode import _constants
 
 SOLVERS = [
     pytest.param("compiled", marks=pytest.mark.skipif(not find_spec("numba"), reason="needs numba")),
@@ -28,6 +30,7 @@ SOLVERS = [
 ]
 MOTION = make_motion("ramp", 3e-6, 1e-4, 5e-6, 2.65e-4)
 MASS, FORCE, LOAD = 1e-3, 0.05, 9.81
+HEAVY = RecoilBase(0.02, 400.0, 0.1)
 MODELS = {
     "LuGre": LuGre(FORCE, 1.2 * FORCE, 1e-3, 1e6, 0.5, 0.1),
     "Dahl": Dahl(FORCE, 1e6, 1.5),
@@ -41,9 +44,60 @@ MODELS = {
 def test_a_step_is_within_a_fiftieth_of_a_nanometre_of_a_much_tighter_solution(model, solver):
     usual = solve_motion(MOTION, MASS, model, LOAD, solver=solver)
     tight = solve_motion(MOTION, MASS, model, LOAD, solver=solver, relative=1e-10)
-    assert np.max(np.abs(usual.steps - tight.steps)) < 0.02e-9
+    # The compiled solver ends its steps where sliding changes sides and where an element slips.
+    assert np.max(np.abs(usual.steps - tight.steps)) < (1e-4 if solver == "compiled" else 0.02) * 1e-9
     # A share of the tolerance, so that the reference is one; the step itself is some 270 nm.
     assert usual.steps[-1] > 200e-9
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("w", [2e-4, -0.03])
+@pytest.mark.parametrize(
+    ("foot", "base"), [(None, None), (Foot(1e-3, 6e4), None), (Foot(1e-3), HEAVY), (Foot(1e-3, 6e4), HEAVY)]
+)
+def test_the_linear_system_of_a_stage_is_that_of_the_equations_of_motion(model, w, foot, base):
+    """The Jacobian by differences, and the derivative by time, against what the kernels solve."""
+    has_piezo = foot is not None and foot.is_dynamic
+    shape = has_piezo, base is not None, _constants(MASS, LOAD, foot, base)
+    friction, command = (model.kind, model.parameters), np.array([1e-7, 0.02, 300.0])
+    mechanical = 2 + 2 * has_piezo + 2 * (base is not None)
+    y = 1e-3 * np.arange(1.0, mechanical + model.states + 1)
+    y[mechanical:] = np.linspace(0.6, 1.3, model.states) * np.sign(w) * model.deflections
+    foot_speed = y[3] if has_piezo else command[1] + command[2] * 1e-5
+    y[1] = w + foot_speed + (y[mechanical - 1] if base is not None else 0.0)
+
+    def rate(t, state):
+        change = np.empty(len(y))
+        slope(t, state, change, *shape, *friction, command, 0.0)
+        return change
+
+    scales = np.r_[np.tile([1e-7, 1e-3], mechanical // 2), model.deflections]
+    by_state = np.column_stack(
+        [
+            (rate(1e-5, y + d) - rate(1e-5, y - d)) / (2e-5 * s)
+            for s, d in zip(scales, np.diag(1e-5 * scales), strict=True)
+        ]
+    )
+    bristles, by_time, factors = np.empty((4, model.states)), np.empty(len(y)), np.empty(9)
+    by_speed = linearize(1e-5, y, *shape, *friction, command, np.sign(w), bristles, by_time)
+    expected = (rate(1.001e-5, y) - rate(0.999e-5, y)) / 2e-8
+    np.testing.assert_allclose(by_time, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    g, r = 3e5, np.r_[np.tile([0.01, 100.0], mechanical // 2), np.full(model.states, 1e-3)]
+    factorize(g, *shape, bristles, by_speed, factors)
+    solved = np.empty((1, len(y)))
+    solve(r, solved, 0, *shape, bristles, factors)
+    exact = np.linalg.solve(g * np.eye(len(y)) - by_state, r)
+    np.testing.assert_allclose(solved[0], exact, rtol=1e-4)
+
+
+@pytest.mark.skipif(not find_spec("numba"), reason="needs numba")
+def test_stiffer_bristles_take_hardly_more_solver_steps_in_sliding():
+    motion = make_motion("ramp", 3e-6, 1e-4, 1e-4)  # it never rests
+    steps = [
+        solve_motion(motion, MASS, LuGre(FORCE, 1.2 * FORCE, 1e-3, stiffness), periods=1).solver_steps
+        for stiffness in (1e7, 1e9)
+    ]
+    assert steps[1] < 2 * steps[0] < 400
 
 
 @pytest.mark.skipif(not find_spec("numba"), reason="needs numba")
@@ -126,7 +180,7 @@ def test_no_call_hangs(solver):
     stiff = LuGre(FORCE, FORCE, 1e-3, 1e14, 0.0)
     started = process_time()
     with pytest.raises(StepLimitError, match="too stiff"):
-        solve_motion(MOTION, MASS, stiff, solver=solver, max_steps=2000)
+        solve_motion(MOTION, MASS, stiff, solver=solver, max_steps=100)
     assert process_time() - started < 20
 
 

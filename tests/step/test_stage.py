@@ -13,6 +13,8 @@ from stickslip_fit.step import (
     Contact,
     Drive,
     Foot,
+    MaxwellCapacitor,
+    PrandtlIshlinskii,
     Stage,
     StageDrift,
     analyse_stage,
@@ -101,6 +103,23 @@ def test_wear_in_use_shows_by_the_distance_slid(tmp_path):
     assert "Step size in use" in analyse_stage(read).summary().as_text()
 
 
+def test_the_keys_of_hysteresis_are_read_and_answered(tmp_path):
+    lines = ("weights_pct", "thresholds_V", "stiffnesses", "break_voltages_V")
+    table = ("# [hysteresis]", "[hysteresis]")
+    low = ("voltage_V = 80", "voltage_V = 20")
+    plays, elements = ([(f"# {key}", key) for key in pair] for pair in (lines[:2], lines[2:]))
+    read = read_stage(write(tmp_path, table, low, *plays))
+    assert read.drive.hysteresis == PrandtlIshlinskii((0.1, 0.08, 0.08), (3.0, 9.0, 20.0))
+    shown = str(analyse_stage(read).summary())
+    # 2 (0.1 x 3 + 0.08 x 1) x 30 nm: of the second play, 20 V less 2 x 9 V is left.
+    assert "opens a loop of 22.8 nm, 4.6 %" in " ".join(shown.split())
+    assert "A linear piezo of the same travel would step 490.8 nm" in " ".join(shown.split())
+    small = read_stage(write(tmp_path, table, ("voltage_V = 80", "voltage_V = 5"), *plays))
+    assert "too small to open the loop" in str(analyse_stage(small).summary())
+    read = read_stage(write(tmp_path, table, *elements))
+    assert read.drive.hysteresis == MaxwellCapacitor((0.2, 0.15), (2.0, 4.0))
+
+
 def test_a_sweep_has_gaps_where_friction_does_not_hold_the_load():
     sweep = sweep_step(LIMITED, "load", [0.0, 49.0, 51.0, -51.0])
     assert list(np.isnan(sweep.steps)) == [False, False, True, True]
@@ -146,6 +165,17 @@ def test_the_example_of_a_stage_file_is_read(tmp_path):
             'model = "elastoplastic"\nstiffness_N_per_um = 20\nelastic_share_pct = 120 #',
             "elastic_share_pct, value '120': give a number in %, 1 to 99.9",
         ),
+        (
+            "# [hysteresis]",
+            "[hysteresis]\nweights_pct = [10, 20]\nthresholds_V = [3] #",
+            "line 29, column hysteresis.weights_pct, value '[10, 20]': give 1 to 50 play operators",
+        ),
+        (
+            "# [hysteresis]",
+            "[hysteresis]\nweights_pct = [10]\nbreak_voltages_V = [3] #",
+            "give weights and thresholds, or stiffnesses and break_voltages",
+        ),
+        ("# [hysteresis]", "[hysteresis]\nthresholds_V = 3 #", "give a list of numbers"),
         (
             "flyback_time_ms = 0.005",
             "flyback_time_ms = 0.0",
