@@ -300,7 +300,12 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     What is mostly in one row cannot be told from an outlier there.
     """
     shared = [
-        one for one in hypotheses if not isinstance(one, Hypothesis) or one.largest_row_share <= MAX_ROW_SHARE
+        one
+        for one in hypotheses
+        if not isinstance(one, Hypothesis)
+        # No row has more than the largest share, since the directions are orthonormal.
+        or one.prior_share.max(initial=0.0) <= MAX_ROW_SHARE
+        or one.largest_row_share <= MAX_ROW_SHARE
     ]
     known = {classify_cause(one) for one in shared} | {UNKNOWN}
     return [one for one in hypotheses if classify_cause(one) not in known] + shared

@@ -225,7 +225,7 @@ def group_rows(
         ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1).round(6)
         labels["range"] = np.unique(np.column_stack([joint, ends]), axis=0, return_inverse=True)[1].ravel()
         for carrier in find_carriers(linearized):
-            labels[carrier.name] = _bin(traverse_average(carrier.values[:, :, None])[:, 0], joint)
+            labels[carrier.name] = _bin(traverse_average(carrier.values), joint)
         labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)
     groupings = {
         "session": _make_grouping(session, everywhere, 0),
