@@ -92,13 +92,19 @@ def _periodic_alternatives(
     angles = 2 * np.pi * values[:, None] / periods
     pairs = SMOOTH_SCALE * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     pairs /= linearized.scale[:, None, None]
-    sign = np.where((rows["direction"] == "+").to_numpy(), 1.0, -1.0)[:, None, None]
+    sign = linearized.direction_sign
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
     hypotheses: list[Hypothesis] = []
     numbers = [str(number) for number in range(len(periods))]
-    modes: tuple[tuple[Mode, Array], ...] = (("same", pairs), ("opposite", pairs * sign))
-    for mode, waves in modes:
-        for one in build_per_session_hypotheses(numbers, len(rows), sessions, waves):
+    alike = build_per_session_hypotheses(numbers, len(rows), sessions, pairs)
+    opposite = (
+        [replace(one, sign=sign) for one in alike]
+        if linearized.allows_opposite
+        else build_per_session_hypotheses(numbers, len(rows), sessions, pairs * sign[:, None, None])
+    )
+    modes: tuple[tuple[Mode, list[Hypothesis]], ...] = (("same", alike), ("opposite", opposite))
+    for mode, its_hypotheses in modes:
+        for one in its_hypotheses:
             version = replace(plain, mode=mode, period=float(periods[int(one.cause)]))
             hypotheses.append(replace(one, cause=f"unknown:{version}", version=version))
     return hypotheses

@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     VARIANCE_TOL,
     Hypothesis,
     make_hypothesis,
+    solve_eigenproblems,
     sum_lags,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
@@ -239,7 +240,8 @@ def _spectra(
         return owner, np.where(left > MIN_LEFT, left, 0.0) * root_share**2, squares
     each = [one.reshape(len(one), one.shape[1] // w, w).transpose(1, 2, 0) for one in coordinates]
     gram = np.eye(w) - np.concatenate([one @ one.transpose(0, 2, 1) for one in each])
-    variance, right = np.linalg.eigh(root_share[:, :, None] * gram * root_share[:, None, :])
+    scaled = root_share[:, :, None] * gram * root_share[:, None, :]
+    variance, right = solve_eigenproblems(scaled)
     coefficients = np.einsum("kwv,kw->kv", right, root_share * own)
     kept = variance > VARIANCE_TOL * np.sum(root_share**2, axis=1, keepdims=True)
     squares = coefficients**2 / np.where(kept, variance, np.inf)
@@ -252,6 +254,8 @@ class Look:
     def __init__(self, misfit: Misfit) -> None:
         assert misfit.basis is not None
         self.misfit, self.basis = misfit, misfit.basis
+        self._left_out: dict[bytes, LeftOut] = {}
+        self._known_effects: dict[int, Array] = {}
 
     @cached_property
     def _stacks(self) -> tuple[list[_Stack], IntArray]:
@@ -263,7 +267,7 @@ class Look:
             if isinstance(one, AR1):
                 continue
             first, least = 0, 0.0 if one.one_sided else -np.inf
-            for rows, block in one.blocks:
+            for rows, block in one.apply_sign().blocks:
                 if not (width := block.shape[1]):
                     continue
                 key = b"" if isinstance(rows, slice) else rows.tobytes()
@@ -289,6 +293,18 @@ class Look:
         common = np.flatnonzero(np.any(reach, axis=0))
         return [replace(one, overlap=one.overlap[common]) for one in stacks], common
 
+    def _effects(self, hypothesis: Hypothesis) -> Array:
+        """What a hypothesis changes in all rows, all calibration projected out."""
+        if id(hypothesis) not in self._known_effects:
+            effects = hypothesis.directions * np.sqrt(hypothesis.prior_share) * hypothesis.length
+            self._known_effects[id(hypothesis)] = effects - self.basis @ (self.basis.T @ effects)
+        return self._known_effects[id(hypothesis)]
+
+    def _leave_out(self, rows: IntArray) -> LeftOut:
+        if rows.tobytes() not in self._left_out:
+            self._left_out[rows.tobytes()] = LeftOut.of(self.basis, rows)
+        return self._left_out[rows.tobytes()]
+
     @cached_property
     def _causes(self) -> list[str]:
         return [classify_cause(one) for one in self.misfit.hypotheses]
@@ -305,7 +321,7 @@ class Look:
 
     def without(self, rows: IntArray) -> Misfit:
         """The test without some rows, its residual zero in them; neither p-value nor directions are new."""
-        residual, left_out = self.misfit.residual, LeftOut.of(self.basis, rows)
+        residual, left_out = self.misfit.residual, self._leave_out(rows)
         lost = left_out.coordinates(residual[rows, None])[:, 0]
         total = float(residual @ residual - lost @ lost)
         df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
@@ -363,11 +379,8 @@ class Look:
         """The cause as selected from the test `without` some rows."""
         best = without.best_hypothesis(cause)
         assert isinstance(best, Hypothesis)
-        effects = best.directions * np.sqrt(best.prior_share) * best.length
-        effects -= self.basis @ (self.basis.T @ effects)
-        own = make_hypothesis(
-            best.cause, best.version, best.values, LeftOut.of(self.basis, rows).remove(effects, self.basis)
-        )
+        effects = self._leave_out(rows).remove(self._effects(best), self.basis)
+        own = make_hypothesis(best.cause, best.version, best.values, effects)
         hypotheses = without.hypotheses if own is None else (own,)
         evidence = without.log_evidence if own is None else without.log_evidence.max(keepdims=True)
         return make_selected(

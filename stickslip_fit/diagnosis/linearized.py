@@ -136,6 +136,21 @@ class LinearizedFit:
         return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
 
     @cached_property
+    def direction_sign(self) -> Array:
+        """1 in rows of traverses in positive direction, -1 in the others, shape (n,)."""
+        return np.where((self.rows["direction"] == "+").to_numpy(), 1.0, -1.0)
+
+    @cached_property
+    def separates_directions(self) -> bool:
+        """Whether no block has rows in both directions."""
+        return all(np.ptp(self.direction_sign[rows]) == 0 for rows, _ in self.blocks)
+
+    @property
+    def allows_opposite(self) -> bool:
+        """Whether effects of opposite sign by direction are as large as the same without, once projected."""
+        return self.separates_directions and not self.shared_basis.shape[1]
+
+    @cached_property
     def _basis_transposed(self) -> csr_array:
         return csr_array(self.basis.T)
 

@@ -94,7 +94,7 @@ class HypothesisBatch:
 
     @property
     def n_directions(self) -> int:
-        """Number of directions of all hypotheses."""
+        """Number of directions of all hypotheses, those with a sign besides."""
         return int(self.explained_share.shape[1])
 
     def log_evidence(self, residuals: Array) -> Array:
@@ -140,10 +140,7 @@ class HypothesisBatch:
         """
         along, first = np.empty((self.n_directions, residuals.shape[1]), residuals.dtype), 0
         for group in self.groups:
-            own = along[first : (first := first + len(group.directions))]
-            np.matmul(group.directions, residuals[group.rows], out=own)
-            if np.isfinite(group.least).any():
-                np.maximum(own, group.least, out=own)
+            group.coefficients(residuals, along[first : (first := first + group.n_coefficients)])
         log = self.explained_share @ np.square(along, out=along)
         log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
@@ -173,7 +170,7 @@ def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> Hypothe
     share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
     signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
     row = owner[:, None] * n_strengths + np.arange(n_strengths)
-    first = np.cumsum([0, *(len(group.directions) for group in groups)])
+    first = np.cumsum([0, *(group.n_coefficients for group in groups)])
     columns = [k + group.index for k, group in zip(first, groups, strict=False)]
     column = np.concatenate([np.zeros(0, dtype=np.intp), *columns])
     column = np.broadcast_to(column[:, None], row.shape)

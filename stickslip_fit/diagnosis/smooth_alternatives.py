@@ -219,9 +219,7 @@ class _Builder:
         self.basis = linearized.basis[:, :n_own]
         self.basis_transposed = csr_array(self.basis.T)
         self.shared_basis = linearized.shared_basis
-        self.sign = np.where((linearized.rows["direction"] == "+").to_numpy(), 1.0, -1.0)
-        # Otherwise what calibration leaves of the effect in one direction has rows in both.
-        self.by_direction = all(np.ptp(self.sign[rows]) == 0 for rows, _ in linearized.blocks)
+        self.sign = linearized.direction_sign
         joint = linearized.rows["joint"].to_numpy()
         self.rows_of = {int(number): np.flatnonzero(joint == number) for number in np.unique(joint)}
         session = linearized.rows["session"].astype(object).to_numpy()
@@ -239,8 +237,13 @@ class _Builder:
     def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
         opposite = replace(term, mode="opposite")
-        found = [self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])]
-        found.append(self.make(name, term, [self.subspace(effects)]))
+        whole = self.subspace(effects)
+        found = [
+            self.make(f"{name}, opposite", opposite, [whole], self.sign)
+            if self.linearized.allows_opposite
+            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])
+        ]
+        found.append(self.make(name, term, [whole]))
         for direction, sign in (("+", 1.0), ("-", -1.0)):
             on = tuple((joint, direction) for joint in self.rows_of)
             one_way = self.subspace(effects, None, np.flatnonzero(self.sign == sign))
@@ -329,9 +332,9 @@ class _Builder:
         """What calibration leaves of effects in some rows; None where that is next to nothing."""
         subset: IntArray | slice = slice(None) if rows is None else rows
         before = float(np.sum(effects.squares[subset]))
-        own = (effects.own if self.by_direction else effects.whitened)[subset]
+        own = (effects.own if self.linearized.separates_directions else effects.whitened)[subset]
         own = own if sign is None else own * sign[subset, None]
-        if not self.by_direction:
+        if not self.linearized.separates_directions:  # then what calibration leaves has rows in both
             signed = np.zeros_like(effects.whitened)
             signed[subset] = own
             own, subset = self.project(signed), slice(None)
@@ -344,12 +347,15 @@ class _Builder:
         kept = variance > MIN_VARIANCE * total
         return _Subspace(subset, own @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
 
-    def make(self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None]) -> Hypothesis | None:
-        """The hypothesis with the directions of all parts, in rows of their own."""
+    def make(
+        self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None
+    ) -> Hypothesis | None:
+        """The hypothesis with the directions of all parts, in rows of their own, times a sign."""
         known = [part for part in parts if part is not None]
         if not known:
             return None
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
-        return Hypothesis(f"unknown:{name}", version, None, len(self.linearized), blocks, share, length)
+        n = len(self.linearized)
+        return Hypothesis(f"unknown:{name}", version, None, n, blocks, share, length, sign=sign)
