@@ -554,11 +554,11 @@ def sum_lags(before: npt.NDArray[np.intp], residuals: Array) -> LagSums:
     """Sums for `before` as of an `AR1`; residuals (n, k)."""
     follows = np.flatnonzero(before >= 0)
     successors = np.bincount(before[follows], minlength=len(before))
-    squares = residuals**2
+    squares, earlier, first = np.stack([np.ones(len(before)), successors, before < 0]) @ residuals**2
     return LagSums(
-        squares.sum(axis=0),
-        successors @ squares,
-        (before < 0) @ squares,
+        squares,
+        earlier,
+        first,
         np.einsum("ij,ij->j", residuals[follows], residuals[before[follows]]),
         len(before) - len(follows),
     )
