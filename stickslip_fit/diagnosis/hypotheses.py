@@ -235,18 +235,6 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     return Hypothesis(cause, version, values, len(effects), ((slice(None), directions),), share, length)
 
 
-def solve_eigenproblems(matrices: Array) -> tuple[Array, Array]:
-    """As `np.linalg.eigh` of symmetric matrices, shape (k, w, w); of two rows in closed form, much faster."""
-    if matrices.shape[1] != 2 or not np.isfinite(matrices).all():
-        return np.linalg.eigh(matrices)
-    first, both, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    middle, spread = (first + second) / 2, np.hypot((first - second) / 2, both)
-    angle = np.arctan2(both, (first - second) / 2) / 2
-    cosine, sine = np.cos(angle), np.sin(angle)
-    vectors = np.stack([-sine, cosine, cosine, sine], axis=1).reshape(-1, 2, 2)
-    return np.stack([middle - spread, middle + spread], axis=1), vectors
-
-
 def is_one_sided(version: Any, values: Array | None) -> bool:
     """Whether the bounds of a cause's size, its first parameter, exclude the other sign than it has here.
 
@@ -370,7 +358,7 @@ def build_per_session_hypotheses(
         )
         products = own.transpose(0, 2, 1) @ own - shared.transpose(0, 2, 1) @ shared
         try:
-            variance, right = solve_eigenproblems(products)
+            variance, right = np.linalg.eigh(products)
         except np.linalg.LinAlgError:  # of one of them: all are left out
             return []
         scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]

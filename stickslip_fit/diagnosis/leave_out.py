@@ -27,7 +27,6 @@ from stickslip_fit.diagnosis.hypotheses import (
     VARIANCE_TOL,
     Hypothesis,
     make_hypothesis,
-    solve_eigenproblems,
     sum_lags,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
@@ -241,11 +240,23 @@ def _spectra(
     each = [one.reshape(len(one), one.shape[1] // w, w).transpose(1, 2, 0) for one in coordinates]
     gram = np.eye(w) - np.concatenate([one @ one.transpose(0, 2, 1) for one in each])
     scaled = root_share[:, :, None] * gram * root_share[:, None, :]
-    variance, right = solve_eigenproblems(scaled)
+    variance, right = _solve_eigenproblems(scaled)
     coefficients = np.einsum("kwv,kw->kv", right, root_share * own)
     kept = variance > VARIANCE_TOL * np.sum(root_share**2, axis=1, keepdims=True)
     squares = coefficients**2 / np.where(kept, variance, np.inf)
     return np.repeat(owner, w), np.where(kept, variance, 0.0), squares
+
+
+def _solve_eigenproblems(matrices: Array) -> tuple[Array, Array]:
+    """As `np.linalg.eigh` of symmetric matrices, shape (k, w, w); of two rows in closed form, much faster."""
+    if matrices.shape[1] != 2 or not np.isfinite(matrices).all():
+        return np.linalg.eigh(matrices)
+    first, both, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    middle, spread = (first + second) / 2, np.hypot((first - second) / 2, both)
+    angle = np.arctan2(both, (first - second) / 2) / 2
+    cosine, sine = np.cos(angle), np.sin(angle)
+    vectors = np.stack([-sine, cosine, cosine, sine], axis=1).reshape(-1, 2, 2)
+    return np.stack([middle - spread, middle + spread], axis=1), vectors
 
 
 class Look:

@@ -433,7 +433,10 @@ def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Arr
     """Log evidence of each cause, averaged over its hypotheses; all of length H."""
     numbers = {cause: number for number, cause in enumerate(dict.fromkeys(causes))}
     label, total = np.array([numbers[cause] for cause in causes], dtype=np.intp), log_evidence + log_weight
-    return {cause: float(logsumexp(total[label == number])) for cause, number in numbers.items()}
+    highest = np.full(len(numbers), np.finfo(float).min)
+    np.maximum.at(highest, label, total)
+    mean = np.log(np.bincount(label, np.exp(total - highest[label]), len(numbers))) + highest
+    return dict(zip(numbers, mean.tolist(), strict=True))
 
 
 def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
