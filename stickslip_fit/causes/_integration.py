@@ -130,6 +130,7 @@ class PanelCounter(StepCounter):
         middles = start[:, None] + half * (2 * np.arange(n_panels) + 1)
         self.positions = (middles[:, :, None] + half[:, :, None] * GAUSS_NODES).reshape(len(start), -1)
         self.weights = np.abs(half) * np.tile(GAUSS_WEIGHTS, n_panels)
+        self._last: tuple[Array, Array] | None = None
 
     def is_exact(self, gamma: Array) -> BoolArray:
         """See `StepCounter.is_exact`: negligible last Legendre coefficients, or a joint that stalls."""
@@ -139,15 +140,18 @@ class PanelCounter(StepCounter):
 
     def counts(self, gamma: Array) -> Array:
         """See `StepCounter.counts`."""
-        return np.sum(self.weights * self._rate(gamma), axis=1)
+        return np.einsum("nk,nk->n", self.weights, self._rate(gamma))
 
     def derivatives(self, gamma: Array) -> Array:
         """See `StepCounter.derivatives`."""
         return -self.weights * self._rate(gamma) ** 2
 
     def _rate(self, gamma: Array) -> Array:
-        with np.errstate(divide="ignore"):
-            return np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), self.positions.shape)
+        if self._last is None or self._last[0] is not gamma:  # is asked for twice
+            with np.errstate(divide="ignore"):
+                rate = np.broadcast_to(np.where(gamma > 0, 1.0 / gamma, np.nan), self.positions.shape)
+            self._last = gamma, rate
+        return self._last[1]
 
 
 MAX_PANEL_HALVINGS = 7  # a step size that needs more is not smooth

@@ -9,6 +9,7 @@ their evidence; the fit is penalised by the prior.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -33,14 +34,20 @@ def cosines(x: Array, low: float, high: float, number: int) -> Array:
            [ 0., -1.],
            [-1.,  1.]])
     """
+    values = np.empty((*np.shape(x), number))
+    for k, own in enumerate(cosine_sequence(x, low, high, number)):
+        values[..., k] = own
+    return values
+
+
+def cosine_sequence(x: Array, low: float, high: float, number: int) -> Iterator[Array]:
+    """As `cosines`, one after the other."""
     share = np.clip((x - low) / (high - low), 0.0, 1.0)
-    values = np.empty((*share.shape, number))
     before, own = np.ones_like(share), np.cos(np.pi * share)
     twice = 2.0 * own
-    for k in range(number):  # the recurrence of Chebyshev polynomials, ten times as fast as so many cosines
-        values[..., k] = own
+    for _ in range(number):  # the recurrence of Chebyshev polynomials, ten times as fast as so many cosines
+        yield own
         before, own = own, twice * own - before
-    return values
 
 
 def prior_sds(length: float) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -39,17 +40,22 @@ MIN_TRAVERSES_PER_PERIOD = 2.5
 AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
-def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesis | AR1]:
+def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypothesis | AR1]:
     """Every unstructured alternative for which the rows have the columns; none in time without times."""
+    rows, scale = linearized.rows, linearized.scale[:, None]
+    for name, columns in chain(_configuration_indicators(rows), _harmonics(rows)):
+        if one := make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale)):
+            yield one
+    yield from build_smooth_alternatives(linearized)
+    if has_times(rows):
+        yield from _alternatives_in_time(linearized)
+        yield from _ar1_alternatives(rows)
+
+
+def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
+    """Smooth and periodic in time, alike in all sessions or of each."""
     sessions, rows = list(split_sessions(linearized).values()), linearized.rows
     n, scale = len(rows), linearized.scale[:, None]
-    hypotheses: list[Hypothesis | AR1 | None] = [
-        make_hypothesis(f"unknown:{name}", None, None, linearized.project(columns / scale))
-        for name, columns in (*_configuration_indicators(rows), *_harmonics(rows))
-    ]
-    hypotheses += build_smooth_alternatives(linearized)
-    if not has_times(rows):
-        return [one for one in hypotheses if one is not None]
     seconds = rows["session_seconds"].to_numpy(float)
     session = pd.factorize(rows["session"].astype(object))[0]
     waves = smooth_in_time(seconds, session) / scale
@@ -61,20 +67,18 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> list[Hypothesi
         tuple(1 / k for k in orders),
     )
     name = "unknown:time, the same in each session"
-    hypotheses.append(make_hypothesis(name, alike, None, linearized.project(waves)))
+    if one := make_hypothesis(name, alike, None, linearized.project(waves)):
+        yield one
     own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
-    hypotheses += _with_version(
-        own, build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None])
-    )
+    yield from _with_version(own, build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None]))
     for joint in map(int, rows["joint"].unique()):
         inside = waves * (rows["joint"] == joint).to_numpy()[:, None]
         by_joint = build_per_session_hypotheses(
             [f"unknown:time, joint {joint}"], n, sessions, inside[:, None]
         )
-        hypotheses += _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
+        yield from _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
     for clock in ("session_seconds", "session_order"):
-        hypotheses += _periodic_alternatives(linearized, sessions, clock)
-    return [one for one in hypotheses if one is not None] + list(_ar1_alternatives(rows))
+        yield from _periodic_alternatives(linearized, sessions, clock)
 
 
 def _periodic_alternatives(
@@ -88,13 +92,19 @@ def _periodic_alternatives(
     angles = 2 * np.pi * values[:, None] / periods
     pairs = SMOOTH_SCALE * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     pairs /= linearized.scale[:, None, None]
-    sign = np.where((rows["direction"] == "+").to_numpy(), 1.0, -1.0)[:, None, None]
+    sign = linearized.direction_sign
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
     hypotheses: list[Hypothesis] = []
     numbers = [str(number) for number in range(len(periods))]
-    modes: tuple[tuple[Mode, Array], ...] = (("same", pairs), ("opposite", pairs * sign))
-    for mode, waves in modes:
-        for one in build_per_session_hypotheses(numbers, len(rows), sessions, waves):
+    alike = build_per_session_hypotheses(numbers, len(rows), sessions, pairs)
+    opposite = (
+        [replace(one, sign=sign) for one in alike]
+        if linearized.allows_opposite
+        else build_per_session_hypotheses(numbers, len(rows), sessions, pairs * sign[:, None, None])
+    )
+    modes: tuple[tuple[Mode, list[Hypothesis]], ...] = (("same", alike), ("opposite", opposite))
+    for mode, its_hypotheses in modes:
+        for one in its_hypotheses:
             version = replace(plain, mode=mode, period=float(periods[int(one.cause)]))
             hypotheses.append(replace(one, cause=f"unknown:{version}", version=version))
     return hypotheses
@@ -105,7 +115,7 @@ def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hyp
 
 
 def attribute_to_causes(
-    alternatives: Sequence[Hypothesis | AR1], problem_causes: Sequence[Any], without: Sequence[str]
+    alternatives: Iterable[Hypothesis | AR1], problem_causes: Sequence[Any], without: Sequence[str]
 ) -> list[Hypothesis | AR1]:
     """Alternatives in the name of the causes whose columns they follow.
 

@@ -19,7 +19,13 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.leave_out import Looks
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import (
+    ExtendedFit,
+    LawBlock,
+    LinearizedFit,
+    RowSubset,
+    split_positions,
+)
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
@@ -355,7 +361,7 @@ def _prediction_errors(
         own = _calibrate_groups(problem, law, part.rows[calibration], groups, start, values)
         rows, at = part.rows[held], np.searchsorted(labels, block[held])
         both = np.concatenate([own[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
-        errors[rows] = problem.responses[rows] - law.predict(problem.rows.iloc[rows], both)
+        errors[rows] = problem.responses[rows] - law.predict(RowSubset(problem.rows, rows), both)
     return errors[split.held_out]
 
 
@@ -363,7 +369,7 @@ def _calibrate_groups(
     problem: DiagnosisProblem, law: Any, rows: IntArray, groups: Groups, start: Array, values: Array
 ) -> Array:
     """Own parameters of each group, shape (g, p), the causes' values being fixed."""
-    model = law.model(problem.rows.iloc[rows])
+    model = law.model(RowSubset(problem.rows, rows))
     shared = np.broadcast_to(values, (len(rows), len(values)))
 
     def own_model(own: Array) -> tuple[Array, Array]:

@@ -61,6 +61,9 @@ class Hypothesis:
     one_sided : bool
         Whether the cause's bounds leave only the sign that its size has in `values`: the coefficient along
         its one direction is not negative.
+    sign : array, shape (n,), or None
+        1 or -1 in each row, times which the blocks are the directions; None for 1 in all rows. Effects that
+        are alike or opposite by direction then have the same blocks.
     """
 
     cause: str
@@ -71,12 +74,20 @@ class Hypothesis:
     prior_share: Array
     length: float
     one_sided: bool = False
+    sign: Array | None = None
+
+    def apply_sign(self) -> Hypothesis:
+        """The same hypothesis with its sign in the blocks."""
+        if self.sign is None:
+            return self
+        blocks = tuple((rows, self.sign[rows, None] * block) for rows, block in self.blocks)
+        return replace(self, blocks=blocks, sign=None)
 
     @property
     def directions(self) -> Array:
         """The directions in all rows, shape (n, m)."""
         directions, first = np.zeros((self.n, len(self.prior_share))), 0
-        for rows, block in self.blocks:
+        for rows, block in self.apply_sign().blocks:
             directions[rows, first : first + block.shape[1]] = block
             first += block.shape[1]
         return directions
@@ -92,6 +103,7 @@ class Hypothesis:
 
     def coefficients(self, residual: Array) -> Array:
         """Coefficient of a residual, shape (n,), along each direction; shape (m,)."""
+        residual = residual if self.sign is None else self.sign * residual
         along = np.concatenate([block.T @ residual[rows] for rows, block in self.blocks])
         return np.maximum(along, 0.0) if self.one_sided else along
 
@@ -116,24 +128,47 @@ class DirectionGroup:
     place : array of int, shape (m,)
         Of each among the directions of the hypotheses one after the other.
     index : array of int, shape (m,)
-        Which row of `directions` each is.
+        Which coefficient is that of each.
     least : array, shape (m', 1)
         Least coefficient along each: 0 of a one-sided hypothesis, else minus infinity.
+    n_positive : int or None
+        Number of rows before those in which a hypothesis has the sign -1, if one has a sign. Then there are
+        m' more coefficients: along the same directions with that sign.
     """
 
     rows: IntArray | slice
-    directions: Array
+    directions: npt.NDArray[Any]
     place: IntArray
     index: IntArray
-    least: Array
+    least: npt.NDArray[Any]
+    n_positive: int | None = None
+
+    @property
+    def n_coefficients(self) -> int:
+        """Number of coefficients."""
+        return len(self.directions) * (1 if self.n_positive is None else 2)
+
+    def coefficients(self, residuals: npt.NDArray[Any], out: npt.NDArray[Any]) -> None:
+        """Coefficients of residuals, shape (n, k), into `out`, shape (number of coefficients, k)."""
+        own, (first, second) = residuals[self.rows], np.split(out, [len(self.directions)])
+        np.matmul(self.directions[:, : self.n_positive], own[: self.n_positive], out=first)
+        if self.n_positive is not None:
+            np.matmul(self.directions[:, self.n_positive :], own[self.n_positive :], out=second)
+            first += second
+            second *= -2.0
+            second += first
+        if np.isfinite(self.least).any():
+            np.maximum(first, self.least, out=first)
 
 
 def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
     rows_of: dict[bytes, IntArray | slice] = {}
+    sign_of: dict[bytes, Array] = {}
     directions: dict[bytes, dict[int, Array]] = {}
     places: dict[bytes, list[int]] = {}
     indices: dict[bytes, list[int]] = {}
+    signed: dict[bytes, list[bool]] = {}
     least: dict[bytes, list[float]] = {}
     begins: dict[int, int] = {}  # of each block among the directions of its group
     first, sizes = 0, Counter[bytes]()
@@ -141,6 +176,8 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
         for rows, block in hypothesis.blocks:
             key = b"" if isinstance(rows, slice) else rows.tobytes()
             rows_of.setdefault(key, rows)
+            if hypothesis.sign is not None:
+                sign_of.setdefault(key, hypothesis.sign[rows])
             group, width = directions.setdefault(key, {}), block.shape[1]
             if id(block) not in group:
                 group[id(block)], begins[id(block)] = block.T, sizes[key]
@@ -149,16 +186,25 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
             begin = begins[id(block)]
             places.setdefault(key, []).extend(range(first, first := first + width))
             indices.setdefault(key, []).extend(range(begin, begin + width))
-    return tuple(
-        DirectionGroup(
-            rows,
-            np.concatenate(list(directions[key].values())),
-            np.array(places[key], dtype=np.intp),
-            np.array(indices[key], dtype=np.intp),
-            np.array(least[key])[:, None],
+            signed.setdefault(key, []).extend([hypothesis.sign is not None] * width)
+    groups = []
+    for key, rows in rows_of.items():
+        joined, n_positive = np.concatenate(list(directions[key].values())), None
+        if key in sign_of:
+            order = np.argsort(-sign_of[key], kind="stable")
+            rows = np.arange(len(order))[rows][order] if isinstance(rows, slice) else rows[order]
+            joined, n_positive = joined[:, order], int(np.sum(sign_of[key] > 0))
+        groups.append(
+            DirectionGroup(
+                rows,
+                joined,
+                np.array(places[key], dtype=np.intp),
+                np.array(indices[key], dtype=np.intp) + len(joined) * np.array(signed[key], dtype=np.intp),
+                np.array(least[key])[:, None],
+                n_positive,
+            )
         )
-        for key, rows in rows_of.items()
-    )
+    return tuple(groups)
 
 
 def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
@@ -496,11 +542,11 @@ def sum_lags(before: npt.NDArray[np.intp], residuals: Array) -> LagSums:
     """Sums for `before` as of an `AR1`; residuals (n, k)."""
     follows = np.flatnonzero(before >= 0)
     successors = np.bincount(before[follows], minlength=len(before))
-    squares = residuals**2
+    squares, earlier, first = np.stack([np.ones(len(before)), successors, before < 0]) @ residuals**2
     return LagSums(
-        squares.sum(axis=0),
-        successors @ squares,
-        (before < 0) @ squares,
+        squares,
+        earlier,
+        first,
         np.einsum("ij,ij->j", residuals[follows], residuals[before[follows]]),
         len(before) - len(follows),
     )

@@ -44,7 +44,7 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
-MAX_DENSE = 128**2  # entries
+MAX_DENSE = 128  # rows
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
@@ -79,10 +79,11 @@ class LeftOut:
         inside = csc_array(basis[rows])
         own, border = csr_array(inside[:, ~is_shared]), inside[:, is_shared].toarray()
         _, block = connected_components(abs(own) @ abs(own).T, directed=False)
-        places, columns, entries, width = [], [], [], 0
-        for members in split_positions(block):
-            entries_of = own[members]
-            part = entries_of[:, np.unique(entries_of.indices)].toarray()
+        places, columns, entries, width, last = [], [], [], 0, 0
+        groups = split_positions(block)
+        together = own[np.concatenate([*groups, rows[:0]])]
+        for members in groups:
+            _, part = _pick_columns(together, last, last := last + len(members))
             known, vectors = np.linalg.eigh(np.eye(len(members)) - part @ part.T)
             root = vectors[:, known > MIN_KNOWN] / np.sqrt(known[known > MIN_KNOWN])
             places.append(np.repeat(members, root.shape[1]))
@@ -101,16 +102,15 @@ class LeftOut:
 
     def restrict(self, inside: IntArray) -> Restriction:
         """To columns that are zero in all rows left out but those `inside`."""
-        n_own, own = self.own.shape[1], self.own[inside]
-        used = np.unique(own.indices)
-        coordinates = np.concatenate([used, np.arange(n_own, n_own + self.shared.shape[1])])
-        onto = csr_array(own[:, used].T)
+        n_own, shared = self.own.shape[1], self.shared[inside].T
+        beyond = np.arange(n_own, n_own + len(shared))
         # A product with few entries is faster without the sparse index.
-        dense = onto.toarray() if onto.shape[0] * onto.shape[1] <= MAX_DENSE else None
-        shared = np.ascontiguousarray(self.shared[inside].T)
-        if dense is not None:
-            return Restriction(inside, coordinates, np.concatenate([dense, shared]), shared[:0])
-        return Restriction(inside, coordinates, onto, shared)
+        if len(inside) > MAX_DENSE:
+            coordinates = np.concatenate([np.arange(n_own), beyond])
+            return Restriction(inside, coordinates, csr_array(self.own[inside].T), shared)
+        used, dense = _pick_columns(self.own[inside], 0, len(inside))
+        coordinates = np.concatenate([used, beyond])
+        return Restriction(inside, coordinates, np.concatenate([dense.T, shared]), shared[:0])
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
@@ -120,6 +120,15 @@ class LeftOut:
         left = columns + basis @ (basis[self.rows].T @ combined)
         left[self.rows] = 0.0
         return np.asarray(left)
+
+
+def _pick_columns(matrix: csr_array, first: int, last: int) -> tuple[IntArray, Array]:
+    """The columns in which some rows of a matrix have entries, and the rows there, (rows, columns)."""
+    ends = matrix.indptr[first : last + 1]
+    used, column = np.unique(matrix.indices[ends[0] : ends[-1]], return_inverse=True)
+    dense = np.zeros((last - first, len(used)))
+    dense[np.repeat(np.arange(last - first), np.diff(ends)), column] = matrix.data[ends[0] : ends[-1]]
+    return used.astype(np.intp), dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,62 +158,105 @@ class Restriction:
 
 
 @dataclass(frozen=True, eq=False)
-class _BlockStack:
-    """Blocks of w directions each on the same s rows; k blocks.
+class _Blocks:
+    """Blocks of w directions each, side by side in the columns of a `_Stack`; k blocks.
 
     Attributes
     ----------
-    place : array of int, shape (n,)
-        Of each row of the fit among the s rows, or -1.
-    directions : array, shape (s, k w)
-    along : array, shape (k, w)
-        Coefficient of the residual along each direction.
+    columns : slice
     root_share : array, shape (k, w)
         Root of each direction's prior share.
     owner : array of int, shape (k,)
         Hypothesis of each block.
     least : array, shape (k, 1)
         Least coefficient of each block: 0 of a one-sided hypothesis, else minus infinity.
-    overlap : array, shape (q, k w)
+    """
+
+    columns: slice
+    root_share: Array
+    owner: IntArray
+    least: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Stack:
+    """All directions on the same s rows; m directions.
+
+    Attributes
+    ----------
+    place : array of int, shape (n,)
+        Of each row of the fit among the s rows, or -1.
+    directions : array, shape (s, m)
+    along : array, shape (m,)
+        Coefficient of the residual along each direction.
+    overlap : array, shape (q, m)
         Products of the directions with the columns of the calibration that reach beyond their rows: what
         these project out of a direction is outside of its rows, too, so that it is kept apart.
+    blocks : tuple of _Blocks
+        One for each width.
     """
 
     place: IntArray
     directions: Array
     along: Array
-    root_share: Array
-    owner: IntArray
-    least: Array
     overlap: Array
+    blocks: tuple[_Blocks, ...]
 
     def without(
         self, restriction: Restriction, rows: IntArray, lost: Array, common: Array
     ) -> tuple[Array, Array]:
-        """Variance and squared coefficient, each (k, w), of every block's new orthogonal directions.
+        """Coordinates of the directions without some rows, (d, m), and the residual's coefficients, (m,).
 
         `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates, `common`, shape
-        (h' + k, q), those of the columns of `overlap`.
+        (h' + k, q), those of the columns of `overlap`. The coordinates are any with the same products.
         """
         own = restriction.select(self.directions[self.place[rows[restriction.inside]]])
-        removed = common[restriction.coordinates] @ self.overlap
-        lost_along = lost[restriction.coordinates] @ own - lost @ common @ self.overlap
-        along = self.along - lost_along.reshape(self.along.shape)
-        # The coordinates of a direction are `own` less `common @ overlap`; their products are those of these.
-        cross = np.concatenate([own, removed, self.overlap])
-        other = np.concatenate([own - removed, -own, common.T @ common @ self.overlap])
-        k, w = self.along.shape
-        if w == 1:
-            left = 1.0 - np.einsum("ij,ij->j", cross, other)[:, None]
-            known, along = np.maximum(left, MIN_LEFT), np.maximum(along, self.least)
-            return np.where(left > MIN_LEFT, left, 0.0) * self.root_share**2, along**2 / known
-        blocks, others = (part.reshape(-1, k, w).transpose(1, 2, 0) for part in (cross, other))
-        gram = np.eye(w) - blocks @ others.transpose(0, 2, 1)
-        scaled = self.root_share[:, :, None] * gram * self.root_share[:, None, :]
-        variance, right = np.linalg.eigh(scaled)
-        coefficients = np.einsum("kwv,kw->kv", right, self.root_share * along)
-        kept = variance > VARIANCE_TOL * np.sum(self.root_share**2, axis=1, keepdims=True)
-        return np.where(kept, variance, 0.0), coefficients**2 / np.where(kept, variance, np.inf)
+        along = self.along - lost[restriction.coordinates] @ own
+        if not len(self.overlap):
+            return own, along
+        # A direction's coordinates are `own` less `common @ overlap`, of which a triangle says enough where
+        # `own` is zero.
+        own -= common[restriction.coordinates] @ self.overlap
+        beyond = np.linalg.qr(np.delete(common, restriction.coordinates, axis=0), mode="r")
+        return np.concatenate([own, beyond @ self.overlap]), along + (lost @ common) @ self.overlap
+
+
+def _spectra(
+    blocks: Sequence[_Blocks], coordinates: Sequence[Array], along: Sequence[Array]
+) -> tuple[IntArray, Array, Array]:
+    """Owner, variance and squared coefficient of the new orthogonal directions of blocks of one width.
+
+    `coordinates`, shape (d, k w) each, and `along`, shape (k w,), are those of the blocks without some rows.
+    """
+    owner = np.concatenate([one.owner for one in blocks])
+    root_share = np.concatenate([one.root_share for one in blocks])
+    k, w = root_share.shape
+    own = np.concatenate(along).reshape(k, w)
+    if w == 1:
+        left = 1.0 - np.concatenate([np.einsum("ij,ij->j", one, one) for one in coordinates])[:, None]
+        least = np.concatenate([one.least for one in blocks])
+        squares = np.maximum(own, least) ** 2 / np.maximum(left, MIN_LEFT)
+        return owner, np.where(left > MIN_LEFT, left, 0.0) * root_share**2, squares
+    each = [one.reshape(len(one), one.shape[1] // w, w).transpose(1, 2, 0) for one in coordinates]
+    gram = np.eye(w) - np.concatenate([one @ one.transpose(0, 2, 1) for one in each])
+    scaled = root_share[:, :, None] * gram * root_share[:, None, :]
+    variance, right = _solve_eigenproblems(scaled)
+    coefficients = np.einsum("kwv,kw->kv", right, root_share * own)
+    kept = variance > VARIANCE_TOL * np.sum(root_share**2, axis=1, keepdims=True)
+    squares = coefficients**2 / np.where(kept, variance, np.inf)
+    return np.repeat(owner, w), np.where(kept, variance, 0.0), squares
+
+
+def _solve_eigenproblems(matrices: Array) -> tuple[Array, Array]:
+    """As `np.linalg.eigh` of symmetric matrices, shape (k, w, w); of two rows in closed form, much faster."""
+    if matrices.shape[1] != 2 or not np.isfinite(matrices).all():
+        return np.linalg.eigh(matrices)
+    first, both, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    middle, spread = (first + second) / 2, np.hypot((first - second) / 2, both)
+    angle = np.arctan2(both, (first - second) / 2) / 2
+    cosine, sine = np.cos(angle), np.sin(angle)
+    vectors = np.stack([-sine, cosine, cosine, sine], axis=1).reshape(-1, 2, 2)
+    return np.stack([middle - spread, middle + spread], axis=1), vectors
 
 
 class Look:
@@ -213,55 +265,56 @@ class Look:
     def __init__(self, misfit: Misfit) -> None:
         assert misfit.basis is not None
         self.misfit, self.basis = misfit, misfit.basis
+        self._left_out: dict[bytes, LeftOut] = {}
+        self._known_effects: dict[int, Array] = {}
 
     @cached_property
-    def _stacks(self) -> tuple[list[_BlockStack], IntArray]:
+    def _stacks(self) -> tuple[list[_Stack], IntArray]:
         """All directions, and the columns of the calibration to which not all are orthogonal."""
         n = len(self.misfit.residual)
-        rows_of: dict[tuple[bytes, int], IntArray] = {}
-        blocks: dict[tuple[bytes, int], list[Array]] = {}
-        shares: dict[tuple[bytes, int], list[Array]] = {}
-        owners: dict[tuple[bytes, int], list[int]] = {}
-        least: dict[tuple[bytes, int], list[float]] = {}
+        rows_of: dict[bytes, IntArray] = {}
+        blocks_of: dict[bytes, dict[int, list[tuple[Array, Array, int, float]]]] = {}
         for number, one in enumerate(self.misfit.hypotheses):
             if isinstance(one, AR1):
                 continue
-            first = 0
-            for rows, block in one.blocks:
-                width = block.shape[1]
-                if not width:
+            first, least = 0, 0.0 if one.one_sided else -np.inf
+            for rows, block in one.apply_sign().blocks:
+                if not (width := block.shape[1]):
                     continue
-                key = (b"" if isinstance(rows, slice) else rows.tobytes(), width)
+                key = b"" if isinstance(rows, slice) else rows.tobytes()
                 rows_of.setdefault(key, np.arange(n) if isinstance(rows, slice) else rows)
-                blocks.setdefault(key, []).append(block)
-                shares.setdefault(key, []).append(one.prior_share[first : first + width])
-                owners.setdefault(key, []).append(number)
-                least.setdefault(key, []).append(0.0 if one.one_sided else -np.inf)
-                first += width
-        directions_of = {key: np.concatenate(parts, axis=1) for key, parts in blocks.items()}
-        overlaps = {key: np.asarray(self.basis[rows].T @ directions_of[key]) for key, rows in rows_of.items()}
-        reach = [np.abs(one).max(axis=1) > MIN_OVERLAP for one in overlaps.values()]
-        common = np.flatnonzero(np.any(reach, axis=0))
-        stacks, places = [], dict[bytes, IntArray]()
+                share = one.prior_share[first : (first := first + width)]
+                blocks_of.setdefault(key, {}).setdefault(width, []).append((block, share, number, least))
+        stacks = []
         for key, rows in rows_of.items():
-            if (place := places.get(key[0])) is None:
-                place = places[key[0]] = np.full(n, -1)
-                place[rows] = np.arange(len(rows))
-            directions = directions_of[key]
-            along = (self.misfit.residual[rows] @ directions).reshape(-1, key[1])
-            root_share = np.sqrt(np.stack(shares[key]))
-            stacks.append(
-                _BlockStack(
-                    place,
-                    directions,
-                    along,
-                    root_share,
-                    np.array(owners[key]),
-                    np.array(least[key])[:, None],
-                    overlaps[key][common],
+            directions: list[Array] = []
+            blocks, last = [], 0
+            for width, parts in blocks_of[key].items():
+                own, shares, owners, least_of = zip(*parts, strict=True)
+                directions += own
+                place = slice(last, last := last + width * len(own))
+                blocks.append(
+                    _Blocks(place, np.sqrt(np.stack(shares)), np.array(owners), np.array(least_of)[:, None])
                 )
-            )
-        return stacks, common
+            joined, place_of = np.concatenate(directions, axis=1), np.full(n, -1)
+            place_of[rows] = np.arange(len(rows))
+            along, overlap = self.misfit.residual[rows] @ joined, np.asarray(self.basis[rows].T @ joined)
+            stacks.append(_Stack(place_of, joined, along, overlap, tuple(blocks)))
+        reach = [np.abs(one.overlap).max(axis=1) > MIN_OVERLAP for one in stacks]
+        common = np.flatnonzero(np.any(reach, axis=0))
+        return [replace(one, overlap=one.overlap[common]) for one in stacks], common
+
+    def _effects(self, hypothesis: Hypothesis) -> Array:
+        """What a hypothesis changes in all rows, all calibration projected out."""
+        if id(hypothesis) not in self._known_effects:
+            effects = hypothesis.directions * np.sqrt(hypothesis.prior_share) * hypothesis.length
+            self._known_effects[id(hypothesis)] = effects - self.basis @ (self.basis.T @ effects)
+        return self._known_effects[id(hypothesis)]
+
+    def _leave_out(self, rows: IntArray) -> LeftOut:
+        if rows.tobytes() not in self._left_out:
+            self._left_out[rows.tobytes()] = LeftOut.of(self.basis, rows)
+        return self._left_out[rows.tobytes()]
 
     @cached_property
     def _causes(self) -> list[str]:
@@ -279,23 +332,24 @@ class Look:
 
     def without(self, rows: IntArray) -> Misfit:
         """The test without some rows, its residual zero in them; neither p-value nor directions are new."""
-        residual, left_out = self.misfit.residual, LeftOut.of(self.basis, rows)
+        residual, left_out = self.misfit.residual, self._leave_out(rows)
         lost = left_out.coordinates(residual[rows, None])[:, 0]
         total = float(residual @ residual - lost @ lost)
         df = len(residual) - self.basis.shape[1] - left_out.own.shape[1]
         number = len(self.misfit.hypotheses)
         stacks, columns = self._stacks
         common = left_out.coordinates(self.basis[rows][:, columns].toarray())
-        places = {id(stack.place): stack.place for stack in stacks}  # many have the same rows
-        restricted = {
-            key: left_out.restrict(np.flatnonzero(place[rows] >= 0)) for key, place in places.items()
-        }
-        spectra = [
-            (stack.owner, *stack.without(restricted[id(stack.place)], rows, lost, common)) for stack in stacks
-        ]
-        owner = np.concatenate([np.repeat(own, variance.shape[1]) for own, variance, _ in spectra])
-        variance = np.concatenate([variance.ravel() for _, variance, _ in spectra])
-        squares = np.concatenate([squares.ravel() for _, _, squares in spectra])
+        of_width: dict[int, list[tuple[_Blocks, Array, Array]]] = {}
+        for stack in stacks:
+            restriction = left_out.restrict(np.flatnonzero(stack.place[rows] >= 0))
+            coordinates, along = stack.without(restriction, rows, lost, common)
+            for blocks in stack.blocks:
+                part = blocks, coordinates[:, blocks.columns], along[blocks.columns]
+                of_width.setdefault(blocks.root_share.shape[1], []).append(part)
+        spectra = [_spectra(*zip(*parts, strict=True)) for parts in of_width.values()]
+        owner, variance, squares = (
+            np.concatenate([one.ravel() for one in parts]) for parts in zip(*spectra, strict=True)
+        )
         share = variance / np.maximum(np.bincount(owner, variance, number), np.finfo(float).tiny)[owner]
         at_strength = []
         for strength in STRENGTHS:
@@ -336,11 +390,8 @@ class Look:
         """The cause as selected from the test `without` some rows."""
         best = without.best_hypothesis(cause)
         assert isinstance(best, Hypothesis)
-        effects = best.directions * np.sqrt(best.prior_share) * best.length
-        effects -= self.basis @ (self.basis.T @ effects)
-        own = make_hypothesis(
-            best.cause, best.version, best.values, LeftOut.of(self.basis, rows).remove(effects, self.basis)
-        )
+        effects = self._leave_out(rows).remove(self._effects(best), self.basis)
+        own = make_hypothesis(best.cause, best.version, best.values, effects)
         hypotheses = without.hypotheses if own is None else (own,)
         evidence = without.log_evidence if own is None else without.log_evidence.max(keepdims=True)
         return make_selected(

@@ -9,7 +9,7 @@ squares.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any
@@ -136,8 +136,42 @@ class LinearizedFit:
         return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
 
     @cached_property
+    def direction_sign(self) -> Array:
+        """1 in rows of traverses in positive direction, -1 in the others, shape (n,)."""
+        return np.where((self.rows["direction"] == "+").to_numpy(), 1.0, -1.0)
+
+    @cached_property
+    def separates_directions(self) -> bool:
+        """Whether no block has rows in both directions."""
+        return all(np.ptp(self.direction_sign[rows]) == 0 for rows, _ in self.blocks)
+
+    @property
+    def allows_opposite(self) -> bool:
+        """Whether effects of opposite sign by direction are as large as the same without, once projected."""
+        return self.separates_directions and not self.shared_basis.shape[1]
+
+    @cached_property
     def _basis_transposed(self) -> csr_array:
         return csr_array(self.basis.T)
+
+
+class RowSubset(Mapping[str, npt.NDArray[Any]]):
+    """Some rows of a table, as arrays: of the columns that are asked for, since a law needs few of many."""
+
+    def __init__(self, table: pd.DataFrame, rows: IntArray) -> None:
+        self._table, self._rows = table, rows
+        self._known: dict[str, npt.NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if name not in self._known:
+            self._known[name] = self._table[name].to_numpy()[self._rows]
+        return self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._table)
+
+    def __len__(self) -> int:
+        return self._table.shape[1]
 
 
 def whiten(changes: Array, scale: Array, noise_filter: csr_array | None) -> Array:
@@ -186,7 +220,7 @@ def linearize_fit(
     n = len(rows)
     residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
     for part in parts:
-        predicted, slopes = part.law.model(rows.iloc[part.rows])(part.values)
+        predicted, slopes = part.law.model(RowSubset(rows, part.rows))(part.values)
         own_filter = select_filter(noise_filter, part.rows)
         residual[part.rows] = whiten(responses[part.rows] - predicted, scale[part.rows], own_filter)
         whitened, own = whiten(slopes, scale[part.rows], own_filter), slopes.shape[1] - shared
@@ -290,7 +324,7 @@ def fit_extended(
     blocks, n, n_all = _group_blocks(rows, parts), len(rows), len(rows) + len(penalised)
     # A prior is one more row, of the first block for want of a better one.
     blocks = replace(blocks, of_row=np.append(blocks.of_row, np.zeros(len(penalised), dtype=np.intp)))
-    models = [law.model(rows.iloc[part.rows]) for law, part in zip(extended, parts, strict=True)]
+    models = [law.model(RowSubset(rows, part.rows)) for law, part in zip(extended, parts, strict=True)]
 
     def model(values: Array) -> tuple[Array, Array]:
         predicted, slopes = np.empty(n_all), np.zeros((n_all, widest + shared))

@@ -94,7 +94,7 @@ class HypothesisBatch:
 
     @property
     def n_directions(self) -> int:
-        """Number of directions of all hypotheses."""
+        """Number of directions of all hypotheses, those with a sign besides."""
         return int(self.explained_share.shape[1])
 
     def log_evidence(self, residuals: Array) -> Array:
@@ -140,10 +140,7 @@ class HypothesisBatch:
         """
         along, first = np.empty((self.n_directions, residuals.shape[1]), residuals.dtype), 0
         for group in self.groups:
-            own = along[first : (first := first + len(group.directions))]
-            np.matmul(group.directions, residuals[group.rows], out=own)
-            if np.isfinite(group.least).any():
-                np.maximum(own, group.least, out=own)
+            group.coefficients(residuals, along[first : (first := first + group.n_coefficients)])
         log = self.explained_share @ np.square(along, out=along)
         log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
@@ -173,7 +170,7 @@ def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> Hypothe
     share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
     signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
     row = owner[:, None] * n_strengths + np.arange(n_strengths)
-    first = np.cumsum([0, *(len(group.directions) for group in groups)])
+    first = np.cumsum([0, *(group.n_coefficients for group in groups)])
     columns = [k + group.index for k, group in zip(first, groups, strict=False)]
     column = np.concatenate([np.zeros(0, dtype=np.intp), *columns])
     column = np.broadcast_to(column[:, None], row.shape)
@@ -300,7 +297,12 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     What is mostly in one row cannot be told from an outlier there.
     """
     shared = [
-        one for one in hypotheses if not isinstance(one, Hypothesis) or one.largest_row_share <= MAX_ROW_SHARE
+        one
+        for one in hypotheses
+        if not isinstance(one, Hypothesis)
+        # No row has more than the largest share, since the directions are orthonormal.
+        or one.prior_share.max(initial=0.0) <= MAX_ROW_SHARE
+        or one.largest_row_share <= MAX_ROW_SHARE
     ]
     known = {classify_cause(one) for one in shared} | {UNKNOWN}
     return [one for one in hypotheses if classify_cause(one) not in known] + shared
@@ -431,7 +433,10 @@ def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Arr
     """Log evidence of each cause, averaged over its hypotheses; all of length H."""
     numbers = {cause: number for number, cause in enumerate(dict.fromkeys(causes))}
     label, total = np.array([numbers[cause] for cause in causes], dtype=np.intp), log_evidence + log_weight
-    return {cause: float(logsumexp(total[label == number])) for cause, number in numbers.items()}
+    highest = np.full(len(numbers), np.finfo(float).min)
+    np.maximum.at(highest, label, total)
+    mean = np.log(np.bincount(label, np.exp(total - highest[label]), len(numbers))) + highest
+    return dict(zip(numbers, mean.tolist(), strict=True))
 
 
 def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:

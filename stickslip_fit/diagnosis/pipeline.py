@@ -229,7 +229,7 @@ def _search(
         unable = dict.fromkeys([*(cause.name for cause in problem.causes), UNKNOWN], too_small)
     else:
         unable = find_untestable(problem, linearized)
-        if not problem.alternatives(linearized):
+        if next(iter(problem.alternatives(linearized)), None) is None:
             unable[UNKNOWN] = NO_ALTERNATIVE
     untestable = {**missing, **unable}
     testable = replace(

@@ -96,7 +96,7 @@ class DiagnosisProblem:
     noise_group: IntArray
     repeatability: Array
     causes: tuple[Any, ...]
-    alternatives: Callable[[LinearizedFit], list[Hypothesis | AR1]]
+    alternatives: Callable[[LinearizedFit], Iterable[Hypothesis | AR1]]
     configuration: IntArray
     noise_ratio: Array
     n_shared: int = 0

@@ -156,7 +156,7 @@ def _build_dictionary(linearized: LinearizedFit) -> tuple[list[tuple[CarrierFunc
         if one.carrier != other.carrier and "x" in (one.expression, other.expression):
             products.append((one, other))
             columns.append(values * others)
-    averages = [traverse_average(column[..., None]) for column in columns]
+    averages = [traverse_average(column)[:, None] for column in columns]
     return products, np.concatenate([np.zeros((len(linearized), 0)), *averages], axis=1)
 
 

@@ -58,7 +58,7 @@ def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesi
         for side in (ones, others)
     ]
     products = _multiply_directions(
-        *([one for one in side if isinstance(one, Hypothesis)] for side in (ones, others))
+        *([one.apply_sign() for one in side if isinstance(one, Hypothesis)] for side in (ones, others))
     )
     rows, columns = (np.cumsum(size) - size for size in sizes)
     cosines = np.zeros((len(ones), len(others)))

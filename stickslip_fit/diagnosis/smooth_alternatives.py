@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -24,7 +26,7 @@ from stickslip_fit.causes.proposed import (
     SmoothTerm,
     carrier_values,
 )
-from stickslip_fit.causes.smooth import cosines, prior_sds
+from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
@@ -39,7 +41,10 @@ FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
+SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 MAX_NESTED = 240  # coefficients of such functions
+# Distinct values of a carrier with which it has all functions.
+ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +59,7 @@ class Carrier:
     low, high : float
         Its range.
     distinct : int
-        Number of distinct values, of the first few.
+        Number of distinct values; where there are `ENOUGH_DISTINCT`, of a part of them.
     """
 
     name: str
@@ -64,13 +69,22 @@ class Carrier:
     distinct: int
 
     def waves(self, number: int) -> Array:
-        """Cosines over the range, shape (n, k, number); 0 where it is unknown."""
-        return np.nan_to_num(cosines(self.values, self.low, self.high, number))
+        """Cosines over the range, averaged along each traverse, shape (n, number); 0 where it is unknown."""
+        waves, known = np.empty((len(self.values), number)), np.isfinite(self.values)
+        values = np.where(known, self.values, self.low)
+        for k, cosine in enumerate(cosine_sequence(values, self.low, self.high, number)):
+            waves[:, k] = traverse_average(cosine * known)
+        return waves
+
+    @cached_property
+    def lowest_wave(self) -> Array:
+        """The first cosine along each traverse, shape (n, k) or (n, 1); 0 where it is unknown."""
+        return np.nan_to_num(cosines(self.values, self.low, self.high, 1)[..., 0])
 
 
-def traverse_average(functions: Array) -> Array:
-    """Functions averaged along each traverse, (n, k, m) -> (n, m)."""
-    return functions[:, 0] if functions.shape[1] == 1 else np.einsum("nkm,k->nm", functions, WEIGHTS / 2)
+def traverse_average(values: Array) -> Array:
+    """A function averaged along each traverse, (n, k) or (n, 1) -> (n,)."""
+    return values[:, 0] if values.shape[1] == 1 else values @ (WEIGHTS / 2)
 
 
 def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
@@ -104,7 +118,9 @@ def _make_carrier(name: str, values: Array) -> Carrier | None:
     if not high - low > 1e-9 * max(abs(low), abs(high)):
         return None
     along = np.ptp(values[np.isfinite(values).all(axis=1)], axis=1).max(initial=0.0) > 0
-    distinct = len(np.unique(known.round(9)))
+    distinct = len(np.unique(known[:: len(known) // SOME_VALUES + 1].round(9)))
+    if distinct < ENOUGH_DISTINCT:
+        distinct = len(np.unique(known.round(9)))
     return Carrier(name, values if along else values[:, :1], low, high, distinct)
 
 
@@ -131,15 +147,14 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         for joint, carrier in _positions(linearized, carriers)
         for length in _lengths(carrier)
     ]
-    columns = [np.zeros((len(linearized), 0)), *(own for _, _, own in (*shapes, *profiles))]
-    builder, last = _Builder(linearized, np.concatenate(columns, axis=1)), 0
+    builder = _Builder(linearized)
     hypotheses: list[Hypothesis] = []
-    for name, term, own in shapes:
-        place = slice(last, last := last + own.shape[1])
-        hypotheses += builder.shapes(name, term, place)
-        hypotheses += builder.by_session(name, term, place) if name in ANGLES else []
-    for joint, term, own in profiles:
-        hypotheses += builder.profiles(joint, term, slice(last, last := last + own.shape[1]))
+    for name, term, functions in shapes:
+        effects = builder.effects(functions)
+        hypotheses += builder.shapes(name, term, effects)
+        hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
+    for joint, term, functions in profiles:
+        hypotheses += builder.profiles(joint, term, builder.effects(functions))
     return hypotheses
 
 
@@ -167,14 +182,14 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
     sds = SMOOTH_SCALE * prior_sds(share)[: carrier.distinct - 1]
     orders = tuple((k,) for k in range(1, len(sds) + 1))
     term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(map(float, sds)))
-    return term, traverse_average(carrier.waves(len(sds))) * sds
+    return term, carrier.waves(len(sds)) * sds
 
 
 def _product(one: Carrier, other: Carrier) -> tuple[SmoothTerm, Array]:
     """The product of the lowest function of two carriers, and its column, shape (n, 1)."""
     limits = ((one.low, one.high), (other.low, other.high))
     term = SmoothTerm((one.name, other.name), limits, ((1, 1),))
-    return term, SMOOTH_SCALE * traverse_average(one.waves(1) * other.waves(1))
+    return term, SMOOTH_SCALE * traverse_average(one.lowest_wave * other.lowest_wave)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,19 +201,25 @@ class _Subspace:
     variance: Array
 
 
-class _Builder:
-    """From effects of carriers, shape (n, M), to hypotheses, calibration projected out."""
+@dataclass(frozen=True, eq=False)
+class _Effects:
+    """Whitened effects, shape (n, m), what each block's own calibration leaves, and each row's square."""
 
-    def __init__(self, linearized: LinearizedFit, columns: Array) -> None:
+    whitened: Array
+    own: Array
+    squares: Array
+
+
+class _Builder:
+    """From functions of carriers to hypotheses, calibration projected out."""
+
+    def __init__(self, linearized: LinearizedFit) -> None:
         self.linearized = linearized
-        self.whitened = columns / linearized.scale[:, None]
         n_own = sum(block.shape[1] for _, block in linearized.blocks)
         self.basis = linearized.basis[:, :n_own]
+        self.basis_transposed = csr_array(self.basis.T)
         self.shared_basis = linearized.shared_basis
-        self.own = self.project(self.whitened)
-        self.sign = np.where((linearized.rows["direction"] == "+").to_numpy(), 1.0, -1.0)
-        # Otherwise what calibration leaves of the effect in one direction has rows in both.
-        self.by_direction = all(np.ptp(self.sign[rows]) == 0 for rows, _ in linearized.blocks)
+        self.sign = linearized.direction_sign
         joint = linearized.rows["joint"].to_numpy()
         self.rows_of = {int(number): np.flatnonzero(joint == number) for number in np.unique(joint)}
         session = linearized.rows["session"].astype(object).to_numpy()
@@ -206,24 +227,34 @@ class _Builder:
 
     def project(self, columns: Array) -> Array:
         """Each block's own calibration projected out, shape (n, m)."""
-        return columns - self.basis @ (self.basis.T @ columns)
+        return columns - self.basis @ (self.basis_transposed @ columns)
 
-    def shapes(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
-        """The ways in which joints and directions may share the functions in some columns."""
+    def effects(self, functions: Array) -> _Effects:
+        """Of functions, shape (n, m)."""
+        whitened = functions / self.linearized.scale[:, None]
+        return _Effects(whitened, self.project(whitened), np.sum(whitened**2, axis=1))
+
+    def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
+        """The ways in which joints and directions may share some functions."""
         opposite = replace(term, mode="opposite")
-        found = [self.make(f"{name}, opposite", opposite, [self.subspace(place, self.sign)])]
-        found.append(self.make(name, term, [self.subspace(place)]))
+        whole = self.subspace(effects)
+        found = [
+            self.make(f"{name}, opposite", opposite, [whole], self.sign)
+            if self.linearized.allows_opposite
+            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])
+        ]
+        found.append(self.make(name, term, [whole]))
         for direction, sign in (("+", 1.0), ("-", -1.0)):
             on = tuple((joint, direction) for joint in self.rows_of)
-            one_way = self.subspace(place, None, np.flatnonzero(self.sign == sign))
+            one_way = self.subspace(effects, None, np.flatnonzero(self.sign == sign))
             found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint, rows in self.rows_of.items():
             both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
-            found.append(self.make(label, replace(term, on=both), [self.subspace(place, None, rows)]))
+            found.append(self.make(label, replace(term, on=both), [self.subspace(effects, None, rows)]))
             own = {}
             for group, sign in zip(both, (1.0, -1.0), strict=True):
-                way = self.subspace(place, None, rows[self.sign[rows] == sign])
+                way = self.subspace(effects, None, rows[self.sign[rows] == sign])
                 found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
                 if way is not None:
                     own[group] = way
@@ -236,17 +267,17 @@ class _Builder:
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
 
-    def by_session(self, name: str, term: SmoothTerm, place: slice) -> list[Hypothesis]:
+    def by_session(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """Functions that differ from session to session, by joint."""
         found = []
         for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
             version, parts = self.of_sessions(
-                place, None, [rows], replace(term, on=((joint, "+"), (joint, "-")))
+                effects, None, [rows], replace(term, on=((joint, "+"), (joint, "-")))
             )
             found.append(self.make(f"{name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
 
-    def profiles(self, joint: int, term: SmoothTerm, place: slice) -> list[Hypothesis]:
+    def profiles(self, joint: int, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """The same of a joint's position, by direction, too, and around what the sessions have in common."""
         found, rows = [], self.rows_of[joint]
         if len(self.session_of) > 1:
@@ -257,71 +288,74 @@ class _Builder:
                 (", opposite", replace(term, on=on, mode="opposite"), [rows], self.sign),
                 (", each direction", replace(term, on=on, each=True), ways, None),
             ):
-                version, parts = self.of_sessions(place, sign, groups, whole)
+                version, parts = self.of_sessions(effects, sign, groups, whole)
                 found.append(self.make(label + ending, version, parts))
-                nested = self.nested(place, sign, groups, version)
+                nested = self.nested(effects, sign, groups, version)
                 found.append(self.make(f"{label}{ending}, in part", *nested) if nested else None)
         return [one for one in found if one is not None]
 
     def of_sessions(
-        self, place: slice, sign: Array | None, groups: Sequence[IntArray], term: SmoothTerm
+        self, effects: _Effects, sign: Array | None, groups: Sequence[IntArray], term: SmoothTerm
     ) -> tuple[SmoothTerm, list[_Subspace | None]]:
         """A term with functions of each session, and their effects in some groups of rows."""
         own = {
-            session: [self.subspace(place, sign, group[inside[group]]) for group in groups]
+            session: [self.subspace(effects, sign, group[inside[group]]) for group in groups]
             for session, inside in self.session_of.items()
         }
         own = {session: parts for session, parts in own.items() if any(parts)}
         return replace(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
 
     def nested(
-        self, place: slice, sign: Array | None, groups: Sequence[IntArray], version: SmoothTerm
+        self, effects: _Effects, sign: Array | None, groups: Sequence[IntArray], version: SmoothTerm
     ) -> tuple[SmoothTerm, list[_Subspace]] | None:
         """Functions of sessions around one that they have in common; None where there are too many."""
-        number = len(groups) * (place.stop - place.start) * (1 + len(version.sessions))
+        number = len(groups) * effects.own.shape[1] * (1 + len(version.sessions))
         if not version.sessions or number > MAX_NESTED:
             return None
         columns = []
         for group in groups:
-            effects = np.zeros((len(self.whitened), place.stop - place.start))
-            effects[group] = self.whitened[group, place] * (1.0 if sign is None else sign[group, None])
-            own = [effects * self.session_of[name][:, None] for name in version.sessions]
-            columns += [np.sqrt(COMMON) * effects, *(np.sqrt(1.0 - COMMON) * one for one in own)]
-        effects = self.linearized.project(np.concatenate(columns, axis=1))
-        variance, right = np.linalg.eigh(effects.T @ effects)
+            common = np.zeros_like(effects.whitened)
+            common[group] = effects.whitened[group] * (1.0 if sign is None else sign[group, None])
+            own = [common * self.session_of[name][:, None] for name in version.sessions]
+            columns += [np.sqrt(COMMON) * common, *(np.sqrt(1.0 - COMMON) * one for one in own)]
+        projected = self.linearized.project(np.concatenate(columns, axis=1))
+        variance, right = np.linalg.eigh(projected.T @ projected)
         kept = variance > MIN_VARIANCE * max(float(variance.sum()), EFFECT_TOL**2)
         if not kept.any():
             return None
-        directions = effects @ (right[:, kept] / np.sqrt(variance[kept]))
+        directions = projected @ (right[:, kept] / np.sqrt(variance[kept]))
         return replace(version, common=COMMON), [_Subspace(slice(None), directions, variance[kept])]
 
     def subspace(
-        self, place: slice, sign: Array | None = None, rows: IntArray | None = None
+        self, effects: _Effects, sign: Array | None = None, rows: IntArray | None = None
     ) -> _Subspace | None:
-        """What calibration leaves of columns in some rows; None where that is next to nothing."""
+        """What calibration leaves of effects in some rows; None where that is next to nothing."""
         subset: IntArray | slice = slice(None) if rows is None else rows
-        before, own = self.whitened[subset, place], self.own[subset, place]
-        if not self.by_direction:
-            effects = np.zeros((len(self.own), before.shape[1]))
-            effects[subset] = before if sign is None else before * sign[subset, None]
-            own, subset = self.project(effects), slice(None)
-        elif sign is not None:
-            own = own * sign[subset, None]
+        before = float(np.sum(effects.squares[subset]))
+        own = (effects.own if self.linearized.separates_directions else effects.whitened)[subset]
+        own = own if sign is None else own * sign[subset, None]
+        if not self.linearized.separates_directions:  # then what calibration leaves has rows in both
+            signed = np.zeros_like(effects.whitened)
+            signed[subset] = own
+            own, subset = self.project(signed), slice(None)
         shared = self.shared_basis[subset].T @ own
         products = own.T @ own - shared.T @ shared
         variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
         total = float(variance.sum())
-        if total < max(EFFECT_TOL**2, MIN_SHARE * float(np.sum(before**2))):
+        if total < max(EFFECT_TOL**2, MIN_SHARE * before):
             return None
         kept = variance > MIN_VARIANCE * total
         return _Subspace(subset, own @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
 
-    def make(self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None]) -> Hypothesis | None:
-        """The hypothesis with the directions of all parts, in rows of their own."""
+    def make(
+        self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None
+    ) -> Hypothesis | None:
+        """The hypothesis with the directions of all parts, in rows of their own, times a sign."""
         known = [part for part in parts if part is not None]
         if not known:
             return None
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
-        return Hypothesis(f"unknown:{name}", version, None, len(self.linearized), blocks, share, length)
+        n = len(self.linearized)
+        return Hypothesis(f"unknown:{name}", version, None, n, blocks, share, length, sign=sign)

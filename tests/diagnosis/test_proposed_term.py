@@ -68,7 +68,7 @@ def test_a_term_acts_on_the_joint_that_has_the_effect(hidden_logs):
 
 @pytest.fixture(scope="module")
 def alternatives(linearized):
-    return build_unstructured_alternatives(linearized)
+    return list(build_unstructured_alternatives(linearized))
 
 
 def test_a_short_term_is_proposed_and_predicts_a_replicate(found, hidden_logs):
