@@ -16,6 +16,7 @@ import numpy as np
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.schema import ARM_FORMAT, COVARIATE_PREFIX
+from stickslip_fit.units import from_si
 
 QuantityName = Literal["preload", "friction", "voltage", "ramp time", "payload"]
 UNITS_OF: Mapping[str, tuple[str, ...]] = {
@@ -204,8 +205,9 @@ def schedule_values(quantity: str, nominal: float, schedules: Iterable[Schedule]
     values = (nominal + added) * factor
     lowest = values.min(initial=np.inf)
     if not (lowest > 0 or (quantity == "payload" and lowest >= 0)):
+        unit = UNITS_OF[quantity][0]
         raise InputError(
-            f"a schedule takes the {quantity} of a stage to {lowest:.3g} {UNITS_OF[quantity][-1]}; "
+            f"a schedule takes the {quantity} of a stage to {from_si(lowest, unit):.3g} {unit}; "
             "make its change smaller"
         )
     return values

@@ -1,9 +1,10 @@
 """StepTable: a step that takes a differential equation, interpolated between points that are solved.
 
 Working points are covered by cells, each with a polynomial through five Chebyshev points in every quantity
-that varies. Where a cell is off by more than `TOLERANCE` at points of its own, it is halved along the
-quantity that bends most, so that cells are small about a change of regime and large elsewhere. Cells lie on a
-grid that does not depend on the points, and what is solved is kept: later calls cost what is new in them.
+that varies. Where its last coefficients exceed `TOLERANCE`, or it is off by more at points of its own, a cell
+is halved along the quantity that bends most, so that cells are small about a change of regime and large
+elsewhere. Cells lie on a grid that does not depend on the points, and what is solved is kept: later calls
+cost what is new in them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CELL_LOAD = 5.0  # m/s^2
 CELL_SHARE = 0.1  # of any other quantity
 MAX_HALVINGS = 9
 MAX_SOLVED = 5_000
-MAX_SETS = 6  # of the other quantities, for which load is interpolated alone
+MAX_SETS = 12  # of the other quantities, for which load is interpolated alone
 
 
 class StepTable:
@@ -97,16 +98,17 @@ class StepTable:
         axes = [low[k] + width[k] * (NODES + 1) / 2 for k in range(d)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
         nodes = self._unscale(grid, varied, points[0])
-        is_smooth = bool(self._is_held(nodes).all())
+        is_held = bool(self._is_held(nodes).all())
         axis = int(np.argmax(width))
-        if is_smooth:
+        if is_held:
             steps = np.array([self._step_of(node) for node in nodes]).reshape((len(NODES),) * d)
-            tests = low + width * (TESTS[:, :d] + 1) / 2
-            true = np.array([self._step_of(each) for each in self._unscale(tests, varied, points[0])])
-            off = np.abs(_evaluate(steps, axes, tests) - true).max()
-            if off <= TOLERANCE * np.abs(steps).min():
-                return _evaluate(steps, axes, scaled)
-            axis = _most_bent(steps)
+            allowed, bends = TOLERANCE * np.abs(steps).min(), _last_coefficients(steps)
+            if bends.max() <= allowed:
+                tests = low + width * (TESTS[:, :d] + 1) / 2
+                true = [self._step_of(each) for each in self._unscale(tests, varied, points[0])]
+                if np.abs(_evaluate(steps, axes, tests) - true).max() <= allowed:
+                    return _evaluate(steps, axes, scaled)
+            axis = int(np.argmax(bends))
         if halvings >= MAX_HALVINGS * d:
             return np.array([self._step_of(point) for point in points])
         found = np.empty(len(points))
@@ -158,8 +160,10 @@ def _evaluate(steps: Array, axes: list[Array], points: Array) -> Array:
     return values
 
 
-def _most_bent(steps: Array) -> int:
-    """The axis along which the last Chebyshev coefficients are largest."""
-    vandermonde = np.linalg.inv(np.polynomial.chebyshev.chebvander(NODES, ORDER))[-2:]
-    bends = [np.abs(np.tensordot(vandermonde, steps, axes=(1, axis))).max() for axis in range(steps.ndim)]
-    return int(np.argmax(bends))
+LAST_COEFFICIENT = np.linalg.inv(np.polynomial.chebyshev.chebvander(NODES, ORDER))[-1]
+
+
+def _last_coefficients(steps: Array) -> Array:
+    """The largest last Chebyshev coefficient along each axis."""
+    axes = range(steps.ndim)
+    return np.array([np.abs(np.tensordot(LAST_COEFFICIENT, steps, axes=(0, axis))).max() for axis in axes])
