@@ -321,7 +321,7 @@ class SimulatedColumn:
             level = self.mean + self.between_sessions * rng.standard_normal()
             turns = np.arange(traverses) / traverses + rng.random()
             values.append(level + self.within_session * sqrt(2.0) * np.sin(2 * np.pi * turns))
-        drawn = np.concatenate(values)
+        drawn = _as_read(np.concatenate(values), max(self.between_sessions, self.within_session))
         low, high = self.limits
         if drawn.min() < low or drawn.max() > high:
             unit = next((field.unit for field in _CONDITIONS if field.name == self.column), "1")
@@ -331,6 +331,11 @@ class SimulatedColumn:
 
 
 OTHER_STREAMS = 4  # that a session's noise takes
+
+
+def _as_read(values: Array, spread: float) -> Array:
+    """As an instrument shows them, to about a hundredth of their spread."""
+    return values.round(2 - int(np.floor(np.log10(spread)))) if spread > 0 else values
 
 
 class ColumnTable(TomlTable):
