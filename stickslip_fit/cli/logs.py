@@ -60,7 +60,7 @@ def simulate(
         INPUT,
     ],
     machine: MachinePath = None,
-    truth: Annotated[
+    true_steps: Annotated[
         Path | None,
         typer.Option(
             help="Also write here, as CSV, the true step of each traverse and its stage's quantities."
@@ -76,18 +76,18 @@ def simulate(
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.machine import load_machine
     from stickslip_fit.moves.arm import column_key, required_columns
-    from stickslip_fit.simulation.true_steps import format_true_steps
+    from stickslip_fit.simulation.truth_table import format_true_steps
 
     geometry = load_machine(machine)
     planned = read_plan(plan, geometry)
     known = load_law_values(law, geometry, planned)
     log = simulation.simulate(planned, known, geometry, seed)
-    steps = None if truth is None else simulation.true_steps(log, known, planned)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
-    if truth is not None and steps is not None:
-        write_atomically(truth, format_true_steps(steps, geometry))
-        print(f"true steps written to {truth}")
+    if true_steps is not None:
+        table = simulation.true_steps(log, known, planned)
+        write_atomically(true_steps, format_true_steps(table, geometry))
+        print(f"true steps written to {true_steps}")
     given = log.rows.dropna(axis=1, how="all")
     missing = [column_key(name) for name in required_columns(known.laws.values()) if name not in given]
     if missing:

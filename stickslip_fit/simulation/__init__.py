@@ -10,8 +10,8 @@ from stickslip_fit.simulation.campaign import (
 from stickslip_fit.simulation.schedule import ByColumn, Schedule, Since, WithUse
 from stickslip_fit.simulation.stage_law import MountedStage, StageLaw
 from stickslip_fit.simulation.stage_tables import SimulatedColumn
-from stickslip_fit.simulation.true_steps import true_steps
 from stickslip_fit.simulation.truth import LawValues, parameter_key, read_law_values
+from stickslip_fit.simulation.truth_table import true_steps
 
 __all__ = [
     "ByColumn",

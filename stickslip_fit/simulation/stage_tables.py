@@ -48,10 +48,13 @@ def _known_quantity(entry: Any) -> tuple[float, str]:
 def _amount(advice: str) -> Any:
     """The type of a number with its unit as text, which comes as both."""
     return Annotated[
-        tuple[float, str], BeforeValidator(_known_quantity, json_schema_input_type=str | float), Give(advice)
+        tuple[float, str] | None,
+        BeforeValidator(_known_quantity, json_schema_input_type=str | float),
+        Give(advice),
     ]
 
 
+NONE = (0.0, "s")
 WITH_UNIT = 'give a number with its unit in quotes, such as "45 %"; a column of your own has a bare number'
 
 
@@ -102,25 +105,23 @@ class ScheduleTable(TomlTable):
     """A change of one quantity of the stage; one of session, traverse, column and over says when."""
 
     quantity: QuantityName
-    """What changes: `friction` is the coefficient, `voltage` drives the foot's travel, `payload` sits at the
-    tip."""
+    """`friction` is the coefficient, `voltage` sets the foot's travel, `payload` is a mass at the tip."""
     change: _amount('give a change with its unit in quotes, such as "-10 %", "5 g" or "0.01 ms"')  # type: ignore[valid-type]
     """A share of the stage's own value, or in its unit."""
     session: Text = ""
     """From this session on."""
-    moment: _amount('give a time after the session\'s beginning, such as "40 min"') = (0.0, "s")  # type: ignore[valid-type]
+    moment: _amount('give a time after the session\'s beginning, such as "40 min"') = None  # type: ignore[valid-type]
     """With `session`: after its first traverse."""
     traverse: Annotated[int | None, Interval(ge=1, le=5_000_000)] = None
     """From this traverse on, counted from 1 through the whole campaign, all joints together."""
     column: Text = ""
     """In proportion to a column, named as in a log."""
-    at: _amount(WITH_UNIT) | None = None  # type: ignore[valid-type]
+    at: _amount(WITH_UNIT) = None  # type: ignore[valid-type]
     """With `column`: where there is no change."""
-    per: _amount(WITH_UNIT) | None = None  # type: ignore[valid-type]
+    per: _amount(WITH_UNIT) = None  # type: ignore[valid-type]
     """With `column`: the change comes once for each of these above `at`."""
-    over: _amount('give steps or a time, such as "50000 steps" or "20 min"') | None = None  # type: ignore[valid-type]
-    """With use, 1 - exp(-n / over) of the change: n steps of the joint in the campaign (wear), or the time in
-    the session (warm-up)."""
+    over: _amount('give steps or a time, such as "50000 steps" or "20 min"') = None  # type: ignore[valid-type]
+    """1 - exp(-n / over) of the change, n the joint's own steps so far (wear) or the session's time."""
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
@@ -139,7 +140,7 @@ class ScheduleTable(TomlTable):
             if name in self.fields_in_file() and wanted not in ways:
                 self.refuse((f"goes with {wanted}; leave it out", (name,)))
         self._check_column()
-        if "moment" in self.fields_in_file() and self.moment[1] not in ("s", "min", "h"):
+        if self.moment is not None and self.moment[1] not in ("s", "min", "h"):
             self.refuse(('give a time, such as "40 min"', ("moment",)))
         if self.over is not None and (self.over[1] not in ("steps", "s", "min", "h") or self.over[0] <= 0):
             self.refuse(('give steps or a time above 0, such as "50000 steps" or "20 min"', ("over",)))
@@ -167,7 +168,7 @@ class ScheduleTable(TomlTable):
 
     def _course(self) -> Course:
         if self.session:
-            return Since(session=self.session, moment=to_si(*self.moment))
+            return Since(session=self.session, moment=to_si(*(self.moment or NONE)))
         if self.traverse is not None:
             return Since(traverse=self.traverse)
         if self.over is not None:
@@ -177,7 +178,7 @@ class ScheduleTable(TomlTable):
             return WithUse(column, to_si(*self.over))
         column_read = column_of_log(self.column)
         assert column_read is not None
-        at, per = column_read.parse(self.at or (0.0, "")), column_read.parse(self.per or (0.0, ""), True)
+        at, per = column_read.parse(self.at or NONE), column_read.parse(self.per or NONE, True)
         assert at is not None
         assert per is not None
         return ByColumn(column_read.name, at, per)
@@ -345,9 +346,9 @@ class ColumnTable(TomlTable):
     """As in a log: `humidity_pct`, `temperature_C`, `supply_V`, or one of your own."""
     mean: _amount(WITH_UNIT)  # type: ignore[valid-type]
     """Over all sessions."""
-    between_sessions: _amount(WITH_UNIT) | None = None  # type: ignore[valid-type]
+    between_sessions: _amount(WITH_UNIT) = None  # type: ignore[valid-type]
     """Standard deviation of the sessions' levels."""
-    within_session: _amount(WITH_UNIT) | None = None  # type: ignore[valid-type]
+    within_session: _amount(WITH_UNIT) = None  # type: ignore[valid-type]
     """Standard deviation of one wave through each session, with a phase of its own."""
 
     @model_validator(mode="after")
@@ -373,4 +374,4 @@ class ColumnTable(TomlTable):
         assert of is not None
         spreads = [self.between_sessions, self.within_session]
         sizes = [0.0 if each is None else of.parse(each, True) or 0.0 for each in spreads]
-        return SimulatedColumn(of.name, of.parse(self.mean) or 0.0, sizes[0], sizes[1], of.limits)
+        return SimulatedColumn(of.name, of.parse(self.mean or NONE) or 0.0, sizes[0], sizes[1], of.limits)

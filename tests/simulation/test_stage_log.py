@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log, write_log
 from stickslip_fit.simulation import read_law_values, simulate
 from stickslip_fit.step import Contact, Drive, Stage, coulomb_step
+from tests.simulation.conftest import PLAN, USUAL
 
 G = 9.80665
 QUIET = {"repeatability": 0, "check_every": 1}
@@ -317,6 +319,9 @@ FAULTS = [
         "45 K",
         'such as "10 %"',
     ),
+    (JOINT_3 + '[[column]]\nname = "humidity_pct"\nmean = "wet"\n', "column 1 mean", "wet", 'such as "45 %"'),
+    (JOINT_3 + '[[column]]\nname = "humidity_pct"\n', "column 1 mean", None, 'such as "45 %"'),
+    (JOINT_3 + schedule("friction", "5 %", over="long"), "schedule 1 over", "long", "give steps or a time"),
     (JOINT_3 + HUMID + HUMID, "column 2 name", "humidity_pct", "an earlier [[column]] has this name"),
 ]
 
@@ -378,3 +383,22 @@ def test_a_stage_file_that_cannot_be_one(truth_of, text, stage, message):
 def test_what_a_plan_cannot_have_is_refused(stage_rows, text, message):
     with pytest.raises(InputError, match=message):
         stage_rows(text)
+
+
+def test_the_command_writes_the_truth_beside_the_log(run, tmp_path):
+    (tmp_path / "stage.toml").write_text(STAGE.format(**TYPICAL))
+    (tmp_path / "law.toml").write_text(JOINT_3 + schedule("ramp time", "0.01 ms", session="2012-03-06"))
+    (tmp_path / "plan.toml").write_text(PLAN.format(**USUAL | QUIET))
+    paths = tmp_path / "plan.toml", "--law", tmp_path / "law.toml", "-o", tmp_path / "log.csv"
+    status, printed, _ = run("simulate", *paths, "--true-steps", tmp_path / "truth.csv")
+    assert status == 0
+    assert "true steps written to" in printed
+    rows, truth = read_log(tmp_path / "log.csv").rows, pd.read_csv(tmp_path / "truth.csv")
+    later = rows["session"] >= "2012-03-06"
+    np.testing.assert_allclose(truth["ramp_time_ms"], np.where(later, 0.15, 0.14))
+    np.testing.assert_allclose(truth["preload_N"], 1.25)
+    np.testing.assert_allclose(12e6 / truth["step_nm"], rows["steps"], atol=0.51)
+    (tmp_path / "stage.toml").unlink()
+    status, _, complaint = run("simulate", *paths, "--force")
+    assert status == 2
+    assert "stage.toml: cannot be read" in complaint
