@@ -66,6 +66,12 @@ class MountedStage:
         """See `make_step_function`."""
         return make_step_function(self.stage)
 
+    def bind(self, sessions: Sequence[str], traverses: int) -> MountedStage:
+        """The same in a campaign of these sessions, of so many traverses each; raises as `Course.bind`."""
+        bound = replace(self, schedules=tuple(each.bind(sessions, traverses) for each in self.schedules))
+        vars(bound)["step"] = self.step  # with what has been solved
+        return bound
+
     def conditions(self, row: Mapping[str, Any]) -> dict[str, Array]:
         """Preload (N), friction (1), voltage, ramp time and payload of each traverse, SI, shape (n,) or (1,).
 
@@ -119,11 +125,9 @@ class StageLaw(StepLaw):
 
     def bind(self, sessions: Sequence[str], traverses: int) -> StageLaw:
         """The law in a campaign of these sessions, of so many traverses each; raises as `Course.bind`."""
-        bound = {
-            way: replace(stage, schedules=tuple(each.bind(sessions, traverses) for each in stage.schedules))
-            for way, stage in self.stages.items()
-        }
-        return replace(self, stages=bound)
+        return replace(
+            self, stages={way: stage.bind(sessions, traverses) for way, stage in self.stages.items()}
+        )
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`; InputError for a direction without a stage."""

@@ -9,7 +9,9 @@ cost what is new in them.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +53,7 @@ class StepTable:
         self._solve = solve
         self._is_held = is_held
         self.solved: dict[tuple[float, ...], float] = {}
+        self._alone: Counter[tuple[Any, ...]] = Counter()
 
     def steps(self, points: Array) -> Array:
         """Steps of points, shape (n, d), the load first -> (n,); nan where there is none.
@@ -93,7 +96,7 @@ class StepTable:
     ) -> Array:
         """Steps of the points of one cell."""
         d = len(varied)
-        if len(points) <= len(NODES) ** d + len(TESTS):
+        if halvings >= MAX_HALVINGS * d or self._few(points, varied, (*low, *width)):
             return np.array([self._step_of(point) for point in points])
         axes = [low[k] + width[k] * (NODES + 1) / 2 for k in range(d)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
@@ -109,8 +112,6 @@ class StepTable:
                 if np.abs(_evaluate(steps, axes, tests) - true).max() <= allowed:
                     return _evaluate(steps, axes, scaled)
             axis = int(np.argmax(bends))
-        if halvings >= MAX_HALVINGS * d:
-            return np.array([self._step_of(point) for point in points])
         found = np.empty(len(points))
         half = width.copy()
         half[axis] /= 2
@@ -122,6 +123,14 @@ class StepTable:
             if len(own):
                 found[own] = self._fill(points[own], scaled[own], varied, corner, half, halvings + 1)
         return found
+
+    def _few(self, points: Array, varied: IntArray, place: tuple[float, ...]) -> bool:
+        """Whether these points of a cell take fewer solutions than a polynomial, with those before them."""
+        cell = (*varied, *place, *np.delete(points[0], varied))
+        new = sum(tuple(map(float, point)) not in self.solved for point in points)
+        few = self._alone[cell] + new <= len(NODES) ** len(varied) + len(TESTS)
+        self._alone[cell] += new if few else 0
+        return few
 
     def _step_of(self, point: Array) -> float:
         key = tuple(map(float, point))
