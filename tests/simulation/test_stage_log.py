@@ -247,6 +247,17 @@ def test_other_stages_step_as_the_stage_itself_says(stage_rows, changed):
     assert_counts(rows, LENGTH / kept / [replace(stage, load=G * load).step() for load in load_3(rows)])
 
 
+def test_bristles_meet_what_a_schedule_changes(stage_rows):
+    later = {"session": "2012-03-06"}
+    changes = schedule("preload", "-10 %", **later) + schedule("voltage", "-40 V", **later)
+    changes += schedule("payload", "1 g", **later) + schedule("ramp time", "0.02 ms", **later)
+    bristles = {"contact": 'model = "dahl"\nstiffness_N_per_um = 20'}
+    rows = stage_rows(JOINT_3 + changes, bristles, sweep="q2_deg = -90", dates="2012-03-05, 2012-03-06")
+    first = Stage("", MASS, Contact(0.2, 1.25, "dahl", stiffness=20e6), Drive(80, 30e-9, RAMP, 5e-6, 1e-3))
+    last = Stage("", 6e-3, replace(first.contact, preload=1.125), Drive(40, 30e-9, 1.6e-4, 5e-6, 1e-3))
+    assert_counts(rows, LENGTH / np.repeat([first.step(), last.step()], 2))
+
+
 def test_causes_act_on_a_stage_as_on_a_law(stage_rows):
     late = '[[cause]]\nname = "end-stop-latency"\nL = "40 steps"\n'
     rows, with_cause = stage_rows(JOINT_3), stage_rows(JOINT_3 + late)
