@@ -187,6 +187,12 @@ class LawValues:
     day_to_day: Mapping[Group, float] = field(default_factory=dict)
     columns: tuple[SimulatedColumn, ...] = ()
 
+    @property
+    def has_stages(self) -> bool:
+        """Whether a stage stands in place of any law."""
+        laws = (law.law if isinstance(law, ExtendedLaw) else law for law in self.laws.values())
+        return any(isinstance(law, StageLaw) for law in laws)
+
     def in_campaign(self, sessions: Sequence[str], traverses: int) -> LawValues:
         """The same in a campaign of these sessions, of so many traverses each.
 

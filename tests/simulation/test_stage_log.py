@@ -12,6 +12,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log, write_log
 from stickslip_fit.simulation import read_law_values, simulate
 from stickslip_fit.step import Contact, Drive, Stage, coulomb_step
+from stickslip_fit.studies import read_study
 from tests.simulation.conftest import PLAN, USUAL
 
 G = 9.80665
@@ -413,3 +414,13 @@ def test_the_command_writes_the_truth_beside_the_log(run, tmp_path):
     status, _, complaint = run("simulate", *paths, "--force")
     assert status == 2
     assert "stage.toml: cannot be read" in complaint
+
+
+def test_a_study_takes_no_stages(truth_of, plan_of, machine, tmp_path):
+    cause = '[[cause]]\nname = "end-stop-latency"\nL = "40 steps"\n'
+    truth_of(JOINT_3 + cause)
+    plan_of()
+    study = 'plan = "plan.toml"\nlaw = "law.toml"\n[moves]\ncount = 0\n[[scenario]]\nname = "nothing"\n'
+    (tmp_path / "study.toml").write_text(study)
+    with pytest.raises(InputError, match="column law, value 'law.toml': has stages, which a study does not"):
+        read_study(tmp_path / "study.toml", machine)
