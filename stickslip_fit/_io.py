@@ -12,20 +12,18 @@ import errno
 import os
 import re
 import stat
-import sys
 import tempfile
 import time
 import unicodedata
-import warnings
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    pass
 
 _PREFIX, _SUFFIX = ".stickslip-fit-", ".tmp"
 _TEMPORARY_NAME = re.compile(rf"{re.escape(_PREFIX)}\w{{8}}{re.escape(_SUFFIX)}")
@@ -239,49 +237,3 @@ def _delete_if_stale(name: str) -> None:
         os.close(lock)
     elif old:
         os.unlink(name)
-
-
-def progress_bar(shown: bool, **options: Any) -> tqdm:
-    """A tqdm that disappears when done, with its options; if `shown`, then at a terminal or in a notebook."""
-    with warnings.catch_warnings():
-        # A notebook without ipywidgets shows no warning.
-        warnings.filterwarnings("ignore", message="IProgress not found")
-        from tqdm.auto import tqdm
-
-    return tqdm(disable=None if shown else True, leave=False, **options)
-
-
-DELAY = 2.0  # s, before a bar is shown
-LINE_EVERY = 10.0  # s, where there is no terminal
-ProgressCallback = Callable[[str, float], None]
-"""Called with the step that begins and the share of the work that is done."""
-
-
-def ignore_progress(step: str, done: float) -> None:
-    """Show nothing."""
-
-
-@contextmanager
-def show_progress() -> Iterator[ProgressCallback]:
-    """Progress on standard error: ``with show_progress() as callback: diagnose(log, progress=callback)``.
-
-    At a terminal and in a notebook a bar, from two seconds on; elsewhere a line now and then, so that a file
-    of messages stays one that can be read.
-    """
-    began = shown = time.monotonic()
-    with progress_bar(True, total=1.0, delay=DELAY, bar_format="{desc} {percentage:3.0f}% |{bar}|") as bar:
-
-        def update(step: str, done: float) -> None:
-            nonlocal shown
-            now = time.monotonic()
-            if bar.disable:
-                if now - shown > LINE_EVERY:
-                    shown = now
-                    with suppress(OSError):
-                        print(f"{step}: {100 * done:.0f} %", file=sys.stderr, flush=True)
-            elif now - began > DELAY:
-                bar.set_description_str(step, refresh=False)
-                bar.n = done
-                bar.refresh()
-
-        yield update

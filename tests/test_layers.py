@@ -20,7 +20,7 @@ PACKAGE = ROOT / "stickslip_fit"
 LAYERS = (
     ("errors", "_typing"),
     ("units",),
-    ("_io", "_input", "_format", "_expression", "_function"),
+    ("_io", "_progress", "_input", "_format", "_expression", "_function"),
     ("_export",),
     ("_summary", "_toml"),
     ("step",),

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.anova.designs import (

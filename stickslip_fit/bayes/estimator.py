@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._io import progress_bar
+from stickslip_fit._progress import progress_bar
 from stickslip_fit._typing import Array
 from stickslip_fit.bayes.marginal import (
     NUMBERS_PER_CHUNK,
@@ -200,6 +200,7 @@ def _finite_or_excluded(log_density: Array) -> Array:
 
 PROPOSAL_ROUNDS = 2  # the causes are fixed first at the least-squares fit, then at the proposal's centre
 DRAWS_PER_ESS = 4.0  # draws for each effective one that is asked for: uneven weights cost some
+CHAIN_LINE = "{desc}: {n_fmt}{unit}"  # of progress without a terminal
 JOINT_SEED = 100_003  # of draws that concern all joints
 
 
@@ -439,7 +440,7 @@ def fit_bayes(
     priors = weak_priors(log, laws) if priors is None else priors
     if causes:
         settings: dict[str, Any] = {"seed": seed, "target_ess": target_ess, "max_steps": max_steps}
-        with progress_bar(progress, desc="all joints", unit=" steps") as bar:
+        with progress_bar(progress, CHAIN_LINE, desc="all joints", unit=" steps") as bar:
             samples, priors = fit_jointly(
                 log, laws, causes, priors, backend=backend, on_step=bar.update, **settings
             )
@@ -473,7 +474,9 @@ def _fit_separately(
         if backend is not None:
             backends = file_backends(backend, name, traverses, prior, seed)
         # Most chains end long before `max_steps`, so a share of it would mislead.
-        with progress_bar(progress, desc=f"joint {joint}, direction {direction}", unit=" steps") as bar:
+        with progress_bar(
+            progress, CHAIN_LINE, desc=f"joint {joint}, direction {direction}", unit=" steps"
+        ) as bar:
             samples[joint, direction] = sample_posterior(
                 traverses,
                 prior,

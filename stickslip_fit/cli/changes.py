@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import show_progress
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT
 from stickslip_fit.cli._options import (
     Json,

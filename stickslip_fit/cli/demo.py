@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stickslip_fit._io import make_folder, show_progress, write_atomically
+from stickslip_fit._io import make_folder, write_atomically
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, read_template
 from stickslip_fit.cli._options import (
     MachinePath,

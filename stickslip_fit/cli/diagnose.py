@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._io import show_progress, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import (
     Force,

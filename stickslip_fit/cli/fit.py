@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stickslip_fit._io import show_progress
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import Output
 from stickslip_fit.cli._options import (
     CauseNames,

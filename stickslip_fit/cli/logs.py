@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import show_progress, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     CauseNames,

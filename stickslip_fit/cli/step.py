@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from stickslip_fit._io import show_progress
+from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import Force, check_chart, parse_path, reject_options
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show

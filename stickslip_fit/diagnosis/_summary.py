@@ -32,6 +32,7 @@ from stickslip_fit._summary import Column, Section, Summary, Table, numbers, wor
 from stickslip_fit.causes import EndStopMisfire, SizedParameter
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis._noise_summary import describe_noise
+from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
 from stickslip_fit.diagnosis._unknown_summary import (
     caption_parameters,
     describe_company,
@@ -89,6 +90,7 @@ def write_headline(diagnosis: Diagnosis) -> list[str]:
         f"{_describe_finding(first, diagnosis)}.",
         _describe_gain(first, diagnosis),
         *(_describe_side_effects(finding) for finding in others),
+        *(describe_reading(one, intervals=False) for one in diagnosis.stage if one.suffices),
         *describe_noise(diagnosis),
         *diagnosis.notes,
     ]
@@ -183,6 +185,7 @@ def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
         tuple(map(typeset_text, write_headline(diagnosis))),
         (
             Section(tables=(*_findings_tables(diagnosis), *_gain_tables(diagnosis))),
+            *stage_sections(diagnosis.stage),
             Section(
                 "What else it could be",
                 tuple(_alternatives(diagnosis)),

@@ -83,8 +83,9 @@ def _size_parameters(
         return tuple(version.summarize(values, covariance))
     if cause.startswith(COVARIATE_PREFIX):
         return ()
-    error = np.sqrt(np.diag(covariance))
-    error = np.where(error > 0, error, np.nan)  # the moment of a sudden change has none
+    sudden = [getattr(parameter, "sudden", False) for parameter in version.parameters]
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    error = np.where((error > 0) & ~np.array(sudden), error, np.nan)
     return tuple(
         SizedParameter(
             parameter.name,
@@ -94,8 +95,8 @@ def _size_parameters(
             parameter.direction,
             parameter.session,
         )
-        for parameter, value, sd in zip(version.parameters, values, error, strict=True)
-        if np.isfinite(sd) or getattr(parameter, "sudden", False)
+        for parameter, value, sd, jumps in zip(version.parameters, values, error, sudden, strict=True)
+        if np.isfinite(sd) or jumps
     )
 
 

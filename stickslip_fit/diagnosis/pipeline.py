@@ -17,6 +17,8 @@
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
    `withdrawal`: a cause that does not predict better is not named.
 10. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
+11. `stage_change`: which change of friction, mass, voltage or ramp time the findings stand for
+    (`stage_fingerprint`).
 
 `result` holds the `Diagnosis`; `separability` asks the same of a plan before any data; `residuals`
 prepares the figures.
@@ -30,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings
@@ -48,6 +50,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import Selection, empty_selection, select_causes, settle_noise
 from stickslip_fit.diagnosis.separability import find_aliased_causes
+from stickslip_fit.diagnosis.stage_change import read_stage
 from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable
 from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.laws import Laws
@@ -99,11 +102,15 @@ def diagnose(
     progress("fitting the laws", 0.0)
     problem, missing = problem_from_log(log, causes, laws)
     diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
+    if chosen := replace(diagnosis, log=log).choose_laws_anew(laws):
+        problem, missing = problem_from_log(log, causes, chosen)
+        diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis
     diagnosis = diagnosis.measure_gain(progress=progress)
-    return replace(diagnosis, next_experiment=next_experiment(diagnosis))
+    stage = read_stage(diagnosis.selection, diagnosis.findings, log.machine)
+    return replace(diagnosis, next_experiment=next_experiment(diagnosis), stage=stage)
 
 
 def diagnose_problem(

@@ -7,7 +7,7 @@ best.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,14 +106,15 @@ def term_change(selection: Selection, cause: str) -> Array:
     return compute_changes(selection.problem.linearize(), selected.version, values)[:, 0]
 
 
-def remove_effects(log: Log, selection: Selection, outlying: IntArray) -> Log:
-    """The log with counts as they would be without the causes of a selection.
+def remove_effects(log: Log, selection: Selection, outlying: IntArray, causes: Collection[str]) -> Log:
+    """The log with counts as they would be without some of the causes of a selection.
 
     `outlying` are the places, among the log's usable rows, of counts that took no part; they are excluded.
     """
     usable = log.rows.index[log.rows["status"] == "ok"]
     kept, steps = np.delete(usable, outlying), log.rows["steps"].astype(float)
-    change = sum((term_change(selection, one.cause) for one in selection.law_causes), np.zeros(len(kept)))
+    changes = [term_change(selection, one.cause) for one in selection.law_causes if one.cause in causes]
+    change = sum(changes, np.zeros(len(kept)))
     expected = expected_steps(steps[kept], log.rows.loc[kept, "check_every"])
     steps[kept] += np.asarray(expected) * np.expm1(-change)
     corrected = log.exclude(usable[outlying])

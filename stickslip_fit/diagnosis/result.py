@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
@@ -20,12 +20,15 @@ from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import remove_effects
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.diagnosis.stage_change import StageReading, find_courses
 from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
+from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.result import AxesArray, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
+from stickslip_fit.laws import Laws, StepLaw, choose_laws
 from stickslip_fit.logs import Log
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
@@ -68,6 +71,8 @@ class Diagnosis(Summarized):
     gain, gain_new_session : Gain or None
         On held-out traverses, and on new sessions known by their calibration; None if not measured.
     next_experiment : tuple of NextTraverse
+    stage : tuple of StageReading
+        Which change of friction, mass, voltage or ramp time the findings of a log stand for.
     log : Log or None
         None where the data were no log.
     table : TableInfo or None
@@ -93,6 +98,7 @@ class Diagnosis(Summarized):
     gain: Gain | None = None
     gain_new_session: Gain | None = None
     next_experiment: tuple[NextTraverse, ...] = ()
+    stage: tuple[StageReading, ...] = ()
     log: Log | None = None
     table: TableInfo | None = None
     noise_properties: tuple[str, ...] = ()
@@ -233,9 +239,31 @@ class Diagnosis(Summarized):
         InputError
             If the data were no log.
         """
+        return self._without([one.cause for one in self.selection.law_causes])
+
+    def _without(self, causes: Collection[str]) -> Log:
         log = self.require_log()
         outlying = [row for one in self.findings if one.traverses is not None for row in one.traverses.index]
-        return remove_effects(log, self.selection, np.array(outlying, dtype=int))
+        return remove_effects(log, self.selection, np.array(outlying, dtype=int), causes)
+
+    def choose_laws_anew(self, laws: Laws | None) -> Mapping[int, StepLaw] | None:
+        """The laws chosen once more, from counts without what follows time, use or a logged condition.
+
+        Where the log itself chooses a law, as it does lambda of a physical one, such an effect has had a say.
+
+        Returns
+        -------
+        mapping of int to StepLaw or None
+            None where they are the same.
+        """
+        courses = find_courses(self.selection)
+        if not courses or laws is None:
+            return None
+        log = self._without(list(courses))
+        chosen = choose_laws(usable_rows(log), log.machine, laws)
+        before = {part.law.joint: part.law for part in self.selection.problem.parts}
+        is_same = all(vars(law) == vars(before[joint]) for joint, law in chosen.items())
+        return None if is_same else chosen
 
     def methods(self) -> str:
         """How the log was analysed, as a paragraph to cite, with this log's numbers and its references.

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._input import format_path, read_file
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import generic
 from stickslip_fit.causes.roles import TableRoles, prepare_rows

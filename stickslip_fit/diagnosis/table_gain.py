@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import pluralize
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cross_validation import (
     MAX_UNKNOWN_SHARE,

@@ -135,11 +135,12 @@ SCATTER_NAMES = {
     "replicates": "Replicate scatter",
     "residuals": "Residual scatter",
     "given": "Repeatability, as given,",
+    "posterior": "Repeatability by the posterior",
 }
 
 
 def _scatter(fit: JointFit) -> str:
-    """What the error bars are made of, by direction: scatter of replicates, of residuals, or as given."""
+    """What the error bars are made of, by direction."""
     sentences = []
     for source, name in SCATTER_NAMES.items():
         levels = [
@@ -153,7 +154,7 @@ def _scatter(fit: JointFit) -> str:
 
 
 def _df_text(noise: NoiseLevel) -> str:
-    return "" if noise.source == "given" else f", {noise.df:,} df"
+    return "" if noise.source in ("given", "posterior") else f", {noise.df:,} df"
 
 
 def own_parameters(fit: JointFit) -> list[Parameter]:

@@ -219,7 +219,7 @@ class _RatioSearch:
         found = {}
         for way in self.found[FRICTION_LIMITED]:
             squares, share, error, free = np.array([self.found[ratio][way] for ratio in ratios]).T
-            probability = _relative_likelihood(squares, free) * _prior(ratios)
+            probability = _relative_likelihood(squares, free) * prior_shares(ratios)
             posterior = probability / probability.sum()
             found[way] = RatioProfile(ratios, posterior, share, error, squares, free.astype(np.intp))
         return found
@@ -261,7 +261,7 @@ def _relative_likelihood(squares: Array, free: npt.ArrayLike) -> Array:
     return np.exp(log - log.max())
 
 
-def _prior(ratios: Array) -> Array:
+def prior_shares(ratios: Array) -> Array:
     """Share of the prior in the interval around each; the last has all above the one before it."""
     edges = np.log(np.r_[LOWEST, (ratios[1:-1] + ratios[:-2]) / 2, ratios[-2], HIGHEST])
     return np.maximum(np.diff(edges), 0.0) / np.log(HIGHEST / LOWEST)

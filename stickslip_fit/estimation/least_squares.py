@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_value, join_words, pluralize
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError

@@ -254,24 +254,25 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
         worst error, absolute (rad or m) and relative (``law_rms``, ``law_rms_relative``, ...), with
         ``law_rms_low`` and ``law_rms_high``, a 95 % interval of the rms for errors that are Gaussian.
     """
-    work = table[by].copy()
+    work, names = table[by].copy(), []
     for model in ("law", "constant"):
-        work[f"{model}_"] = table[model] - table["measured"]
-        work[f"{model}_relative_"] = table[model] / table["measured"] - 1.0
+        work[f"{model} "] = table[model] - table["measured"]
+        work[f"{model} _relative"] = table[model] / table["measured"] - 1.0
+        names += [f"{model} ", f"{model} _relative"]
     groups = work.groupby(by, dropna=False, sort=True, observed=True)
-    summary = groups.size().rename("traverses").to_frame()
-    for model in ("law", "constant"):
-        for suffix in ("", "_relative"):
-            error = groups[f"{model}{suffix}_"]
-            bias, high, low = error.mean(), error.max(), error.min()
-            summary[f"{model}_bias{suffix}"] = bias
-            summary[f"{model}_rms{suffix}"] = np.hypot(bias, error.std(ddof=0))
-            summary[f"{model}_worst{suffix}"] = high.where(high >= -low, low)
-        for end, q in (("low", 0.975), ("high", 0.025)):
-            half_df = summary["traverses"] / 2.0
-            ratio = half_df / gammaincinv(half_df, q)  # df over the quantile of the chi-square
-            summary[f"{model}_rms_{end}"] = summary[f"{model}_rms"] * np.sqrt(ratio)
-    return summary.reset_index()
+    errors = groups[names]
+    bias, high, low = errors.mean(), errors.max(), errors.min()
+    rms, worst = np.hypot(bias, errors.std(ddof=0)), high.where(high >= -low, low)
+    columns = {"traverses": groups.size()}
+    for name in names:
+        model, suffix = name.split(" ")
+        for kind, values in {"bias": bias, "rms": rms, "worst": worst}.items():
+            columns[f"{model}_{kind}{suffix}"] = values[name]
+    half_df = columns["traverses"] / 2.0
+    for end, q in (("low", 0.975), ("high", 0.025)):
+        factor = np.sqrt(half_df / gammaincinv(half_df, q))  # df over the quantile of the chi-square
+        columns |= {f"{model}_rms_{end}": columns[f"{model}_rms"] * factor for model in ("law", "constant")}
+    return pd.DataFrame(columns).reset_index()
 
 
 MIN_EARLIER_SESSIONS = 3  # two earlier sessions give limits too wide to be of use

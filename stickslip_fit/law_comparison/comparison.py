@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import JointFit

@@ -20,7 +20,7 @@ recoil is as in thesis Eq. 4.5; see `laws.published` for the thesis.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,6 +50,7 @@ PANELS, NODES = 3, 10  # of each smooth stretch of a rotary traverse
 
 Ratios = tuple[float, float]
 """lambda in `+` and in `-`."""
+RatioCounter = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +114,15 @@ class Physical(StepLaw):
         """The lambda of traverses whose direction has this sign."""
         return np.where(sign > 0, *self.ratios)
 
+    def counter(self, rows: Rows) -> Counter:
+        """See `StepLaw.counter`; NaN where the slider does not move forward."""
+        count, ratio = self.ratio_counter(rows), self.ratio(_direction_sign(rows))
+        return lambda values: count(values, ratio)
+
+    @abstractmethod
+    def ratio_counter(self, rows: Rows) -> RatioCounter:
+        """As `counter`, with the lambda of each traverse, shape (n,), as a second argument."""
+
 
 class PhysicalPrismatic(Physical):
     """Joint 3: the step of a slider that carries its own weight, less the recoil of Eq. 4.5."""
@@ -131,11 +141,11 @@ class PhysicalPrismatic(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate(state.recoil, state.load, state.direction_sign, values[:, None, :])[0]
+        return self._evaluate_at(state, values)[0]
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate(state.recoil, state.load, state.direction_sign, values[:, None, :])[1]
+        return self._evaluate_at(state, values)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -154,25 +164,31 @@ class PhysicalPrismatic(Physical):
         """The published law's: one load gives r, and its curve follows."""
         return Prismatic().calibration()
 
-    def counter(self, rows: Rows) -> Counter:
-        """Closed form of `StepLaw.counter`; NaN where the slider does not move forward."""
+    def ratio_counter(self, rows: Rows) -> RatioCounter:
+        """Closed form of `Physical.ratio_counter`."""
         length, sign = traverse_length(rows), _direction_sign(rows)
         recoil, load = self.features(rows).T
 
-        def count(values: Array) -> tuple[Array, Array]:
+        def count(values: Array, ratio: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(length), len(self.parameters)))
-            gamma, slopes = self._evaluate(recoil, load, sign, values)
+            gamma, slopes = self._evaluate(recoil, load, sign, values, ratio)
             with np.errstate(divide="ignore", invalid="ignore"):
                 counts = np.where(gamma > 0, length / gamma, np.nan)
                 return counts, -slopes * (counts / gamma)[:, None]
 
         return count
 
-    def _evaluate(self, recoil: Array, load: Array, sign: Array, values: Array) -> tuple[Array, Array]:
+    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
+        sign = state.direction_sign
+        return self._evaluate(state.recoil, state.load, sign, values[:, None, :], self.ratio(sign))
+
+    def _evaluate(
+        self, recoil: Array, load: Array, sign: Array, values: Array, ratio: Array
+    ) -> tuple[Array, Array]:
         """Step size, and its derivatives on a last axis."""
         a, b, r = np.moveaxis(values, -1, 0)
         kept, against = 1.0 - b * recoil, sign * load
-        step = evaluate_step(a, r * against, 1.0, self.ratio(sign))
+        step = evaluate_step(a, r * against, 1.0, ratio)
         slopes = (kept * step.by_unloaded, -recoil * step.gamma, kept * step.by_share * against)
         # Far from any minimum both factors may be below 0.
         gamma = np.where(kept > 0, kept * step.gamma, np.nan)
@@ -204,11 +220,11 @@ class PhysicalRotary(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate(state.q2, state.q3, state.load, state.direction_sign, values[:, None, :])[0]
+        return self._evaluate_at(state, values)[0]
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate(state.q2, state.q3, state.load, state.direction_sign, values[:, None, :])[1]
+        return self._evaluate_at(state, values)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -232,27 +248,24 @@ class PhysicalRotary(Physical):
         """The published law's: each traverse passes through loads of many sizes."""
         return self.published.calibration()
 
-    def counter(self, rows: Rows) -> Counter:
-        """Gauss-Legendre quadrature between the angles at which the regime changes; see `StepLaw.counter`.
-
-        NaN where the joint would come to a halt.
-        """
+    def ratio_counter(self, rows: Rows) -> RatioCounter:
+        """Gauss-Legendre quadrature between the angles at which the regime changes."""
         start, stop = float_column(rows, "start"), float_column(rows, "stop")
         (amplitude, phase), sign = self.published.swing(rows), _direction_sign(rows)
         q2 = float_column(rows, "q2") if "q2" in self.columns else np.zeros(len(start))
         q3 = float_column(rows, "q3")
         x, w = _composite_rule()
 
-        def count(values: Array) -> tuple[Array, Array]:
+        def count(values: Array, ratio: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, (len(start), len(self.parameters)))
             share, inertia = self._share_and_inertia(q2, q3, sign, values)[:2]
-            edge = 1.0 - self.ratio(sign) * inertia
+            edge = 1.0 - ratio * inertia
             ends = _regime_changes(sign * share * amplitude, phase, edge, start, stop)
             owner, stretch = np.nonzero(ends[:, 1:] != ends[:, :-1])
             low, width = ends[owner, stretch][:, None], (ends[:, 1:] - ends[:, :-1])[owner, stretch][:, None]
             load = amplitude[owner, None] * np.cos(low + width * x - phase[owner, None])
-            own = q2[owner, None], q3[owner, None], load, sign[owner, None]
-            gamma, slopes = self._evaluate(*own, values[owner, None, :])
+            own = q2[owner, None], q3[owner, None], load, sign[owner, None], values[owner, None, :]
+            gamma, slopes = self._evaluate(*own, ratio[owner, None])
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate = np.where(gamma > 0, 1.0 / gamma, np.nan)
             weight = np.abs(width) * w * rate
@@ -273,11 +286,17 @@ class PhysicalRotary(Physical):
         share: Array = sum(weight * value for weight, value in zip(weights, shares, strict=True))
         return share, 1.0 if gain is None else 1.0 + values[..., 1] * gain, weights, gain
 
-    def _evaluate(self, q2: Array, q3: Array, load: Array, sign: Array, values: Array) -> tuple[Array, Array]:
+    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
+        sign = state.direction_sign
+        return self._evaluate(state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign))
+
+    def _evaluate(
+        self, q2: Array, q3: Array, load: Array, sign: Array, values: Array, ratio: Array
+    ) -> tuple[Array, Array]:
         """Step size, shape (n, k), and derivatives, (n, k, p)."""
         share, inertia, weights, gain = self._share_and_inertia(q2, q3, sign, values)
         against = sign * load
-        step = evaluate_step(values[..., 0], share * against, inertia, self.ratio(sign))
+        step = evaluate_step(values[..., 0], share * against, inertia, ratio)
         slopes = [step.by_unloaded]
         if gain is not None:
             slopes.append(step.by_inertia * gain)

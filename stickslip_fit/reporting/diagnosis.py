@@ -39,9 +39,10 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     joints = sorted(comparison.rows["joint"].unique())
     pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
     summary = diagnosis.summary()
-    findings, alternatives, untestable = summary.sections
+    findings, *stage, alternatives, untestable = summary.sections
     sections = (
         findings,
+        *stage,
         Section("The evidence", figures=(*pictures, gain_picture(diagnosis)), key="evidence"),
         replace(alternatives, figures=(ranking_picture(diagnosis), confusion_picture(diagnosis))),
         untestable,
@@ -68,7 +69,7 @@ def first_finding_picture(diagnosis: Diagnosis) -> Picture | None:
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """A diagnosis as a section of a report, whose headline and first figure stand above."""
-    findings, alternatives, untestable = diagnosis.summary().sections
+    findings, *stage, alternatives, untestable = diagnosis.summary().sections
     gain, ranking = gain_picture(diagnosis), ranking_picture(diagnosis)
     said = 1 + len(diagnosis.findings) if diagnosis.findings else 1
     return Section(
@@ -81,6 +82,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         folded=tuple(
             part
             for part in (
+                *(replace(one, key="") for one in stage),
                 replace(alternatives, figures=(ranking,) if ranking.svg is not None else (), key=""),
                 replace(untestable, key=""),
             )

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress, write_atomically
+from stickslip_fit._io import write_atomically
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Section, embed_json, load_page_assets, load_template
 from stickslip_fit.anova import Anova, analyze_variance
 from stickslip_fit.causes import Cause

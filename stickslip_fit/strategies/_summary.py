@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
 import pandas as pd
 
 from stickslip_fit._format import (
@@ -48,39 +52,79 @@ def compare_with_best(comparison: Comparison, joint: int) -> tuple[str, pd.DataF
     return best, both.sort_values("strategy", key=lambda names: names.map(order)).reset_index(drop=True)
 
 
-def write_headline(comparison: Comparison, joint: int) -> str:
+@dataclass(frozen=True, eq=False)
+class JointStrategies:
+    """What the comparison says of one joint, each part computed once.
+
+    `minutes` and `errors` (relative rms) are by strategy; `others` are pairs with the best.
+    """
+
+    comparison: Comparison
+    joint: int
+
+    @cached_property
+    def best(self) -> str:
+        return self._with_best[0]
+
+    @cached_property
+    def others(self) -> pd.DataFrame:
+        return self._with_best[1]
+
+    @cached_property
+    def _with_best(self) -> tuple[str, pd.DataFrame]:
+        return compare_with_best(self.comparison, self.joint)
+
+    @cached_property
+    def minutes(self) -> pd.Series:
+        return _rows_of_joint(self.comparison.cost(), self.joint).set_index("strategy")["seconds"] / 60
+
+    @cached_property
+    def errors(self) -> pd.Series:
+        return _rows_of_joint(self.comparison.accuracy(), self.joint).set_index("strategy")["rms_relative"]
+
+    @property
+    def scatter(self) -> dict[str, float]:
+        """The repeatability of a traverse in each direction."""
+        known = self.comparison.repeatability.items()
+        return {direction: value for (of, direction), value in known if of == self.joint}
+
+    @cached_property
+    def cheapest(self) -> str:
+        """The cheapest strategy whose difference from the best is below the scatter in its whole interval."""
+        is_equal = self.others["difference_relative_high"] < min(self.scatter.values())
+        equivalent = [self.best, *self.others.loc[is_equal, "strategy"]]
+        return min(equivalent, key=lambda name: float(self.minutes[name]))
+
+
+def write_headline(own: JointStrategies) -> str:
     """The strategy with the least error, and the cheapest one that is sure to be as good."""
-    best, others = compare_with_best(comparison, joint)
-    error, minutes = _errors(comparison, joint)[best], _minutes(comparison, joint)
-    text = f"least error by {best} ({format_percent(error)} rms, {minutes[best]:.0f} min a session)"
+    best, minutes = own.best, own.minutes
+    error = format_percent(own.errors[best])
+    text = f"least error by {best} ({error} rms, {minutes[best]:.0f} min a session)"
     caution = ""
-    if comparison.unit(joint) != SESSION_UNIT:
+    if own.comparison.unit(own.joint) != SESSION_UNIT:
         caution = " Intervals are over its configurations, since there is one session."
-    if not len(others):
+    if not len(own.others):
         return f"{text}.{caution}"
-    cheapest, scatter = _find_cheapest(comparison, joint)
+    cheapest, scatter = own.cheapest, format_percent(min(own.scatter.values()))
     if cheapest == best:
-        return (
-            f"{text}; no cheaper one is sure to come within a traverse's scatter "
-            f"({format_percent(scatter)}).{caution}"
-        )
+        return f"{text}; no cheaper one is sure to come within a traverse's scatter ({scatter}).{caution}"
     return (
-        f"{text}; cheapest that is sure to come within a traverse's scatter ({format_percent(scatter)}) of "
-        f"it: {cheapest} ({minutes[cheapest]:.0f} min).{caution}"
+        f"{text}; cheapest that is sure to come within a traverse's scatter ({scatter}) of it: "
+        f"{cheapest} ({minutes[cheapest]:.0f} min).{caution}"
     )
 
 
-def describe_joint(comparison: Comparison, joint: int) -> str:
+def describe_joint(own: JointStrategies) -> str:
     """What was predicted, what limits the comparison, and its answer in a few sentences."""
-    best, others = compare_with_best(comparison, joint)
+    comparison, joint, best, others = own.comparison, own.joint, own.best, own.others
     shared, sessions = comparison.shared, comparison.sessions(joint)
     traverses = shared.loc[shared["joint"] == joint, "traverse"].nunique()
-    own = f"{len(sessions)} sessions" if len(sessions) > 1 else f"the one session {sessions[0]}"
+    whose = f"{len(sessions)} sessions" if len(sessions) > 1 else f"the one session {sessions[0]}"
     repeat = " and ".join(
-        f"{format_value(value, '%', 2)} ({direction})"
-        for direction, value in _scatter(comparison, joint).items()
+        f"{format_value(value, '%', 2)} ({direction})" for direction, value in own.scatter.items()
     )
-    sentences = [f"Traverses predicted: {traverses:,}, of {own}; they scatter by {repeat}."]
+    sentences = [f"Traverses predicted: {traverses:,}, of {whose}; they scatter by {repeat}."]
     if comparison.unit(joint) != SESSION_UNIT:
         sentences.append(
             "Intervals and verdicts are over its configurations, since there is one session: they say "
@@ -93,47 +137,23 @@ def describe_joint(comparison: Comparison, joint: int) -> str:
             f"So few sessions show only large differences{multiplicity}; the intervals of single "
             "differences show more."
         )
-    minutes = _minutes(comparison, joint)
-    sentences.append(f"Least rms: {best}, {minutes[best]:.0f} min a session.")
+    sentences.append(f"Least rms: {best}, {own.minutes[best]:.0f} min a session.")
     if len(others):
         n_alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
         share = {0: "None of", len(others): "All of"}.get(n_alike, f"{n_alike} of")
         sentences.append(f"{share} the {len(others)} others cannot be told from it on this log.")
-        sentences.append(_describe_cheapest(comparison, joint, best, others))
+        sentences.append(_describe_cheapest(own))
     return " ".join(sentences)
 
 
-def _scatter(comparison: Comparison, joint: int) -> dict[str, float]:
-    """The repeatability of a traverse in each direction."""
-    return {direction: value for (of, direction), value in comparison.repeatability.items() if of == joint}
-
-
-def _minutes(comparison: Comparison, joint: int) -> pd.Series:
-    """Minutes a session, by strategy."""
-    return _rows_of_joint(comparison.cost(), joint).set_index("strategy")["seconds"] / 60
-
-
-def _errors(comparison: Comparison, joint: int) -> pd.Series:
-    """Relative rms errors, by strategy."""
-    return _rows_of_joint(comparison.accuracy(), joint).set_index("strategy")["rms_relative"]
-
-
-def _find_cheapest(comparison: Comparison, joint: int) -> tuple[str, float]:
-    """The cheapest strategy whose difference from the best is below the scatter in its whole interval."""
-    best, others = compare_with_best(comparison, joint)
-    minutes, scatter = _minutes(comparison, joint), min(_scatter(comparison, joint).values())
-    equivalent = [best, *others.loc[others["difference_relative_high"] < scatter, "strategy"]]
-    return min(equivalent, key=lambda name: float(minutes[name])), scatter
-
-
-def _describe_cheapest(comparison: Comparison, joint: int, best: str, others: pd.DataFrame) -> str:
-    cheapest, _ = _find_cheapest(comparison, joint)
-    if cheapest == best:
+def _describe_cheapest(own: JointStrategies) -> str:
+    cheapest = own.cheapest
+    if cheapest == own.best:
         return "No cheaper one is sure to come within a traverse's scatter of it."
-    high = float(others.set_index("strategy").loc[cheapest, "difference_relative_high"])
+    high = float(own.others.set_index("strategy").loc[cheapest, "difference_relative_high"])
     return (
         f"The cheapest that is sure to come within a traverse's scatter of it: {cheapest}, "
-        f"{_minutes(comparison, joint)[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of "
+        f"{own.minutes[cheapest]:.0f} min, at most {format_value(max(high, 0.0), '%', 2)} of "
         "a step more (95 %)."
     )
 
@@ -141,15 +161,14 @@ def _describe_cheapest(comparison: Comparison, joint: int, best: str, others: pd
 SHORT_VERDICTS = {BETTER: "better", WORSE: "worse", INDISTINGUISHABLE: "as good"}
 
 
-def overview_table(comparison: Comparison) -> Table:
+def overview_table(joints: Sequence[JointStrategies]) -> Table:
     """Time and error of every strategy, joint beside joint."""
-    cells: dict[str, list[str]] = {name: [] for name in comparison.strategies}
+    cells: dict[str, list[str]] = {name: [] for name in joints[0].comparison.strategies}
     columns = [Column("strategy", text=True)]
-    for joint in comparison.joints:
-        best, others = compare_with_best(comparison, joint)
+    for own in joints:
+        others, minutes, errors = own.others, own.minutes, own.errors
         verdicts = {} if others.empty else dict(zip(others["strategy"], others["verdict"], strict=True))
-        minutes, errors = _minutes(comparison, joint), _errors(comparison, joint)
-        group = f"joint {joint}"
+        group = f"joint {own.joint}"
         columns += [
             Column("time", "min", group),
             Column("rms", "%", group),
@@ -157,7 +176,7 @@ def overview_table(comparison: Comparison) -> Table:
         ]
         for name, row in cells.items():
             if name in errors:
-                verdict = "best" if name == best else SHORT_VERDICTS.get(verdicts.get(name, ""), "")
+                verdict = "best" if name == own.best else SHORT_VERDICTS.get(verdicts.get(name, ""), "")
                 row += [f"{minutes[name]:.0f}", format_percent(errors[name], with_unit=False), verdict]
             else:
                 row += [MISSING, MISSING, ""]
@@ -198,21 +217,23 @@ def _claims(comparison: Comparison, joint: int) -> tuple[Table, ...]:
 def summarize_comparison(comparison: Comparison) -> Summary:
     """Each joint's answer, all strategies in one table, then each joint's, and what was left out."""
     heading = typeset_text(format_heading(comparison))
-    sections = [Section(tables=(overview_table(comparison),))] if comparison.joints else []
-    sections += [Section("How they are compared", (heading,))] if comparison.joints else []
-    for joint in comparison.joints:
+    joints = [JointStrategies(comparison, joint) for joint in comparison.joints]
+    sections = [Section(tables=(overview_table(joints),))] if joints else []
+    sections += [Section("How they are compared", (heading,))] if joints else []
+    for own in joints:
+        joint = own.joint
         tables = (
-            strategies_table(comparison, joint),
+            strategies_table(own),
             errors_table(comparison, joint),
             _directions_table(comparison, joint),
             worst_table(comparison, joint),
             *_claims(comparison, joint),
         )
         title = capitalize_first(joint_name(joint, comparison.machine))
-        answer = typeset_text(describe_joint(comparison, joint)).replace("(-)", f"({MINUS})")
+        answer = typeset_text(describe_joint(own)).replace("(-)", f"({MINUS})")
         sections.append(Section(title, (answer,), tuple(filter(None, tables))))
     missing = left_out_table(comparison)
-    answers = [f"Joint {joint}: {write_headline(comparison, joint)}" for joint in comparison.joints]
+    answers = [f"Joint {own.joint}: {write_headline(own)}" for own in joints]
     return Summary(
         "Calibration strategies compared",
         tuple(map(typeset_text, answers)) or (heading,),
@@ -234,15 +255,16 @@ def format_heading(comparison: Comparison) -> str:
     return text if comparison.joints else f"{text} No session is left in which they can be compared."
 
 
-def strategies_table(comparison: Comparison, joint: int) -> Table:
+def strategies_table(own: JointStrategies) -> Table:
     """One joint's strategies: cost, relative errors, and what is seen of a difference from the best."""
+    comparison, joint = own.comparison, own.joint
     differences = {
         pair["strategy"]: (
             format_percent_range(pair["difference_relative_low"], pair["difference_relative_high"]),
             format_p_value(pair["p_adjusted"]),
             str(pair["verdict"]).removesuffix(" on this log"),
         )
-        for _, pair in compare_with_best(comparison, joint)[1].iterrows()
+        for _, pair in own.others.iterrows()
     }
     columns = (
         Column("strategy", text=True),

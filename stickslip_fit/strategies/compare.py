@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, find_source, ignore_progress, make_folder, write_atomically
+from stickslip_fit._io import find_source, make_folder, write_atomically
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._io import ProgressCallback, ignore_progress
+from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.closed_form import MIN_DF

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma, stdtr, stdtrit
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.estimation._optimize import RANK_TOL, mean_step_sizes
 from stickslip_fit.estimation.noise import COVERAGE
@@ -64,29 +64,57 @@ def summarize_errors(errors: pd.DataFrame, by: Sequence[str], unit: Sequence[str
         one unit, and where it would reach beyond a factor of 100 either way.
     """
     keys = [*by, *(name for name in unit if name not in by)]
-    columns: dict[str, pd.Series] = {}
-    rules: dict[str, tuple[str, str]] = {}
-    for kind in ERROR_SCALES.values():
-        columns |= {f"square_{kind}": errors[kind] ** 2, f"size_{kind}": errors[kind].abs()}
-        rules[f"square_{kind}"] = (f"square_{kind}", "mean")
-        rules[f"mean_{kind}"] = (kind, "mean")
-        rules[f"worst_{kind}"] = (f"size_{kind}", "max")
-    by_unit = errors.assign(**columns).groupby(keys, dropna=False, observed=True, sort=False).agg(**rules)
-    units = by_unit.groupby(level=list(by), dropna=False, observed=True, sort=False)
-    groups = errors.groupby(list(by), dropna=False, observed=True, sort=False)
-    summary = pd.DataFrame({"traverses": groups["traverse"].nunique(), "units": units.size()})
+    of_unit = _Groups(_number_groups(errors, keys))
+    of_group = _Groups(_number_groups(errors, by))
+    units = _Groups(of_group.number[of_unit.first])
+    summary = errors[[*by]].iloc[of_group.first].reset_index(drop=True)
+    pairs = np.unique(np.column_stack([of_group.number, pd.factorize(errors["traverse"])[0]]), axis=0)
+    columns: dict[str, npt.ArrayLike] = {"traverses": np.bincount(pairs[:, 0]), "units": units.size}
+    reach = t_half_width(units.size)
     for suffix, kind in ERROR_SCALES.items():
-        square, half = _log_interval(by_unit, f"square_{kind}", by)
-        _add_log_interval(summary, f"rms{suffix}", np.sqrt(square), half / 2)
-        bias, error = units[f"mean_{kind}"].mean(), units[f"mean_{kind}"].std(ddof=1) / np.sqrt(units.size())
-        summary[f"bias{suffix}"] = bias
-        summary[f"bias{suffix}_low"] = bias - t_half_width(summary["units"]) * error
-        summary[f"bias{suffix}_high"] = bias + t_half_width(summary["units"]) * error
-        high, low = groups[kind].max(), groups[kind].min()
-        summary[f"worst{suffix}"] = high.where(high >= -low, low)
-        worst, half = _log_interval(by_unit, f"worst_{kind}", by)
-        _add_log_interval(summary, f"typical_worst{suffix}", worst, half)
-    return summary.reset_index()
+        error = errors[kind].to_numpy(float)
+        square, half = _log_interval(of_unit.mean(error**2), units)
+        columns |= _with_log_interval(f"rms{suffix}", np.sqrt(square), half / 2)
+        mean = of_unit.mean(error)
+        bias, half = units.mean(mean), reach * np.sqrt(units.variance(mean) / units.size)
+        columns |= {
+            f"bias{suffix}": bias,
+            f"bias{suffix}_low": bias - half,
+            f"bias{suffix}_high": bias + half,
+        }
+        high, low = of_group.maximum(error), -of_group.maximum(-error)
+        columns[f"worst{suffix}"] = np.where(high >= -low, high, low)
+        columns |= _with_log_interval(
+            f"typical_worst{suffix}", *_log_interval(of_unit.maximum(np.abs(error)), units)
+        )
+    return summary.assign(**columns)
+
+
+def _number_groups(errors: pd.DataFrame, by: Sequence[str]) -> IntArray:
+    """The group of each row, numbered as they first appear."""
+    return errors.groupby(list(by), dropna=False, observed=True, sort=False).ngroup().to_numpy(np.intp)
+
+
+class _Groups:
+    """Statistics over groups of values, from the number of each value's group."""
+
+    def __init__(self, number: IntArray) -> None:
+        self.number = number
+        self.size = np.bincount(number)
+        self.first = np.unique(number, return_index=True)[1]
+
+    def mean(self, values: Array) -> Array:
+        return np.bincount(self.number, values) / self.size
+
+    def variance(self, values: Array) -> Array:
+        """Of a sample; NaN where a group has one value."""
+        squares = np.bincount(self.number, (values - self.mean(values)[self.number]) ** 2)
+        return squares / np.where(self.size > 1, self.size - 1, np.nan)
+
+    def maximum(self, values: Array) -> Array:
+        largest = np.full(len(self.size), -np.inf)
+        np.maximum.at(largest, self.number, values)
+        return largest
 
 
 def t_half_width(units: npt.ArrayLike) -> Array:
@@ -95,7 +123,7 @@ def t_half_width(units: npt.ArrayLike) -> Array:
     return np.asarray(stdtrit(np.where(df > 0, df, np.nan), 0.5 + COVERAGE / 2))
 
 
-def _log_interval(by_unit: pd.DataFrame, name: str, by: Sequence[str]) -> tuple[pd.Series, pd.Series]:
+def _log_interval(values: Array, groups: _Groups) -> tuple[Array, Array]:
     """Mean of positive numbers over the units, and the half-width of the 95 % interval of its logarithm.
 
     Cox's width for the mean of log-normal numbers (Zhou and Gao, Stat. Med. 16:783, 1997) is right where a
@@ -103,20 +131,18 @@ def _log_interval(by_unit: pd.DataFrame, name: str, by: Sequence[str]) -> tuple[
     Under scatter like Student's t with 5 df either covers 88 to 93 %. The root of their squares' sum covers
     95 %, and 97 to nearly 100 % where the scatter is Gaussian.
     """
-    groups = by_unit[name].groupby(level=list(by), dropna=False, observed=True, sort=False)
-    size, mean = groups.size(), groups.mean()
+    size, mean = groups.size, groups.mean(values)
     # A unit without error by chance has a logarithm that would dominate the spread.
-    logarithm = np.log(np.maximum(by_unit[name], MIN_RELATIVE_SIZE * groups.transform("mean")))
-    spread = logarithm.groupby(level=list(by), dropna=False, observed=True, sort=False).var(ddof=1)
+    spread = groups.variance(np.log(np.maximum(values, MIN_RELATIVE_SIZE * mean[groups.number])))
     cox = spread / size + spread**2 / (2 * np.maximum(size - 1, 1))
-    plain = groups.var(ddof=1) / mean**2 / size
+    plain = groups.variance(values) / mean**2 / size
     return mean, t_half_width(size) * np.sqrt(cox + plain)
 
 
-def _add_log_interval(summary: pd.DataFrame, name: str, value: pd.Series, half: pd.Series) -> None:
-    factor = np.exp(half.where(half <= np.log(MAX_INTERVAL_FACTOR)))
-    summary[name] = value
-    summary[f"{name}_low"], summary[f"{name}_high"] = value / factor, value * factor
+def _with_log_interval(name: str, value: Array, half: Array) -> dict[str, Array]:
+    """Columns of a value and its interval."""
+    factor = np.exp(np.where(half <= np.log(MAX_INTERVAL_FACTOR), half, np.nan))
+    return {name: value, f"{name}_low": value / factor, f"{name}_high": value * factor}
 
 
 MIN_VARIANCES = 3  # fewer do not determine their prior

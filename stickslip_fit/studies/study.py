@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import progress_bar
+from stickslip_fit._progress import progress_bar
 from stickslip_fit._summary import Summarized
 from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation.result import AxesArray
@@ -114,7 +114,9 @@ def _run_chunks(
     chunks: Sequence[Chunk], backend: Backend, progress: bool, finished: int
 ) -> Iterator[tuple[int, pd.DataFrame]]:
     total = finished + sum(map(len, chunks))
-    bar = progress_bar(progress, total=total, initial=finished, unit=" campaigns")
+    bar = progress_bar(
+        progress, "{n_fmt} of {total_fmt}{unit}", total=total, initial=finished, unit=" campaigns"
+    )
     with bar, closing(backend.run(chunks)) as results:
         for k, table in results:
             bar.update(len(chunks[k]))

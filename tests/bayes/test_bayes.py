@@ -76,6 +76,12 @@ def test_the_same_seed_gives_the_same_numbers(log, posterior):
     assert posterior.provenance.seed == 0
 
 
+def test_the_repeatability_is_told_as_the_posteriors(posterior):
+    shown = str(posterior.result)
+    assert "Repeatability by the posterior 0." in shown
+    assert "No scatter is known" not in shown
+
+
 def test_saved_and_read_again(posterior, log, tmp_path):
     path = tmp_path / "posterior.nc"
     posterior.save(path)

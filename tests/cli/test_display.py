@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
-import sys
 from pathlib import Path
 
 import pytest
 
-from stickslip_fit import _io
-from stickslip_fit._io import show_progress
+from stickslip_fit import _progress
+from stickslip_fit._progress import show_progress
 from stickslip_fit._summary import SCREEN, Column, Section, Summary, Table
 from stickslip_fit.cli._commands import CAPTURE_EXAMPLES
 from stickslip_fit.cli._commands import COMMANDS as ENTRIES
@@ -142,14 +141,13 @@ def test_no_bayes_factor_beyond_a_million_is_shown():
     assert shown == ["> 10^6", "1,000,000", "100", "1", "0.4", "< 0.01", "–"]
 
 
-def test_progress_is_quiet_at_first_and_then_a_line_now_and_then(monkeypatch, capsys):
-    clock = iter([0.0, 1.0, 5.0, 11.0, 12.0, 22.0])
-    monkeypatch.setattr(_io.time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+@pytest.mark.parametrize(("every", "lines"), [(1000.0, []), (0.0, ["searching: 50 %", "judging: 100 %"])])
+def test_without_a_terminal_progress_is_a_line_now_and_then(monkeypatch, capsys, every, lines):
+    monkeypatch.setattr(_progress, "LINE_EVERY", every)
     with show_progress() as progress:
-        for share in (0.0, 0.2, 0.5, 0.6, 1.0):
-            progress("searching", share)
-    assert capsys.readouterr().err.splitlines() == ["searching: 50 %", "searching: 100 %"]
+        progress("searching", 0.5)
+        progress("judging", 1.0)
+    assert capsys.readouterr().err.splitlines()[-2:] == lines
 
 
 def test_fit_says_where_residuals_scatter_more_than_replicates(run, campaign, tmp_path):

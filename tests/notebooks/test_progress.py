@@ -1,12 +1,11 @@
-"""A progress bar is for somebody who watches, and for nobody else."""
+"""Progress: a bar at a terminal, lines in a file, nothing where it is not wanted."""
 
 from __future__ import annotations
 
 import io
 
-import pytest
-
-from stickslip_fit._io import progress_bar
+from stickslip_fit import _progress
+from stickslip_fit._progress import progress_bar
 
 
 class Terminal(io.StringIO):
@@ -16,20 +15,28 @@ class Terminal(io.StringIO):
         return True
 
 
-def told(file, shown):
-    with progress_bar(shown, total=4, unit=" campaigns", file=file, ncols=70, mininterval=0) as each:
-        each.update(2)
-        each.refresh()
+def written_to(file, shown=True):
+    options = {"total": 4, "unit": " campaigns", "file": file, "ncols": 70, "mininterval": 0, "miniters": 0}
+    with progress_bar(shown, "{n_fmt} of {total_fmt}{unit}", **options) as bar:
+        bar.update(2)
     return file.getvalue()
 
 
 def test_a_terminal_shows_it_and_is_left_clean():
-    text = told(Terminal(), True)
+    text = written_to(Terminal())
     assert " 50%" in text
     assert "2/4" in text
     assert not text.rpartition("\r")[0].rpartition("\r")[2].strip()
 
 
-@pytest.mark.parametrize(("file", "shown"), [(io.StringIO(), True), (Terminal(), False)])
-def test_a_file_and_somebody_who_does_not_want_it_get_nothing(file, shown):
-    assert told(file, shown) == ""
+def test_a_file_gets_lines(monkeypatch):
+    monkeypatch.setattr(_progress, "LINE_EVERY", 0.0)
+    assert written_to(io.StringIO()).splitlines() == ["0 of 4 campaigns", "2 of 4 campaigns"]
+
+
+def test_a_file_gets_nothing_of_what_is_done_at_once():
+    assert written_to(io.StringIO()) == ""
+
+
+def test_somebody_who_does_not_want_it_gets_nothing():
+    assert written_to(Terminal(), shown=False) == ""

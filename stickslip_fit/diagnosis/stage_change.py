@@ -1,0 +1,311 @@
+"""What changed in the stage: friction, mass, voltage or ramp time, from how a finding acts under load.
+
+A finding says when steps changed and by how much. Under the physical law each change of the stage leaves a
+fingerprint of its own on the step size without load and on the response to load (`laws.physical`):
+
+- friction or preload times k: a_f and with it a_f T1^2 times k, r and lambda over k;
+- moving mass times k: the reverse, so that counts cannot tell it from friction;
+- ramp time T1 times k: a_f T1^2 times k^2, lambda over k^2;
+- voltage, and with it the throw D, times k: lambda times k.
+
+Each is fitted with the finding's course in time. Its size is shared by the joints and directions on which the
+finding acts; the lambda of each is integrated out, so that both regimes take part. The posterior over the
+four, all as likely beforehand, gives the credible set. Whether one of them suffices is tested against changes
+of step size and response of each joint and direction by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.special import chdtrc, logsumexp
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause
+from stickslip_fit.causes.load import PayloadChange
+from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.diagnosis.stage_fingerprint import FREE, SINGLE, Fingerprint, fit_changes
+from stickslip_fit.estimation.drive_ratio import prior_shares
+from stickslip_fit.laws import state_at
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.machine import Machine
+from stickslip_fit.units import Interval
+
+COURSE_COLUMNS = {
+    "session",
+    "session_seconds",
+    "steps_before",
+    "temperature",
+    "humidity",
+    "supply",
+    "payload",
+}
+SAME_COURSE = 0.6  # correlation of two findings that are one change
+QUANTITIES = ("friction", "mass", "voltage", "ramp time")
+CREDIBLE = 0.95
+NO_FIT = 0.001  # p-value below which none of the changes suffices
+MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
+PRIOR_SD = 0.15  # of the logarithm of a quantity's change
+SIZES = np.linspace(-0.7, 0.7, 2801)
+
+
+@dataclass(frozen=True)
+class StageChange:
+    """A change of the stage that a finding may be.
+
+    Attributes
+    ----------
+    quantity : {'friction', 'mass', 'voltage', 'ramp time'}
+        Friction stands for the preload too.
+    probability : float
+        Posterior, all four as likely beforehand.
+    size : Interval
+        Relative, where the finding's course is at its largest, with 95 %.
+    """
+
+    quantity: str
+    probability: float
+    size: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class StageReading:
+    """What findings that share a course in time say of the stage.
+
+    Attributes
+    ----------
+    causes : tuple of str
+    changes : tuple of StageChange
+        Likeliest first.
+    fingerprint : DataFrame
+        joint, direction; unloaded and response, the relative changes of the step size without load and of the
+        response to load, each with ``_error``; friction_limited, the probability of this regime.
+    p_value : float
+        That the likeliest change suffices, against a free change of each joint and direction.
+    left_out : tuple of int
+        Joints whose counts do not follow the physical law, in one direction or both.
+    """
+
+    causes: tuple[str, ...]
+    changes: tuple[StageChange, ...]
+    fingerprint: pd.DataFrame
+    p_value: float
+    left_out: tuple[int, ...] = ()
+
+    @property
+    def suffices(self) -> bool:
+        """Whether one change of the stage describes the findings."""
+        return self.p_value >= NO_FIT
+
+    @property
+    def credible(self) -> tuple[StageChange, ...]:
+        """The smallest set that holds the change with 95 %; empty where none suffices."""
+        if not self.suffices:
+            return ()
+        total = 0.0
+        chosen: list[StageChange] = []
+        for change in self.changes:
+            if total >= CREDIBLE and change.probability < chosen[-1].probability * (1 - 1e-9):
+                break
+            chosen.append(change)
+            total += change.probability
+        return tuple(chosen)
+
+    @property
+    def regime(self) -> str:
+        """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
+        limited = self.fingerprint["friction_limited"]
+        if (limited > CREDIBLE).all():
+            return "friction-limited"
+        return "velocity-limited" if (limited < 1 - CREDIBLE).all() else ""
+
+
+def read_stage(
+    selection: Selection, findings: Sequence[Finding], machine: Machine
+) -> tuple[StageReading, ...]:
+    """Read what changed in the stage from each finding that follows time, use, or a logged condition.
+
+    Findings with one course, such as a jump of the step size and a jump of the response to load, are read
+    together.
+
+    Parameters
+    ----------
+    selection : Selection
+        Of a log.
+    findings : sequence of Finding
+    machine : Machine
+        With the published geometry, else there is nothing to read.
+    """
+    if not machine.has_published_geometry:
+        return ()
+    named = {one.cause for one in findings}
+    courses = {name: course for name, course in find_courses(selection).items() if name in named}
+    readings = []
+    unread = list(courses)
+    while unread:
+        together = [name for name in unread if _correlation(courses[unread[0]], courses[name]) > SAME_COURSE]
+        unread = [name for name in unread if name not in together]
+        if (reading := _read(selection, tuple(together), courses, machine)) is not None:
+            readings.append(reading)
+    return tuple(readings)
+
+
+def find_courses(selection: Selection) -> dict[str, Array]:
+    """How strongly each cause of a selection that follows time, use or a logged condition acts.
+
+    Returns
+    -------
+    dict of str to array, shape (n,)
+        By cause; 1 where it acts most.
+    """
+    found = {}
+    for place, one in zip(selection.slices, selection.law_causes, strict=True):
+        course = _course(selection, one.version, selection.fit.values[place])
+        if course is not None and one.cause != UNKNOWN:
+            found[one.cause] = course
+    return found
+
+
+def _correlation(one: Array, other: Array) -> float:
+    use = (one != 0) | (other != 0)
+    a, b = one[use] - one.mean(), other[use] - other.mean()
+    return float(abs(a @ b) / np.sqrt((a @ a) * (b @ b)))
+
+
+def _course(selection: Selection, version: Cause, values: Array) -> Array | None:
+    """How strongly a cause acts on each traverse, 1 at most, shape (n,); None where that is no course."""
+    columns = set(version.columns)
+    known = columns <= COURSE_COLUMNS or all(name.startswith(COVARIATE_PREFIX) for name in columns)
+    if not (known and columns and isinstance(version, FactorCause | PayloadChange)):
+        return None
+    course = np.zeros(len(selection.problem))
+    for part in selection.problem.parts:
+        if not version.acts_on(part.law):
+            continue
+        rows = version.row_values(part.law, selection.problem.rows.iloc[part.rows])
+        state = state_at(part.law.joint, rows, np.stack([rows["start"], rows["stop"]], axis=-1))
+        own = [np.full((len(part.rows), 1), value) for value in values]
+        if isinstance(version, PayloadChange):
+            one = state.with_changes(override_load=np.ones((len(part.rows), 1)))
+            factor = np.asarray(version.change(one, own).load)
+        else:
+            factor = version.factor(state, own)
+        if factor.shape[1] > 1 and np.ptp(factor, axis=1).max() > 0:
+            return None
+        course[part.rows] = factor[:, 0] - 1.0
+    largest = course[np.argmax(np.abs(course))]
+    return course / largest if largest else None
+
+
+def _read(
+    selection: Selection, causes: tuple[str, ...], courses: Mapping[str, Array], machine: Machine
+) -> StageReading | None:
+    """What causes with one course say; None where the physical law describes no joint.
+
+    The course is that of the first, whose effect is the largest.
+    """
+    problem, course = selection.problem, courses[causes[0]]
+    response, effect = problem.responses.copy(), np.zeros(len(problem))
+    for one in selection.law_causes:
+        if one.cause in causes:
+            effect += term_change(selection, one.cause)
+        elif one.cause in courses or isinstance(one.version, CountCause | StateCause):
+            response -= term_change(selection, one.cause)  # all else may be what the physical law is about
+    ways = (problem.rows["direction"] == "-").to_numpy()
+    prints = []
+    for joint in sorted({part.law.joint for part in problem.parts}):
+        for sign, way in enumerate("+-"):
+            chosen = np.flatnonzero((problem.rows["joint"] == joint).to_numpy() & (ways == sign))
+            if len(chosen) and np.ptp(course[chosen]) > 0:
+                data = response[chosen], effect[chosen], problem.scale[chosen], course[chosen]
+                rows = problem.rows.iloc[chosen].reset_index(drop=True)
+                prints.append(fit_changes(joint, way, rows, machine, *data))
+    described = [one for one in prints if one.spread < MAX_SPREAD]
+    left_out = tuple(sorted({one.joint for one in prints if one.spread >= MAX_SPREAD}))
+    return _combine(causes, described, left_out) if described else None
+
+
+def _combine(
+    causes: tuple[str, ...], prints: Sequence[Fingerprint], left_out: tuple[int, ...]
+) -> StageReading:
+    """The posterior over changes, with lambda of each joint and direction integrated out."""
+    terms = {name: [_log_likelihoods(one, name) for one in prints] for name in SINGLE}
+    log_posterior = {
+        name: -0.5 * (SIZES / PRIOR_SD) ** 2 + sum(logsumexp(each, axis=0) for each in own)
+        for name, own in terms.items()
+    }
+    log_mass = {name: float(logsumexp(values)) for name, values in log_posterior.items()}
+    log_total = logsumexp([*log_mass.values(), log_mass["friction"]])
+    changes = []
+    for name in QUANTITIES:
+        source = "friction" if name == "mass" else name
+        weights = np.exp(log_posterior[source] - log_mass[source])
+        middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
+        ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
+        probability = float(np.exp(log_mass[source] - log_total))
+        changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
+    changes.sort(key=lambda change: -change.probability)
+    best = "friction" if changes[0].quantity == "mass" else changes[0].quantity
+    limited = _friction_limited(prints, terms, log_posterior)
+    excess, free = _excess_deviance(prints, terms, best, log_posterior[best])
+    table = pd.DataFrame([_fingerprint_row(one, float(p)) for one, p in zip(prints, limited, strict=True)])
+    return StageReading(causes, tuple(changes), table, float(chdtrc(free, excess)), left_out)
+
+
+def _log_likelihoods(one: Fingerprint, change: str) -> Array:
+    """Of each size of a change at each lambda, with the prior of lambda, shape (m, sizes)."""
+    fits = [fits[change] for fits in one.fits]
+    deviance = [fit.deviance + fit.information[0, 0] * (SIZES - fit.size[0]) ** 2 for fit in fits]
+    return np.log(prior_shares(one.ratios))[:, None] - np.array(deviance) / (2 * one.spread)
+
+
+def _friction_limited(
+    prints: Sequence[Fingerprint], terms: dict[str, list[Array]], log_posterior: dict[str, Array]
+) -> list[float]:
+    """The probability of lambda > 1, half of that of lambda = 1, of each joint and direction."""
+    total = logsumexp(list(log_posterior.values()))
+    limited = []
+    for place, one in enumerate(prints):
+        above = (one.ratios > 1.0) + 0.5 * (one.ratios == 1.0)
+        probability = 0.0
+        for name, values in log_posterior.items():
+            own = terms[name][place]
+            probability += float(above @ np.exp(own - logsumexp(own, axis=0)) @ np.exp(values - total))
+        limited.append(probability)
+    return limited
+
+
+def _excess_deviance(
+    prints: Sequence[Fingerprint], terms: dict[str, list[Array]], change: str, log_posterior: Array
+) -> tuple[float, int]:
+    """By how much the likeliest change fits worse than free ones, and how many parameters it saves."""
+    at, excess, free = int(np.argmax(log_posterior)), 0.0, -1
+    for one, own in zip(prints, terms[change], strict=True):
+        best = int(np.argmax(own[:, at]))
+        fit, other = one.fits[best][change], one.fits[best][FREE]
+        deviance = fit.deviance + fit.information[0, 0] * (SIZES[at] - fit.size[0]) ** 2
+        excess += max(deviance - other.deviance, 0.0) / one.spread
+        free += int(np.linalg.matrix_rank(other.information))
+    return excess, max(free, 1)
+
+
+def _fingerprint_row(one: Fingerprint, limited: float) -> dict[str, object]:
+    """The free change at the lambda that fits best."""
+    best = min(one.fits, key=lambda fits: fits[FREE].deviance)[FREE]
+    covariance = np.linalg.pinv(best.information) * one.spread
+    response = np.ones(2)
+    return {
+        "joint": one.joint,
+        "direction": one.direction,
+        "unloaded": float(best.size[0]),
+        "unloaded_error": float(np.sqrt(covariance[0, 0])),
+        "response": float(response @ best.size),
+        "response_error": float(np.sqrt(response @ covariance @ response)),
+        "friction_limited": limited,
+    }

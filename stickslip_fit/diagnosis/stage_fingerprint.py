@@ -1,0 +1,219 @@
+"""Fingerprints of changes of a stage: what each would do to the counts of one joint and direction.
+
+At one lambda after the other the physical law is fitted to counts without the change; then each change is
+fitted to what is left. Its effect on every count is exact, that of the law's own parameters on it linear.
+`stage_change` says what each change does to the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
+from stickslip_fit.estimation.drive_ratio import start_at
+from stickslip_fit.laws import FRICTION_LIMITED
+from stickslip_fit.laws.physical import Physical, physical_law_with
+from stickslip_fit.machine import Machine
+
+FREE = "free"
+SINGLE = ("friction", "voltage", "ramp time")  # of mass is friction's with the sign reversed
+COARSE = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, FRICTION_LIMITED)
+REFINEMENTS = 2
+MAX_ITERATIONS = 60  # of the law's own fit
+STEPS = 5  # of Gauss-Newton in the size of a change
+DIFFERENCE = 1e-3
+LARGEST = 0.5  # logarithm of a change
+TINY, SINGULAR = 1e-9, 1e-6  # information of which counts say nothing, and relative to the most
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeFit:
+    """Least squares of a change's size s at one lambda: `deviance` + (s - size) information (s - size).
+
+    Attributes
+    ----------
+    deviance : float
+        Sum of squares of the residuals in units of the noise.
+    size : array, shape (k,)
+        Logarithm of what a quantity is multiplied by, where the course is 1; of a free change those of the
+        step size without load and of r.
+    information : array, shape (k, k)
+    """
+
+    deviance: float
+    size: Array
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fingerprint:
+    """All changes fitted to the traverses of one joint and direction.
+
+    Attributes
+    ----------
+    joint : int
+    direction : str
+    ratios : array, shape (m,)
+        The lambdas, in rising order.
+    fits : tuple of mapping of str to ChangeFit
+        At each, by change: those of `SINGLE` and `FREE`.
+    df : int
+        Of the residuals that a free change leaves.
+    """
+
+    joint: int
+    direction: str
+    ratios: Array
+    fits: tuple[dict[str, ChangeFit], ...]
+    df: int
+
+    @property
+    def spread(self) -> float:
+        """Variance of the residuals beside the noise's; at least 1."""
+        least = min(fits[FREE].deviance for fits in self.fits)
+        return max(1.0, least / max(self.df, 1))
+
+
+def fit_changes(
+    joint: int,
+    direction: str,
+    rows: pd.DataFrame,
+    machine: Machine,
+    response: Array,
+    effect: Array,
+    scale: Array,
+    course: Array,
+) -> Fingerprint:
+    """Fit every change to the traverses of one joint and direction.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        n traverses.
+    response : array, shape (n,)
+        log(steps).
+    effect : array, shape (n,)
+        The part of it that is the finding's, as the diagnosis fitted it.
+    scale : array, shape (n,)
+        Standard deviation of the responses.
+    course : array, shape (n,)
+        How far the change is on at each traverse, 1 at most.
+    """
+    found: dict[float, dict[str, ChangeFit]] = {}
+
+    def evaluate(ratio: float) -> int:
+        law = physical_law_with(joint, rows, machine, (ratio, ratio))
+        at = _linearize(law, rows, response - effect, scale, ratio)
+        changes = StageEffects(law, rows, at.parts[0].values, ratio)
+        target = at.project(at.whiten(response - changes.unchanged))
+        found[ratio] = {}
+        for name in (*SINGLE, FREE):
+
+            def projected(size: Array, name: str = name) -> Array:
+                return at.project(at.whiten(changes.by(name, size, course)))
+
+            found[ratio][name] = _fit_size(projected, target, 2 if name == FREE else 1)
+        return at.df - 2
+
+    df = min(evaluate(ratio) for ratio in COARSE)
+    for _ in range(REFINEMENTS):
+        for ratio in _middles_beside_best(found):
+            evaluate(ratio)
+    ratios = sorted(found)
+    return Fingerprint(joint, direction, np.array(ratios), tuple(found[ratio] for ratio in ratios), df)
+
+
+def _linearize(
+    law: Physical, rows: pd.DataFrame, response: Array, scale: Array, ratio: float
+) -> LinearizedFit:
+    problem = replace(single_problem(law, rows, DEFAULT_OPTIONS), y=response)
+    minimum = problem.minimize(1.0 / scale**2, start_at(problem, ratio), MAX_ITERATIONS)
+    block = problem.groups.of_row
+    part = LawBlock(law, np.arange(len(rows)), block, minimum.values[block])
+    return linearize_fit(rows, [part], response, scale)
+
+
+def _middles_beside_best(found: dict[float, dict[str, ChangeFit]]) -> list[float]:
+    """Middles of the intervals beside the lambda under which some change fits best."""
+    ratios = sorted(found)
+    deviance = [min(found[ratio][name].deviance for name in SINGLE) for ratio in ratios]
+    best = int(np.argmin(deviance))
+    return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
+
+
+def _fit_size(effect: Callable[[Array], Array], target: Array, k: int) -> ChangeFit:
+    """Gauss-Newton in the sizes of a change; a step after which the joint stalls is halved."""
+    size, now = np.zeros(k), np.zeros(len(target))
+    slopes = np.stack([effect(DIFFERENCE * unit) / DIFFERENCE for unit in np.eye(k)], axis=-1)
+    information = slopes.T @ slopes
+    if not np.all(np.isfinite(information)) or information.max() < TINY:
+        return ChangeFit(float(target @ target), size, np.zeros((k, k)))
+    for _ in range(STEPS):
+        step = np.linalg.lstsq(slopes, target - now, rcond=SINGULAR)[0]
+        proposed = np.clip(size + step, -LARGEST, LARGEST)
+        new = effect(proposed)
+        while not np.all(np.isfinite(new)):
+            proposed = (size + proposed) / 2
+            new = effect(proposed)
+        if np.sum((target - new) ** 2) > np.sum((target - now) ** 2):
+            break
+        done = bool(np.abs(proposed - size).max() < DIFFERENCE)
+        size, now = proposed, new
+        if done:
+            break
+        moved = [(effect(size + DIFFERENCE * unit) - now) / DIFFERENCE for unit in np.eye(k)]
+        if not np.all(np.isfinite(moved)):
+            break
+        slopes = np.stack(moved, axis=-1)
+        information = slopes.T @ slopes
+    return ChangeFit(float(np.sum((target - now) ** 2)), size, information)
+
+
+class StageEffects:
+    """What changes of the stage do to log(steps) under a physical law at given parameters.
+
+    Parameters
+    ----------
+    law : Physical
+    rows : DataFrame
+        n traverses.
+    values : array, shape (n, p)
+    ratio : float
+        lambda before the change.
+    """
+
+    def __init__(self, law: Physical, rows: pd.DataFrame, values: Array, ratio: float) -> None:
+        self.values, self.ratio = values, ratio
+        self.count = law.ratio_counter(rows)
+        self.shares = [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
+        self.unchanged = np.log(self.count(values, np.full(len(rows), ratio))[0])
+
+    def by(self, change: str, size: Array, course: Array) -> Array:
+        """Change of log(steps), shape (n,); NaN where the joint stalls.
+
+        Parameters
+        ----------
+        change : str
+            One of `SINGLE`, or `FREE`.
+        size : array, shape (1,) or (2,)
+            See `ChangeFit`.
+        course : array, shape (n,)
+        """
+        own, none = size[0] * course, np.zeros(len(course))
+        unit, share, ratio = {  # logarithms of what a_f T1^2, r and lambda are multiplied by
+            "friction": (own, -own, -own),
+            "voltage": (none, none, own),
+            "ramp time": (2 * own, none, -2 * own),
+            FREE: (own, size[-1] * course, none),
+        }[change]
+        now, values = self.ratio * np.exp(ratio), self.values.copy()
+        values[:, 0] *= np.exp(unit) * np.minimum(now, 1.0) / min(self.ratio, 1.0)
+        values[:, self.shares] *= np.exp(share)[:, None]
+        with np.errstate(invalid="ignore"):
+            return np.log(self.count(values, now)[0]) - self.unchanged

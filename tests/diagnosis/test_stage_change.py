@@ -1,0 +1,116 @@
+"""Which change of the stage a finding stands for: friction's own generator, and the closed form of a step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.causes import PayloadChange, SessionJump, SupplyVoltage, Wear
+from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
+from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, read_stage
+from stickslip_fit.diagnosis.stage_fingerprint import StageEffects
+from stickslip_fit.laws.physical import PhysicalPrismatic
+from stickslip_fit.step import step_size
+from stickslip_fit.units import Interval
+from tests.hidden.stage import Stage, drive_stage
+
+GRAVITY = 9.80665
+# Of a stage: friction over mass, ramp time, travel of the foot.
+FRICTION, RAMP = 45.0, 1.45e-4
+
+
+@pytest.mark.parametrize("throw_ratio", [0.5, 2.5])
+@pytest.mark.parametrize(
+    ("quantity", "factors"),
+    [("friction", (1.1, 1.0, 1.0)), ("ramp time", (1.0, 1.1, 1.0)), ("voltage", (1.0, 1.0, 1.1))],
+)
+def test_a_change_does_to_counts_what_the_closed_form_says(throw_ratio, quantity, factors):
+    load = np.array([-1.0, -0.4, 0.0, 0.7, 1.0])
+    throw = throw_ratio * FRICTION * RAMP**2
+    before = step_size(FRICTION, RAMP, throw, GRAVITY * load)
+    friction, ramp, amplitude = np.array([FRICTION, RAMP, throw]) * factors
+    after = step_size(friction, ramp, amplitude, GRAVITY * load)
+    rows = pd.DataFrame(
+        {"q2": -np.pi / 2, "theta": np.arccos(load), "psi": -np.pi / 2, "start": 0.0, "stop": 0.012},
+        index=range(len(load)),
+    )
+    unloaded = FRICTION * RAMP**2 * min(throw_ratio, 1.0)
+    law = PhysicalPrismatic((throw_ratio, throw_ratio))
+    values = np.tile([unloaded, 0.0, GRAVITY / FRICTION], (len(load), 1))
+    effects = StageEffects(law, rows, values, throw_ratio)
+    assert effects.unchanged == pytest.approx(np.log(0.012 / before), rel=1e-12)
+    change = effects.by(quantity, np.array([np.log(1.1)]), np.ones(len(load)))
+    assert change == pytest.approx(np.log(before / after), abs=1e-12)
+
+
+CASES = {  # change: quantities that it may be, what it is called
+    ("friction", "preload"): ({"friction", "mass"}, 0.1),
+    ("friction", "payload"): ({"friction", "mass"}, -1 / 11),
+    ("friction", "ramp-time"): ({"ramp time"}, 0.1),
+    ("friction", "wear"): ({"friction", "mass"}, 0.1),
+    ("velocity", "voltage"): ({"voltage"}, 0.1),
+    ("velocity", "preload"): ({"friction", "mass", "ramp time"}, 0.1),
+}
+
+
+@pytest.mark.parametrize(("regime", "change"), CASES)
+def test_a_hidden_change_of_a_stage_is_read(read, regime, change):
+    expected, size = CASES[regime, change]
+    log = read(drive_stage("session", Stage(regime), change, 0.1, seed=3).table, "stage.csv")
+    causes = [SessionJump(), PayloadChange(), Wear(), SupplyVoltage()]
+    laws = {joint: ssf.physical_law for joint in log.joints}
+    found = diagnose(log, laws=laws, causes=causes, gain=False)
+    (reading,) = read_stage(found.selection, found.findings, log.machine)
+    assert reading.suffices
+    assert reading.regime == f"{regime}-limited"
+    assert {one.quantity for one in reading.credible} <= expected
+    first = "friction" if "friction" in expected else next(iter(expected))
+    (read_size,) = (one.size for one in reading.credible if one.quantity == first)
+    error = (read_size.high - read_size.low) / 3.92
+    assert read_size.estimate == pytest.approx(size, abs=4 * error)
+
+
+def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read):
+    """Its response to load is straight: the physical law does not describe joint 3."""
+    table = campaign(("2012-03-05", "2012-03-06"), replicates=2)
+    late = (table["session"] == "2012-03-06") & (np.arange(len(table)) > 0.75 * len(table))
+    table.loc[late, "steps"] = (table.loc[late, "steps"] / 1.05 / 5).round().astype(int) * 5
+    log = read(table[table["joint"] == 3], "published.csv")
+    found = diagnose(log, causes=[SessionJump()], gain=False)
+    assert [one.cause for one in found.findings] == ["session-jump"]
+    assert read_stage(found.selection, found.findings, log.machine) == ()
+
+
+def reading(*changes, p_value=0.5, limited=(1.0, 1.0)):
+    sized = tuple(
+        StageChange(quantity, share, Interval(size, size - 0.01, size + 0.01))
+        for quantity, share, size in changes
+    )
+    table = pd.DataFrame({"joint": 3, "direction": ["+", "-"], "friction_limited": limited})
+    table = table.assign(unloaded=0.1, unloaded_error=0.01, response=0.0, response_error=[0.02, 9.0])
+    return StageReading(("wear",), sized, table, p_value)
+
+
+def test_the_set_is_the_smallest_that_holds_the_change_and_never_parts_equals():
+    told = reading(("friction", 0.49, 0.1), ("mass", 0.49, -0.09), ("ramp time", 0.02, 0.05))
+    assert [one.quantity for one in told.credible] == ["friction", "mass"]
+    assert [one.quantity for one in reading(("voltage", 0.97, 0.1), ("mass", 0.03, 0.1)).credible] == [
+        "voltage"
+    ]
+    assert reading(("voltage", 1.0, 0.1), p_value=1e-4).credible == ()
+
+
+def test_what_is_said_of_a_change():
+    told = reading(("friction", 0.5, 0.1), ("mass", 0.5, -0.09))
+    assert describe_reading(told) == (
+        "As a change of the stage, wear would be: 10.0 % (9.0 to 11.0 %) more friction or preload or 9.0 % "
+        "(8.0 to 10.0 %) less moving mass (friction-limited steps). Counts cannot tell friction from mass."
+    )
+    assert "friction-limited" not in describe_reading(reading(("voltage", 1.0, 0.1), limited=(1.0, 0.6)))
+    assert "acts as no single change" in describe_reading(reading(("voltage", 1.0, 0.1), p_value=1e-4))
+    ((section,), nothing) = stage_sections([told]), stage_sections([])
+    assert nothing == ()
+    assert [row[1:3] for row in section.tables[0].rows] == [("10.0 ± 1.0", "0.0 ± 2.0"), ("10.0 ± 1.0", "–")]
