@@ -23,6 +23,7 @@ MODULES = {
         "stickslip_fit.diagnosis.pipeline",
         "stickslip_fit.diagnosis.problem",
         "stickslip_fit.diagnosis.separability",
+        "stickslip_fit.diagnosis.stage_change",
     ),
     "moves": ("stickslip_fit.moves",),
     "strategies": ("stickslip_fit.strategies",),
