@@ -64,6 +64,7 @@ def kind_of(text):
     if isinstance(content.get("joint"), list):
         return "joints"
     keys = {"sweep": "plan", "geometry": "machine", "scenario": "study", "law": "law", "cause": "law"}
+    keys |= {"stage": "law"}
     return next(kind for key, kind in keys.items() if key in content)
 
 
@@ -134,7 +135,8 @@ def test_every_example_is_a_good_file(name):
     text = FILES[name]
     model, context = MODELS[kind_of(text)]
     # Pieces of a law file are shown without the laws.
-    whole = text if "law" in tomllib.loads(text) or model is not LawFile else f"{LAW}\n{text}"
+    own = {"law", "stage"} & {*tomllib.loads(text)}
+    whole = text if own or model is not LawFile else f"{LAW}\n{text}"
     parse_toml(whole.encode(), name, model, context)
 
 

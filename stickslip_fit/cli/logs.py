@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from stickslip_fit._io import write_atomically
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
@@ -54,28 +55,42 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write."), Output(permits=("force",))],
     law: Annotated[
         Path,
-        typer.Option(help="Law file (TOML), causes and all, or a result saved with `fit --json`."),
+        typer.Option(
+            help="Law file (TOML), with laws or stages, causes and all, or a result saved with `fit --json`."
+        ),
         INPUT,
     ],
     machine: MachinePath = None,
+    true_steps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write here, as CSV, the true step of each traverse and its stage's quantities."
+        ),
+        Output(permits=("force",)),
+    ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's seed.")] = None,
     force: Force = False,
 ) -> None:
-    """Simulate a plan under a law; the same seed, the same log."""
+    """Simulate a plan under a law, or with stages whose quantities change; the same seed, the same log."""
     from stickslip_fit import simulation
     from stickslip_fit.logs import write_log
     from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.machine import load_machine
     from stickslip_fit.moves.arm import column_key, required_columns
+    from stickslip_fit.simulation.truth_table import format_true_steps
 
     geometry = load_machine(machine)
     planned = read_plan(plan, geometry)
-    truth = load_law_values(law, geometry, planned)
-    log = simulation.simulate(planned, truth, geometry, seed)
+    known = load_law_values(law, geometry, planned)
+    log = simulation.simulate(planned, known, geometry, seed)
     write_log(log, output)
     print(f"{len(log.rows):,} simulated traverses written to {output}")
-    known = log.rows.dropna(axis=1, how="all")
-    missing = [column_key(name) for name in required_columns(truth.laws.values()) if name not in known]
+    if true_steps is not None:
+        table = simulation.true_steps(log, known, planned)
+        write_atomically(true_steps, format_true_steps(table, geometry))
+        print(f"true steps written to {true_steps}")
+    given = log.rows.dropna(axis=1, how="all")
+    missing = [column_key(name) for name in required_columns(known.laws.values()) if name not in given]
     if missing:
         print(f"the plan does not say {', '.join(missing)}: the law was taken at its mean")
 

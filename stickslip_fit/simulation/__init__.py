@@ -1,4 +1,4 @@
-"""A plan and laws that are known make a log."""
+"""A plan and laws or stages that are known make a log."""
 
 from stickslip_fit.simulation.campaign import (
     draw_noise,
@@ -7,10 +7,21 @@ from stickslip_fit.simulation.campaign import (
     simulate_counts,
     step_through,
 )
+from stickslip_fit.simulation.schedule import ByColumn, Schedule, Since, WithUse
+from stickslip_fit.simulation.stage_law import MountedStage, StageLaw
+from stickslip_fit.simulation.stage_tables import SimulatedColumn
 from stickslip_fit.simulation.truth import LawValues, parameter_key, read_law_values
+from stickslip_fit.simulation.truth_table import true_steps
 
 __all__ = [
+    "ByColumn",
     "LawValues",
+    "MountedStage",
+    "Schedule",
+    "SimulatedColumn",
+    "Since",
+    "StageLaw",
+    "WithUse",
     "draw_noise",
     "expected_counts",
     "parameter_key",
@@ -18,4 +29,5 @@ __all__ = [
     "simulate",
     "simulate_counts",
     "step_through",
+    "true_steps",
 ]

@@ -272,17 +272,21 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     ------
     InputError
         If the plan has no noise, a law lacks parameters or stalls within a traverse, parameters are given
-        for a session that is not planned, a session is not over when the next one begins, or the seed is
-        negative.
+        for a session that is not planned, a schedule lacks its column, a session is not over when the next
+        one begins, or the seed is negative.
     """
     if plan.noise is None:
         raise InputError("the plan has no [noise]; add one with repeatability_pct before simulating it")
     _check_sessions(plan, truth)
     rows = plan.rows()
     sessions, traverses = len(plan.sessions), plan.traverses_per_session
+    truth = truth.in_campaign([each.label for each in plan.sessions], traverses)
     session, group = np.repeat(np.arange(sessions), traverses), group_index(rows)
     seed = plan.seed if seed is None else seed
     check_count("seed", seed, least=0)
+    rows["traverse"] = np.arange(1, len(rows) + 1)
+    for number, column in enumerate(truth.columns):
+        rows[column.column] = column.draw(seed, number, sessions, traverses)
     draws = draw_random(seed, sessions, traverses, len(GROUPS), plan.noise.kind)
     day = np.array([truth.day_to_day.get(pair, 0.0) for pair in GROUPS])
     factor = 1.0 + day[group] * draws.day[session, group]
@@ -305,7 +309,8 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     missing = {name: np.nan for name in CONDITIONS if name not in driven}
     driven = driven.assign(session=driven["session"].astype("str"), note="", **missing)
     counts = hashlib.sha256(driven["steps"].to_numpy().tobytes())
-    made = add_history(driven[list(LOG_COLUMNS)])
+    own = [each.column for each in truth.columns if each.column not in LOG_COLUMNS]
+    made = add_history(driven[[*LOG_COLUMNS, *own]])
     return Log(made, (), counts.hexdigest(), machine, rows_as_read=made.copy())
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +10,6 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import pandas as pd
-from annotated_types import MinLen
 from pydantic import (
     BeforeValidator,
     Field,
@@ -24,7 +21,8 @@ from pydantic import (
 )
 
 from stickslip_fit._format import format_value
-from stickslip_fit._toml import Give, Quantity, Text, TomlTable, chosen_by, fault, read_toml
+from stickslip_fit._input import format_path
+from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, chosen_by, fault, read_toml
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
@@ -33,10 +31,18 @@ from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
+from stickslip_fit.simulation._amounts import parse_quantity
+from stickslip_fit.simulation.stage_law import MountedStage, StageLaw
+from stickslip_fit.simulation.stage_tables import (
+    AnyStage,
+    ColumnTable,
+    DayToDay,
+    SimulatedColumn,
+    StageTable,
+)
 from stickslip_fit.units import UNITS, to_si
 
 DEFAULT_SETTINGS = {"half": "1 K"}  # of a nonlinear response; others do not use it
-_QUANTITY_PATTERN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
 
 
 class CauseTable(TomlTable, extra="ignore"):
@@ -122,7 +128,7 @@ def _sizes(parameters: Sequence[CauseParameter], entry: Any) -> list[float]:
 
 
 def _size(parameter: CauseParameter, entry: Any) -> float:
-    (number, unit), wanted = _parse_quantity(entry), parameter.unit
+    (number, unit), wanted = parse_quantity(entry), parameter.unit
     if number and unit != wanted:
         raise ValueError("another unit")
     value = to_si(number, wanted)
@@ -148,26 +154,14 @@ def _scope(parameter: CauseParameter) -> str:
 
 
 def _si(entry: Any) -> float:
-    number, unit = _parse_quantity(entry)
+    number, unit = parse_quantity(entry)
     if unit not in UNITS:
         raise ValueError("no unit")
     return to_si(number, unit)
 
 
-def _parse_quantity(entry: Any) -> tuple[float, str]:
-    """Number and unit of a text such as "3 %"; a bare number has the unit 1."""
-    if type(entry) in (int, float) and abs(entry) <= sys.float_info.max:
-        return float(entry), "1"
-    match = _QUANTITY_PATTERN.fullmatch(entry.strip()) if isinstance(entry, str) else None
-    if match is None:
-        raise ValueError("no number")
-    unit = match[2].replace("urad", "µrad").replace("^2", "²")
-    return float(match[1]), unit or "1"
-
-
 Group = tuple[int, str]
 """Joint and direction."""
-MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,11 +178,36 @@ class LawValues:
     day_to_day : mapping of (int, str) to float
         Standard deviation of the factor by which a session's step sizes differ from the values of all
         sessions. A session with an entry of its own has exactly that.
+    columns : tuple of SimulatedColumn
+        That the log records and a plan does not have.
     """
 
     laws: Mapping[int, StepLaw]
     values: Mapping[tuple[int, str, str | None], Array]
     day_to_day: Mapping[Group, float] = field(default_factory=dict)
+    columns: tuple[SimulatedColumn, ...] = ()
+
+    @property
+    def has_stages(self) -> bool:
+        """Whether a stage stands in place of any law."""
+        laws = (law.law if isinstance(law, ExtendedLaw) else law for law in self.laws.values())
+        return any(isinstance(law, StageLaw) for law in laws)
+
+    def in_campaign(self, sessions: Sequence[str], traverses: int) -> LawValues:
+        """The same in a campaign of these sessions, of so many traverses each.
+
+        Raises
+        ------
+        InputError
+            If a stage changes in a session or a traverse that is not planned.
+        """
+
+        def bind(law: StepLaw) -> StepLaw:
+            if isinstance(law, ExtendedLaw):
+                return ExtendedLaw(bind(law.law), law.causes)
+            return law.bind(sessions, traverses) if isinstance(law, StageLaw) else law
+
+        return replace(self, laws={joint: bind(law) for joint, law in self.laws.items()})
 
     def of_rows(self, rows: pd.DataFrame, joint: int) -> tuple[Array, BoolArray]:
         """The parameters of each row of one joint.
@@ -250,7 +269,7 @@ class LawTable(TomlTable, extra="ignore"):
     direction: Literal["+", "-"]
     session: Text = ""
     """The only one that has these parameters."""
-    day_to_day: Annotated[float, Quantity(("%",), (0.0, MAX_DAY_TO_DAY))] = 0.0
+    day_to_day: DayToDay = 0.0
     """Spread of the factor by which a session's step sizes differ; not with a session."""
 
     @model_validator(mode="after")
@@ -277,18 +296,38 @@ AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joi
 
 
 class LawFile(TomlTable):
-    """Laws by joint and direction, and causes that extend them all."""
+    """Laws or stages by joint and direction, causes that extend them all, and columns of the log."""
 
-    law: Annotated[list[AnyLaw], MinLen(1)]
+    law: list[AnyLaw] = []
+    stage: list[AnyStage] = []
     cause: Causes = []
+    column: list[ColumnTable] = []
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
+        if not self.law and not self.stage:
+            self.refuse(("give at least one table [[law]] or [[stage]]", ("law",)))
+        advice = "an earlier [[law]] has this joint and direction; keep one of them"
         entries = [law.entry() for law in self.law]
         again = [number for number, entry in enumerate(entries) if entry in entries[:number]]
-        advice = "an earlier [[law]] has this joint and direction; keep one of them"
         self.refuse(*((advice, ("law", number, "direction")) for number in again))
+        self.refuse(*self._stage_misfits())
         return self
+
+    def _stage_misfits(self) -> Iterator[Misfit]:
+        with_law, taken = {law.joint for law in self.law}, set[Group]()
+        for number, stage in enumerate(self.stage):
+            own = {(stage.joint, direction) for direction in stage.directions}
+            if stage.joint in with_law:
+                yield f"joint {stage.joint} has a [[law]] too; keep one of them", ("stage", number, "joint")
+            elif own & taken:
+                advice = "an earlier [[stage]] has this joint and direction; keep one of them"
+                yield advice, ("stage", number, "joint")
+            taken |= own
+        names = [column.name for column in self.column]
+        for number, name in enumerate(names):
+            if name in names[:number]:
+                yield "an earlier [[column]] has this name; keep one of them", ("column", number, "name")
 
 
 def read_law_values(path: str | Path, machine: Machine) -> LawValues:
@@ -297,7 +336,8 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     Parameters
     ----------
     path : path
-        A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters.
+        A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters;
+        the stage files that it names are read too.
 
     Raises
     ------
@@ -306,13 +346,26 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     """
     read = read_toml(path, LawFile, "law file")
     laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
+    laws |= _stage_laws(read.stage, Path(path), machine)
     causes, sizes = causes_of(read.cause)
     if causes:
         laws = {joint: ExtendedLaw(law, causes) for joint, law in laws.items()}
-    values, day_to_day = {}, {}
+    values: dict[tuple[int, str, str | None], Array] = {}
+    day_to_day: dict[Group, float] = {}
     for law in read.law:
         own = [getattr(law, _parameter_stem(each)) for each in LAWS[law.joint].parameters]
         values[law.entry()] = np.array([*own, *sizes])
         if not law.session:
             day_to_day[law.joint, str(law.direction)] = law.day_to_day
-    return LawValues(laws, values, day_to_day)
+    for stage in read.stage:
+        values |= {(stage.joint, direction, None): sizes for direction in stage.directions}
+        day_to_day |= {(stage.joint, direction): stage.day_to_day for direction in stage.directions}
+    return LawValues(laws, values, day_to_day, tuple(table.column() for table in read.column))
+
+
+def _stage_laws(tables: Sequence[StageTable], path: Path, machine: Machine) -> dict[int, StageLaw]:
+    stages: dict[int, dict[str, MountedStage]] = {}
+    for number, table in enumerate(tables, start=1):
+        mounted = table.mount(path.parent, format_path(path), number)
+        stages.setdefault(table.joint, {}).update(dict.fromkeys(table.directions, mounted))
+    return {joint: StageLaw(joint, own, machine) for joint, own in stages.items()}

@@ -238,6 +238,8 @@ class StudyFile(TomlTable):
         rows, spreads = self.plan.traverses, self.repeatability()
         for joint in sorted({*map(int, rows["joint"])} - {joint for joint, _, _ in self.law.values}):
             yield f"has no [[law]] of joint {joint}, which the plan drives; add it", ("law",)
+        if self.law.has_stages:
+            yield "has stages, which a study does not draw; write [[law]] tables in their place", ("law",)
         drives = set(zip(map(int, rows["joint"]), rows["direction"], strict=True))
         if not spreads:
             yield "give a number in %, or give the plan a [noise]", ("noise", "repeatability_pct")

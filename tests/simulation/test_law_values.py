@@ -73,7 +73,7 @@ def test_a_fault_is_named_with_its_key_and_value(law_of, more, column, value, me
 
 
 def test_a_file_without_laws_says_what_it_needs(tmp_path, machine):
-    (tmp_path / "law.toml").write_text("joint = 3")
+    (tmp_path / "law.toml").write_text("cause = []")
     with pytest.raises(InputError, match=r"give at least one table \[\[law\]\]"):
         read_law_values(tmp_path / "law.toml", machine)
 
