@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -22,6 +23,18 @@ PLACE = (
     *("joint", "direction", "q1_deg", "q2_deg", "q3_mm", "theta_deg", "psi_deg"),
     *("from_deg", "to_deg", "from_mm", "to_mm"),
 )
+
+
+def pytest_configure() -> None:
+    """Collect no garbage while tests are collected: next to nothing of that is garbage."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage among what tests make, and not again and again among all modules and tests."""
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @dataclass(frozen=True)
