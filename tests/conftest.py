@@ -17,7 +17,7 @@ from stickslip_fit import cli
 
 # Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
-# Where it is installed, jsonschema builds its grammar of addresses: 3 s in each process, and no schema has one.
+# Where it is installed, jsonschema builds a grammar of addresses: 3 s in each process, and no schema has one.
 sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 
 FULL = {1: (-120.0, 120.0), 2: (-210.0, 30.0), 3: (0.0, 12.0)}

@@ -19,9 +19,7 @@ from stickslip_fit.reporting import report
 from stickslip_fit.reporting.headline import headline_table, write_headline
 
 SETTINGS = tuple(
-    {"joint": 3, "q2_deg": q2, "theta_deg": theta}
-    for q2 in (-90.0, -45.0, 0.0)
-    for theta in (0.0, -90.0)
+    {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -90.0)
 )
 DATES = ("2012-03-05", "2012-03-06", "2012-03-07")
 SHRINKS = 0.01  # an hour
