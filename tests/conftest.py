@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -16,12 +17,26 @@ from stickslip_fit import cli
 
 # Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
+# Where it is installed, jsonschema builds a grammar of addresses: 3 s in each process, and no schema has one.
+sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 
 FULL = {1: (-120.0, 120.0), 2: (-210.0, 30.0), 3: (0.0, 12.0)}
 PLACE = (
     *("joint", "direction", "q1_deg", "q2_deg", "q3_mm", "theta_deg", "psi_deg"),
     *("from_deg", "to_deg", "from_mm", "to_mm"),
 )
+
+
+def pytest_configure() -> None:
+    """Collect no garbage while tests are collected: next to nothing of that is garbage."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage among what tests make, and not again and again among all modules and tests."""
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ import importlib
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,11 @@ FACES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
 MAX_LINES = 600
 
 
+@cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse(MODULES[module].read_text("utf-8"))
+
+
 def imports_of(tree: ast.AST, plots: bool = False) -> list[tuple[str, bool]]:
     """Modules of the package that code imports, at whatever depth; and whether inside a method that plots."""
     found = []
@@ -79,9 +86,9 @@ def upward(module: str, tree: ast.AST) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("module", [name for name in MODULES if "." in name and layer_of(name) != "__main__"])
-def test_imports_point_downwards(module):
-    assert upward(module, ast.parse(MODULES[module].read_text("utf-8"))) == []
+def test_imports_point_downwards():
+    modules = [name for name in MODULES if "." in name and layer_of(name) != "__main__"]
+    assert not {module: found for module in modules if (found := upward(module, tree_of(module)))}
 
 
 @pytest.mark.parametrize(
@@ -106,10 +113,8 @@ def test_only_what_plots_may_import_upwards(source, seen):
 
 def test_no_module_needs_itself():
     graph = defaultdict(set)
-    for module, path in MODULES.items():
-        if module in FACES:
-            continue
-        for name, plots in imports_of(ast.parse(path.read_text("utf-8"))):
+    for module in MODULES.keys() - FACES:
+        for name, plots in imports_of(tree_of(module)):
             if name not in FACES and not plots and name != module:
                 graph[module].add(name)
     try:
@@ -126,8 +131,8 @@ def test_no_package_offers_a_name_that_one_of_its_modules_has(package):
 
 def test_no_two_classes_have_one_name():
     places = defaultdict(list)
-    for module, path in MODULES.items():
-        for node in ast.parse(path.read_text("utf-8")).body:
+    for module in MODULES:
+        for node in tree_of(module).body:
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(module)
     assert not {name: where for name, where in places.items() if len(where) > 1}
@@ -156,11 +161,13 @@ def test_what_starts_every_command_loads_no_heavy_library(module):
     assert found.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_statistics_that_load_slowly_are_imported_where_they_are_used(module):
+def test_statistics_that_load_slowly_are_imported_where_they_are_used():
     """`scipy.stats` and its like take longer to load than most commands take to run."""
-    top = [name for node in ast.parse(MODULES[module].read_text()).body for name in imported_names(node)]
-    assert not [name for name in top if name.startswith(("scipy.stats", "statsmodels", "matplotlib.pyplot"))]
+    slow = ("scipy.stats", "statsmodels", "matplotlib.pyplot")
+    top = {module: [*chain(*map(imported_names, tree_of(module).body))] for module in MODULES}
+    assert not {
+        module: names for module, names in top.items() if any(name.startswith(slow) for name in names)
+    }
 
 
 def imported_names(node: ast.stmt) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,21 +26,26 @@ class _LoadedCommands(Mapping[str, Any]):
     """Commands by name, each imported when it is asked for."""
 
     def __getitem__(self, name: str) -> Command:
-        entry = COMMANDS[name]
-        module = import_module(f"stickslip_fit.cli.{entry.module}")
-        if not entry.example:
-            return get_command(module.app)
-        own = typer.Typer(**APP_SETTINGS)
-        own.command(name, epilog=format_example(entry.example))(
-            check_files(getattr(module, name.replace("-", "_")))
-        )
-        return get_command(own)
+        return _load_command(name)
 
     def __iter__(self) -> Iterator[str]:
         return iter(COMMANDS)
 
     def __len__(self) -> int:
         return len(COMMANDS)
+
+
+@cache
+def _load_command(name: str) -> Command:
+    entry = COMMANDS[name]
+    module = import_module(f"stickslip_fit.cli.{entry.module}")
+    if not entry.example:
+        return get_command(module.app)
+    own = typer.Typer(**APP_SETTINGS)
+    own.command(name, epilog=format_example(entry.example))(
+        check_files(getattr(module, name.replace("-", "_")))
+    )
+    return get_command(own)
 
 
 class _Commands(TyperGroup):

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import wraps
+from functools import cache, wraps
 from inspect import signature
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -61,6 +61,7 @@ class NamedPath:
     option: str
 
 
+@cache
 def path_roles(command: Callable[..., Any]) -> dict[str, Input | Output]:
     """The role of each parameter that is a path.
 

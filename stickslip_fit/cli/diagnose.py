@@ -338,7 +338,7 @@ def diagnose_with_progress(
     from stickslip_fit.causes import covariates, library
     from stickslip_fit.diagnosis import diagnose
 
-    candidates = (*library(), *covariates(log.usable), *own_causes)
+    candidates = (*library(), *covariates(log.usable), *own_causes) if own_causes else None
     with show_progress() as progress:
         return diagnose(log, laws=laws, causes=candidates, alpha=alpha, seed=seed, progress=progress)
 

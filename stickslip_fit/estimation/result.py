@@ -11,13 +11,13 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import scipy
 
 from stickslip_fit import __version__
 from stickslip_fit._format import join_words, step_unit
@@ -66,9 +66,9 @@ def library_versions() -> dict[str, str]:
     return {
         "stickslip_fit": __version__,
         "python": ".".join(str(part) for part in sys.version_info[:3]),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
-        "pandas": version("pandas"),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "pandas": pd.__version__,
     }
 
 

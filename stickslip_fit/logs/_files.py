@@ -341,5 +341,6 @@ def _open_file(path: Path, issues: IssueCollector, sheet: str | None) -> SourceF
             return open_parquet(raw, file, issues)
         return parse_csv(raw, file, issues)
 
-    source = run_in_threads({"table": parse, "sha256": lambda: hashlib.sha256(raw).hexdigest()})
+    tasks = {"table": parse, "sha256": lambda: hashlib.sha256(raw).hexdigest()}
+    source = run_in_threads(tasks, size=len(raw) // 100)  # bytes of a row
     return None if source["table"] is None else SourceFile(**source)

@@ -85,6 +85,7 @@ class FileTable(ABC):
 
 MAX_ROWS = 5_000_000  # a traverse of one minute each, day and night for nine years
 MAX_COLUMNS = 2_000
+LEAST_ROWS_FOR_THREADS = 20_000
 
 
 def report_excess(file: str, count: int, maximum: int, things: str, issues: IssueCollector) -> bool:
@@ -359,14 +360,18 @@ def _to_mask(cells: pa.Array) -> BoolArray:
     return cells.to_numpy(zero_copy_only=False)
 
 
-def run_in_threads(tasks: dict[str, Callable[[], Any]]) -> dict[str, Any]:
-    """Run all tasks, in threads, and return what each of them returns.
+def run_in_threads(tasks: dict[str, Callable[[], Any]], size: int) -> dict[str, Any]:
+    """Run all tasks and return what each of them returns.
+
+    In threads where the tasks work on enough rows, `size`, that these take longer than threads to begin.
 
     Examples
     --------
-    >>> run_in_threads({"two": lambda: 1 + 1, "four": lambda: 2 + 2})
+    >>> run_in_threads({"two": lambda: 1 + 1, "four": lambda: 2 + 2}, size=100_000)
     {'two': 2, 'four': 4}
     """
+    if size < LEAST_ROWS_FOR_THREADS:
+        return {name: task() for name, task in tasks.items()}
     with ThreadPoolExecutor() as pool:
         running = {name: pool.submit(task) for name, task in tasks.items()}
         return {name: task.result() for name, task in running.items()}

@@ -68,7 +68,7 @@ def add_session_history(
         load[subset] = np.where(has_previous, loads[before], 0.0)
 
     # No two joints share a row, so that threads never write the same one.
-    run_in_threads({f"q{number}": partial(fill_joint, int(number)) for number in np.unique(joint)})
+    run_in_threads({f"q{number}": partial(fill_joint, int(number)) for number in np.unique(joint)}, len(rows))
     began = np.zeros(session.max(initial=0) + 1, np.int64)
     # Rows are in the order of time: assigned from last to first, each session keeps its first time.
     began[session[::-1]] = time[::-1]

@@ -118,7 +118,8 @@ def read_row_keys(files: list[LogCells], machine: Machine) -> RowKeys:
             "times": lambda: [cells.times("time") for cells in files],
             "joint": lambda: counts("joint", _bad_joint_message(machine), len(machine.joints)),
             "steps": lambda: counts("steps", _BAD_COUNT_MESSAGE),
-        }
+        },
+        sum(cells.table.count for cells in files),
     )
     labels, session = read["sessions"]
     timed = ~np.concatenate([time.empty | time.bad for time in read["times"]]) | (not has_times)
@@ -289,7 +290,8 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
             "status": lambda: _read_status(cells),
             **{name: partial(cells.numbers, name) for name in CONDITIONS},
             "note": lambda: cells.texts("note").to_pandas(),
-        }
+        },
+        cells.table.count,
     )
     columns["start"], columns["stop"] = columns.pop("traverse")
     return pd.DataFrame(columns, copy=False)
@@ -432,7 +434,8 @@ def _build_columns(
         {
             "checked": lambda: list(map(check_rows, files, repeat(machine), joints, steps)),
             "own": lambda: read_covariates(files),
-        }
+        },
+        sum(cells.table.count for cells in files),
     )
     own, notes = read["own"]
     # A single file's columns are not copied, for speed.

@@ -15,7 +15,7 @@ from stickslip_fit.anova.factor_test import (
     monte_carlo_p,
 )
 
-LOGS = 250
+LOGS = 100
 
 
 def verdicts(values, time, level, block, name):

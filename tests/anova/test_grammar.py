@@ -46,7 +46,7 @@ def terms_of_patsy(text):
 
 def test_terms_are_those_of_patsy():
     rng, compared = random.Random(5), 0
-    while compared < 300:
+    while compared < 100:
         text = f"y ~ {random_sum(rng)}"
         theirs = terms_of_patsy(text)
         if not theirs:
@@ -161,7 +161,7 @@ HOSTILE = ("__import__('os')", "a b", "C(session)", "x + y", "{0.__class__}", "l
 
 
 def test_columns_that_look_like_code_are_names_and_nothing_else(campaign, tmp_path):
-    table = campaign()
+    table = campaign(settings=({"joint": 3, "q2_deg": -90.0},), replicates=9)
     for number, name in enumerate(HOSTILE):
         table[name] = [(7 * k + number) % 5 for k in range(len(table))]
     table.to_csv(tmp_path / "log.csv", index=False)

@@ -132,7 +132,7 @@ def test_where_in_a_stretch_a_day_drove_is_no_change_of_the_profile(machine):
 
     p_values = [
         analyze(observe(seed, size=tilted, places=40, replicates=1, ends=random_ends), machine)
-        for seed in range(15)
+        for seed in range(8)
     ]
     assert sum(tests["day x position"].p_value < 0.05 for tests in p_values) <= 3
     assert all(tests["position"].p_value < 1e-4 for tests in p_values)

@@ -64,7 +64,7 @@ def written_out(rows, variances):
         ([[2], [3], [4], [1]], (3.0, 0.0, 1.0)),
     ],
 )
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_variances_are_likelier_than_ours(counts, truth, seed):
     rows = drawn(np.random.default_rng(seed), counts, *truth)
     found = fit_reml(build_cell_statistics(rows))
@@ -117,8 +117,8 @@ TRUTHS = {
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_intervals_cover_also_where_a_variance_is_nothing(name):
-    found = coverage(80, [[2, 2], [3, 2], [1, 2], [3, 3]], TRUTHS[name])
-    assert np.all(found >= 0.95 - SAME * np.sqrt(0.05 * 0.95 / 80))
+    found = coverage(40, [[2, 2], [3, 2], [1, 2], [3, 3]], TRUTHS[name])
+    assert np.all(found >= 0.95 - SAME * np.sqrt(0.05 * 0.95 / 40))
 
 
 @pytest.mark.nightly

@@ -68,12 +68,14 @@ def test_every_parameter_has_the_effective_draws_that_were_asked_for(posterior):
     assert set(quality["parameter"]) == {"a", "b", "c", "repeatability"} | spreads
 
 
-def test_the_same_seed_gives_the_same_numbers(log, posterior):
-    again = fit_bayes(log, progress=False)
-    assert again.result.si.parameters.equals(posterior.si.parameters)
-    other = fit_bayes(log, seed=1, progress=False)
-    assert not other.result.si.parameters.equals(posterior.si.parameters)
-    assert posterior.provenance.seed == 0
+def test_the_same_seed_gives_the_same_numbers(log):
+    forward = log.select(log.rows["direction"] == "+")
+    one, again, other = (
+        fit_bayes(forward, seed=seed, target_ess=200, progress=False).result for seed in (0, 0, 1)
+    )
+    assert again.si.parameters.equals(one.si.parameters)
+    assert not other.si.parameters.equals(one.si.parameters)
+    assert (one.provenance.seed, other.provenance.seed) == (0, 1)
 
 
 def test_the_repeatability_is_told_as_the_posteriors(posterior):
@@ -210,10 +212,10 @@ def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campa
     ("sessions", "factor"),
     [
         (1, 10.0),
-        (12, 0.1),
+        (6, 0.1),
         *(
             pytest.param(*case, marks=pytest.mark.nightly)
-            for case in ((1, 1.3), (1, 0.1), (12, 10.0), (12, 1.3))
+            for case in ((1, 1.3), (1, 0.1), (12, 0.1), (12, 10.0), (12, 1.3))
         ),
     ],
 )

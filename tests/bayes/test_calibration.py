@@ -83,7 +83,7 @@ def check(ranks):
     "law", ["prismatic", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("elbow", "base"))]
 )
 def test_truths_rank_evenly_among_the_draws_and_intervals_cover(cases, fitted, law):
-    check(study(cases[law], fitted, cases[law].prior, 10))
+    check(study(cases[law], fitted, cases[law].prior, 6))
 
 
 def test_a_wrong_prior_scale_is_found_out(cases, fitted):

@@ -14,7 +14,7 @@ from stickslip_fit.laws import BaseAtOneReach, Prismatic
 from stickslip_fit.machine import load_machine
 from stickslip_fit.simulation import simulate_counts
 
-REPEATABILITY, CAMPAIGNS, DAYS = 0.003, 12, 10
+REPEATABILITY, CAMPAIGNS, DAYS = 0.003, 8, 8
 MACHINE = load_machine()
 
 

@@ -45,7 +45,7 @@ dates = [2012-03-05]
 [[sweep]]
 joint = 3
 q2_deg = [-90, 30]
-replicates = 4
+replicates = 2
 """
 
 

@@ -56,7 +56,7 @@ def test_limits_narrow_as_a_baseline_is_learnt_and_widen_where_the_stop_is_loud(
 
 @pytest.mark.parametrize("pushing", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(at_zero, tuning, pushing):
-    number = 3000
+    number = 1500
     sound = steps(at_zero, number, pushing, 11)
     of_sound = tuning.powers(sound.reshape(number, -1))
     powers, rng = compute_powers(at_zero, tuning), np.random.default_rng(2)

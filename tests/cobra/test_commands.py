@@ -52,8 +52,8 @@ def check_positioner(number, cut, tmp_path, commands=COMMANDS, every=1):
 
 
 def test_one_positioner_goes_through_every_command(tmp_path):
-    """A quarter of its traverses, cut in one way; all of them, and both ways, by night."""
-    check_positioner("3", 1, tmp_path, (*COMMANDS[:-1], "report --no-diagnosis"), every=4)
+    """An eighth of its traverses, cut in one way; all of them, and both ways, by night."""
+    check_positioner("3", 1, tmp_path, (*COMMANDS[:-1], "report --no-diagnosis"), every=8)
 
 
 @pytest.mark.nightly

@@ -69,12 +69,12 @@ def test_memory_is_judged_by_its_likelihood():
 
 @pytest.mark.parametrize("uneven", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_the_p_value_is_even_where_nothing_is_wrong(rows, linearize, uneven):
-    """300 logs under heavy tails, twice the noise in two configurations of five."""
+    """150 logs under heavy tails, twice the noise in two configurations of five."""
     rng = np.random.default_rng(4)
     wide = np.where(uneven & (rows["q2"] < -1.0), 2.0, 1.0)
     shapes = np.stack([rows["session_seconds"] / 36_000, np.cos(3 * rows["q2"])], axis=-1)
     p_values = []
-    for _ in range(300):
+    for _ in range(150):
         linearized = linearize(NOISE * wide * rng.standard_t(5, len(rows)))
         tried = [make_hypothesis(f"{k}", None, None, linearized.project(shapes[:, [k]])) for k in range(2)]
         p_values.append(compute_misfit(linearized, tried, 199, rng).p_value)

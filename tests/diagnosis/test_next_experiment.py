@@ -139,7 +139,7 @@ class Rival:
 
 CASES = [
     ("session", "drift", 12.0, "wear"),
-    ("session", "side-load", 10.0, "load-nonlinearity"),
+    pytest.param("session", "side-load", 10.0, "load-nonlinearity", marks=pytest.mark.nightly),
     pytest.param("thesis", "psi-offset", 10.0, "q2-offset", marks=pytest.mark.nightly),
     pytest.param("many", "reversal-loss", 8.0, "end-stop-latency", marks=pytest.mark.nightly),
 ]

@@ -65,7 +65,7 @@ def test_an_effect_does_not_hide_behind_its_own_signs(rows, linearize):
 
 
 def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, linearize):
-    """200 logs of such tails, and any two neighbours for a shape; then two of them are far off."""
+    """100 logs of such tails, and any two neighbours for a shape; then two of them are far off."""
     rng, n = np.random.default_rng(3), len(rows)
     pairs = np.repeat(np.eye(n // 2), 2, axis=0)
 
@@ -75,9 +75,9 @@ def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, lineariz
         tried = [make_hypothesis("pair", None, None, shape[:, None]) for shape in shapes]
         return compute_misfit(linearized, tried, 99, rng).p_value
 
-    noise = [NOISE * rng.standard_t(5, n) for _ in range(200)]
+    noise = [NOISE * rng.standard_t(5, n) for _ in range(100)]
     alarms = np.mean([p_value(each) <= 0.02 for each in noise])
-    assert alarms < 0.02 + 3 * np.sqrt(0.02 * 0.98 / 200)
+    assert alarms < 0.02 + 3 * np.sqrt(0.02 * 0.98 / len(noise))
     assert p_value(noise[0] + 20 * NOISE * pairs[:, 20]) == 1 / 100
 
 

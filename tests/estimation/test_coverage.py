@@ -77,7 +77,7 @@ def assert_covers(parameters, predicted):
 
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_intervals_cover(campaign, tmp_path, estimator):
-    assert_covers(*study(estimator, campaign, tmp_path, sessions=3, campaigns=15, seed=1))
+    assert_covers(*study(estimator, campaign, tmp_path, sessions=3, campaigns=10, seed=1))
 
 
 @pytest.mark.nightly

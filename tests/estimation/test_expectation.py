@@ -58,7 +58,7 @@ def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, tmp_path):
     assert "nm" in told
 
 
-@pytest.mark.parametrize("campaigns", [15, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [8, pytest.param(300, marks=pytest.mark.nightly)])
 def test_the_stated_rate_of_surprises_holds(drifting, tmp_path, campaigns):
     """Usual days only: a surprise anywhere in about 1 of 100; parameters move together, so fewer."""
     logs = (fitted(drifting(1.0, seed), tmp_path) for seed in range(campaigns))

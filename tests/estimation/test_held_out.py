@@ -27,7 +27,7 @@ def misfit(exact, tmp_path, rng, added=0.0):
     return assess_held_out(log, fit_closed_form(log))
 
 
-@pytest.mark.parametrize("campaigns", [8, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [5, pytest.param(200, marks=pytest.mark.nightly)])
 def test_p_values_are_uniform_where_the_law_holds(exact, tmp_path, campaigns):
     rng = np.random.default_rng(8)
     found = [misfit(exact, tmp_path, rng) for _ in range(campaigns)]

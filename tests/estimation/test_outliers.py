@@ -77,7 +77,7 @@ def flagged(logs, sessions, each, seed):
 
 
 def test_heavy_tails_are_no_outliers():
-    assert flagged(15, 10, 20, 3) <= 1
+    assert flagged(8, 10, 20, 3) <= 1
 
 
 @pytest.mark.nightly
@@ -89,7 +89,7 @@ def test_heavy_tails_are_flagged_in_one_of_a_hundred_logs_of_400_rows(sessions, 
 
 def test_the_search_ends_where_the_law_suits_no_count(monkeypatch, campaign, tmp_path):
     """Positions a thousand times too small: it took ten seconds, nearly all in passes that led nowhere."""
-    days = ("2012-03-05", "2012-03-06", "2012-03-07")
+    days = ("2012-03-05", "2012-03-06")
     settings = [{"joint": 2, "q3_mm": q3, "theta_deg": theta} for q3 in (0.0, 12.0) for theta in (0.0, -60.0)]
     table = campaign(days, settings=settings, replicates=2).assign(q3_mm=lambda rows: rows["q3_mm"] / 1000)
     table.to_csv(tmp_path / "log.csv", index=False)

@@ -53,7 +53,7 @@ def days(count):
     return ", ".join(f"2012-03-{day:02d}" for day in range(5, 5 + count))
 
 
-@pytest.mark.parametrize("campaigns", [12, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [8, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     """What a count is rounded up to adds half a per cent to the 95."""

@@ -28,7 +28,7 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
         ("session-jump", "session"),
         pytest.param("temperature", "many", marks=pytest.mark.nightly),
         ("q2-offset", "thesis"),
-        ("recoil-axis", "session"),
+        pytest.param("recoil-axis", "session", marks=pytest.mark.nightly),
         pytest.param("load-nonlinearity", "thesis", marks=pytest.mark.nightly),
         pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),
         ("end-stop-latency", "session"),
@@ -77,7 +77,7 @@ def test_nothing_is_found_where_nothing_is_hidden(design, noise):
     [
         pytest.param("unknown:periodic", "many", marks=pytest.mark.nightly),
         ("unknown:curvature", "thesis"),
-        ("unknown:memory", "thesis"),
+        pytest.param("unknown:memory", "thesis", marks=pytest.mark.nightly),
     ],
 )
 def test_what_no_cause_describes_is_called_unknown(effect, design):

@@ -40,8 +40,14 @@ def true_share(hidden, direction):
 FRICTION_CASES = [("session", 3), ("thesis", 4), ("many", 5)]
 
 
-@pytest.mark.parametrize(("design", "seed"), FRICTION_CASES)
-@pytest.mark.parametrize("bristles", [None, Bristles()])
+@pytest.mark.parametrize(
+    ("design", "seed", "bristles"),
+    [
+        *((*case, None) for case in FRICTION_CASES),
+        (*FRICTION_CASES[0], Bristles()),
+        *(pytest.param(*case, Bristles(), marks=pytest.mark.nightly) for case in FRICTION_CASES[1:]),
+    ],
+)
 def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed, bristles, tmp_path):
     hidden = drive_stage(design, Stage("friction", bristles), seed=seed)
     (joint,) = compare_laws(read(hidden, tmp_path, guide)).joints

@@ -61,7 +61,7 @@ def commanded(paths, true):
 
 def test_the_joints_end_where_literal_steps_take_them():
     """Against the tests' own laws in deg and mm, one step after another."""
-    paths, true = draw_random_paths(MACHINE, 12, seed=8, n_segments=2), truth()
+    paths, true = draw_random_paths(MACHINE, 5, seed=8, n_segments=2), truth()
     steps = commanded(paths, true)
     found = simulate_open_loop(paths, true, steps)[0]
     scale, base = np.array([np.degrees(1), np.degrees(1), 1e3]), np.degrees([paths.theta, paths.psi]).T
@@ -78,7 +78,7 @@ def test_the_joints_end_where_literal_steps_take_them():
 @pytest.mark.parametrize("name", SIZES)
 def test_the_joints_end_where_the_emulated_manipulator_takes_them(name):
     """With a cause at work, step after step until the joint is where it is said to end."""
-    paths, true = draw_random_paths(MACHINE, 10, seed=9), truth(name)
+    paths, true = draw_random_paths(MACHINE, 4, seed=9), truth(name)
     steps = commanded(paths, true)
     found, q = simulate_open_loop(paths, true, steps)[0], paths.joint_positions[:, 0].copy()
     for part in paths.segments:

@@ -15,7 +15,7 @@ from stickslip_fit.moves import (
     steps_before_recalibration,
 )
 
-N_MOVES = 300
+N_MOVES = 120
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_the_latest_session_is_taken_unless_another_is_named(arm):
 
 @pytest.mark.parametrize(
     ("q", "joint", "way", "steps"),
-    [((0.0, 0.3, 0.004), 2, "-", 3000), ((0.2, -1.5, 0.0), 3, "+", 2500), ((1.0, -1.5, 0.006), 1, "+", 2000)],
+    [((0.0, 0.3, 0.004), 2, "-", 900), ((0.2, -1.5, 0.0), 3, "+", 800), ((1.0, -1.5, 0.006), 1, "+", 700)],
 )
 def test_where_agrees_with_literal_steps(arm, q, joint, way, steps):
     found = dead_reckon(arm, np.array(q), [DriveCommand(joint, way, steps)])

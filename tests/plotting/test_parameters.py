@@ -36,7 +36,7 @@ def days(campaign, fitted):
 
 @pytest.fixture(scope="module")
 def posterior(days):
-    return fit_bayes(days.log, progress=False)
+    return fit_bayes(days.log, target_ess=400, progress=False)
 
 
 def panel(figure, title, row=0):

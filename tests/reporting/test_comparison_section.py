@@ -70,10 +70,6 @@ def test_what_was_left_out_is_said_with_its_reason_and_stays_text(source, read_p
     assert found.sessions(3) == DATES[:2]
 
 
-def test_without_a_comparison_there_is_no_section(whole):
-    assert 'id="strategies"' not in whole.source
-
-
 def test_names_are_unique_and_nothing_is_fetched(source, read_page):
     names = [attributes["id"] for _, attributes in read_page(source).elements if "id" in attributes]
     assert len(names) == len(set(names))

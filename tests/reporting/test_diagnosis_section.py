@@ -26,7 +26,6 @@ from stickslip_fit.plotting.diagnosis import (
     plot_ranking,
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
-from stickslip_fit.reporting import report
 from stickslip_fit.reporting.diagnosis import diagnosis_page, number_residuals
 
 SETTINGS = tuple(
@@ -151,15 +150,6 @@ def test_every_figure_says_in_words_what_to_see(page, found):
 
 def test_the_same_diagnosis_gives_the_same_page(found, source):
     assert diagnosis_page(found, command="stickslip-fit diagnose drifting.csv") == source
-
-
-def test_the_report_has_it_as_a_section(made, found, read_page):
-    made_of = {"calibration": made.calibration, "fit": made.fit, "diagnosis": found}
-    whole = read_page(report(made.log, **made_of, sections=()).html)
-    assert "What is wrong" in whole.tables
-    assert ("a", {"href": "#diagnosis"}) in whole.elements
-    names = [attrs["id"] for _, attrs in whole.elements if "id" in attrs]
-    assert len(names) == len(set(names))
 
 
 def test_a_notebook_shows_the_answer_and_the_tables(found, read_page):

@@ -29,7 +29,13 @@ SETTINGS = (
 )
 
 
-@pytest.fixture(scope="module", params=[SESSIONS, SESSIONS[::-1]], ids=["first", "last"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(SESSIONS, id="first", marks=pytest.mark.nightly),
+        pytest.param(SESSIONS[::-1], id="last"),
+    ],
+)
 def hostile(request, campaign, reported):
     """Figures show the latest sessions only, so that each name gets its turn among them."""
     days = [

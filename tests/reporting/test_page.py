@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stickslip_fit.estimation import held_out_errors
+from stickslip_fit.reporting.headline import write_headline
 from stickslip_fit.strategies.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS
 from tests.thesis.published import value as published
 
@@ -18,7 +20,7 @@ TURNS = (
     {"joint": 3, "q2_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0},
-    *({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, -30.0, 30.0, 60.0) * 6),
+    *({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, -30.0, 30.0, 60.0) * 3),
 )
 
 
@@ -90,8 +92,9 @@ def test_every_table_is_rectangular(whole):
         assert {len(row) for row in rows} == {len(whole.page.heads[caption])}, caption
 
 
-def test_the_same_log_gives_the_same_bytes(whole):
-    assert whole.html == whole.source
+def test_the_same_log_gives_the_same_bytes(campaign, reported):
+    made = reported(campaign(("2012-03-05",), TURNS[:3]))
+    assert made.html == made.source
 
 
 def test_parameters_on_the_page_are_those_of_the_results(whole):
@@ -144,7 +147,7 @@ def test_the_accuracy_of_the_prismatic_joint_by_hand(campaign, whole):
     assert whole.page.column(caption, "traverses")[0] == str(len(error))
 
 
-def test_what_a_correct_law_cannot_explain_is_said(campaign, reported, whole):
+def test_what_a_correct_law_cannot_explain_is_said(campaign, fitted, whole):
     assert "no more than repeatability and the calibration's own uncertainty explain" in whole.page.text
     warming = campaign(settings=TURNS)
     hours = (
@@ -158,9 +161,11 @@ def test_what_a_correct_law_cannot_explain_is_said(campaign, reported, whole):
     warming["steps"] = (warming["steps"] * (1 + 0.05 * (1 - np.exp(-hours / 1.0))) / 5).round().astype(
         int
     ) * 5
-    page = reported(warming).page
-    assert "that is more than repeatability and the calibration's own uncertainty explain" in page.text
-    assert "mostly have one sign" in page.text
+    made = fitted(warming)
+    errors = held_out_errors(made.log, made.calibration).si
+    told = " ".join(write_headline(made.log, made.calibration, errors))
+    assert "that is more than repeatability and the calibration's own uncertainty explain" in told
+    assert "mostly have one sign" in told
 
 
 def test_claims_are_the_published_ones():

@@ -45,7 +45,7 @@ LACKING_FIGURES = {
         "Residuals of the law, joint 3 (prismatic). It would need a second traverse.",
     ),
     "never without load": (
-        {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0})},
+        {"settings": ({"joint": 2, "q3_mm": 0.0}, {"joint": 2, "q3_mm": 12.0}), "sessions": ONE_DAY},
         "It would need full traverses of joint 2 at psi = 0 with theta = −90° and with theta = 0",
     ),
 }

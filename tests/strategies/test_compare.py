@@ -142,7 +142,7 @@ def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
                 else LeastSquares(DOptimal(), 99).choose(task)
             )
 
-    found = compare_strategies(log, [ClosedForm(), NotJointTwo()])
+    found = compare_strategies(log.select(log.rows["joint"] != 1), [ClosedForm(), NotJointTwo()])
     assert found.compared(2) == ("closed form",)
     assert found.compared(3) == ("closed form", "first of all")
     assert found.sessions(2) == (MONDAY, TUESDAY, WEDNESDAY)
@@ -150,11 +150,11 @@ def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
 
 
 def test_one_session_is_judged_over_its_configurations(log):
-    monday = log.select(log.rows["session"] == MONDAY)
+    monday = log.select((log.rows["session"] == MONDAY) & (log.rows["joint"] == 3))
     found = compare_strategies(monday, [ConstantStepStrategy(), ClosedForm()])
     assert found.unit(3) == CONFIGURATION_UNIT
     accuracy = found.accuracy().set_index(["joint", "strategy"]).loc[(3, "closed form")]
-    assert accuracy["units"] == len(monday.configurations().query("joint == 3")) * 2
+    assert accuracy["units"] == len(monday.configurations()) * 2
     assert "there is one session" in " ".join(str(found).split())
     assert found.pairs.set_index("joint").loc[3, "verdict"] == "worse"
 
@@ -164,7 +164,8 @@ def test_a_log_without_replicates_still_leaves_sweeps_to_predict(campaign, writt
     found = compare_strategies(once, [ConstantStepStrategy(), ClosedForm()])
     assert len(found.joints) == 3
     everything = [LeastSquares(DOptimal(), 3), *(_Slice(first) for first in range(0, 40, 4))]
-    text = " ".join(str(compare_strategies(once, everything)).split())
+    third = once.select(once.rows["joint"] == 3)
+    text = " ".join(str(compare_strategies(third, everything)).split())
     assert "no traverse is left that none of the strategies calibrates from" in text
 
 

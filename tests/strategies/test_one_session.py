@@ -101,7 +101,7 @@ def check(errors, truth):
     ("kind", "uneven"), [pytest.param("gaussian", False, marks=pytest.mark.nightly), ("t5", True)]
 )
 def test_intervals_over_configurations_cover(kind, uneven):
-    check(*simulated(120, 40, 1, kind, uneven))
+    check(*simulated(80, 40, 1, kind, uneven))
 
 
 @pytest.mark.nightly

@@ -50,7 +50,7 @@ def drawn(rng: np.random.Generator, better: float) -> np.ndarray:
     return rms
 
 
-@pytest.mark.parametrize("logs", [120, pytest.param(2000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("logs", [80, pytest.param(2000, marks=pytest.mark.nightly)])
 def test_strategies_that_are_alike_are_rarely_told_apart(logs):
     rng = np.random.default_rng(2)
     wrong = sum(

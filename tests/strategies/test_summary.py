@@ -128,7 +128,8 @@ def test_names_that_look_like_markup_stay_text(log):
     class Hostile(ClosedForm):
         name = "<script>alert(1)</script> $x$"
 
-    compared = compare_strategies(log, [Hostile(), ConstantStepStrategy()])
+    third = log.select(log.rows["joint"] == 3)
+    compared = compare_strategies(third, [Hostile(), ConstantStepStrategy()])
     assert "<script>" not in compared._repr_html_()
     assert "<script>" not in str(pareto_picture(compared).svg)
 

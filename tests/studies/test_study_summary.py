@@ -103,7 +103,7 @@ def test_the_verb_runs_keeps_and_carries_on(run, tmp_path):
     head = HEAD.format(sessions=1, check_every=5, repeatability_pct=0.3)
     (tmp_path / "plan.toml").write_text(head + JOINT_3 + ROTARY)
     (tmp_path / "law.toml").write_text(law_file(0.0))
-    text = GOOD.replace('"Bayes, 2 I-optimal"', '"constant step"').replace("campaigns = 50", "campaigns = 4")
+    text = GOOD.replace('"Bayes, 2 I-optimal"', '"constant step"').replace("campaigns = 50", "campaigns = 2")
     (tmp_path / "study.toml").write_text(text)
     status, told, _ = run("study", tmp_path / "study.toml", "-o", tmp_path / "out", "--workers", 1)
     assert status == 0

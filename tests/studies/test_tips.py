@@ -15,7 +15,7 @@ from stickslip_fit.studies import Cores, Scenario, run_study
 from tests.conftest import Truth
 from tests.studies.conftest import JOINT_3, ROTARY, hidden
 
-MOVES = {"moves": 12, "campaigns": 3, "sessions": 1, "day_to_day_pct": 0.0, "between_campaigns": 0.0,
+MOVES = {"moves": 6, "campaigns": 3, "sessions": 1, "day_to_day_pct": 0.0, "between_campaigns": 0.0,
          "between_sessions": 0.0, "repeatability": 1e-6, "check_every": 1}  # fmt: skip
 WARM = hidden("warm", ThermalWarmUp(), 0.03, 60.0)
 

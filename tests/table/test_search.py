@@ -29,7 +29,7 @@ def count_alarms(kind: str, sessions: int, length: int, number: int, seed: int =
     [("0.9", 1, 200), ("t5", 3, 60), pytest.param("rings", 2, 100, marks=pytest.mark.nightly)],
 )
 def test_nothing_is_found_where_nothing_is(kind, sessions, length):
-    assert count_alarms(kind, sessions, length, 4) <= binom.isf(1e-3, 4, ALPHA)
+    assert count_alarms(kind, sessions, length, 2) <= binom.isf(1e-3, 2, ALPHA)
 
 
 @pytest.mark.nightly
@@ -39,7 +39,14 @@ def test_false_alarms_are_as_rare_as_promised(kind, sessions, length):
     assert count_alarms(kind, sessions, length, 200, seed=1) <= binom.isf(1e-3, 200, ALPHA)
 
 
-@pytest.mark.parametrize("name", ["viscous-by-direction", "stribeck", "spring"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "stribeck",
+        pytest.param("viscous-by-direction", marks=pytest.mark.nightly),
+        pytest.param("spring", marks=pytest.mark.nightly),
+    ],
+)
 def test_the_answer_is_that_of_a_comparison_by_hand(name):
     rows, _ = with_effect(signal(np.random.default_rng(11), "0.5", 1, 600), "0.5", name, 12.0)
     assert [one.cause for one in search(rows).findings] == [best_term(rows)] == [name]
@@ -78,15 +85,15 @@ def test_every_generic_cause_is_named(name):
 
 
 def test_outliers_of_a_signal_are_those_rows_alone():
-    rows = signal(np.random.default_rng(3), "0.9", 1, 600)
-    rows.loc[[50, 300], "F"] += 5.0
+    rows = signal(np.random.default_rng(3), "0.9", 1, 300)
+    rows.loc[[50, 200], "F"] += 5.0
     (outliers,) = search(rows).findings
     assert outliers.cause == "outliers"
-    np.testing.assert_allclose(sorted(outliers.traverses["t"]), [0.5, 3.0])
+    np.testing.assert_allclose(sorted(outliers.traverses["t"]), [0.5, 2.0])
 
 
 def test_a_lasting_change_in_a_signal_is_no_outlier():
-    rows, _ = with_effect(signal(np.random.default_rng(5), "0.5", 1, 600), "0.5", "sudden-change", 25.0)
+    rows, _ = with_effect(signal(np.random.default_rng(5), "0.5", 1, 300), "0.5", "sudden-change", 25.0)
     assert "sudden-change" in [one.cause for one in search(rows).findings]
 
 
@@ -129,7 +136,7 @@ def test_a_law_that_fits_exactly_has_nothing_wrong():
 
 @pytest.mark.parametrize("factor", [1e-15, pytest.param(1e15, marks=pytest.mark.nightly)])
 def test_the_unit_of_the_response_does_not_matter(factor):
-    rows, _ = with_effect(signal(np.random.default_rng(8), "white", 1, 300), "white", "drift", 14.0)
+    rows, _ = with_effect(signal(np.random.default_rng(8), "white", 1, 150), "white", "drift", 14.0)
     first, second = (
         ssf.diagnose_table(table, LAW, **ROLES, gain=False)
         for table in (rows, rows.assign(F=factor * rows["F"]))
@@ -140,7 +147,7 @@ def test_the_unit_of_the_response_does_not_matter(factor):
 
 
 def test_the_order_of_a_file_does_not_matter():
-    rows, _ = with_effect(signal(np.random.default_rng(9), "0.5", 2, 150), "0.5", "spring", 14.0)
+    rows, _ = with_effect(signal(np.random.default_rng(9), "0.5", 2, 80), "0.5", "spring", 14.0)
     shuffled = rows.sample(frac=1.0, random_state=1)
     assert search(rows).findings[0].effect.estimate == pytest.approx(
         search(shuffled).findings[0].effect.estimate, rel=0.01
