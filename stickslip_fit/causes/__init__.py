@@ -52,7 +52,6 @@ from stickslip_fit.causes.base import (
     FactorCause,
     StateCause,
     TermCause,
-    explain_missing,
     extend,
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
@@ -63,7 +62,7 @@ from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
 from stickslip_fit.causes.profile import *  # noqa: F403
-from stickslip_fit.causes.registry import FAMILIES, covariates, describe, library, restore
+from stickslip_fit.causes.registry import FAMILIES, covariates, describe, explain_missing, library, restore
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause
 from stickslip_fit.causes.temporal import *  # noqa: F403

@@ -30,12 +30,9 @@ from stickslip_fit.causes.parameters import (
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
-from stickslip_fit.logs.history import FURTHER_HISTORY
-from stickslip_fit.logs.schema import NO_TIMES, has_times
 from stickslip_fit.machine import Machine
 
 EVERY_JOINT = (1, 2, 3)
-HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load", *FURTHER_HISTORY}
 DIFFERENCE_STEP = 1e-5  # of each parameter's scale, in central differences: good to about ten digits
 
 
@@ -157,6 +154,10 @@ class Cause(ABC):
         """`law` with this cause in it."""
         return extend(law, self)
 
+    def under(self, law: StepLaw) -> Cause:
+        """The cause as it acts under a law; itself unless the law knows what the cause changes."""
+        return self
+
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """Change of the response that each trial makes, shape (m, q) -> (n, m).
 
@@ -203,22 +204,6 @@ class Cause(ABC):
         return np.zeros(len(values))
 
 
-def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:
-    """Why a log of a machine cannot show a cause, or None where nothing is missing."""
-    if not has_times(rows) and HISTORY_COLUMNS & {*cause.columns}:
-        return NO_TIMES
-    if cause.kind:
-        joints = [joint for joint in machine.joints if machine.kinds[joint - 1] == cause.kind]
-        rows = rows[rows["joint"].isin(joints)]
-        if rows.empty:
-            of = f"joint {' or '.join(map(str, joints))}" if joints else f"a {cause.kind} joint"
-            return f"the log has no traverse of {of}"
-        rows = rows.assign(joint=cause.joints[0])  # the numbers of its joints are the published arm's
-    if cause.needs_geometry and not machine.has_published_geometry:
-        return "the geometry of the published arm is needed, and the machine has another"
-    return cause.explain_missing(rows)
-
-
 class StateCause(Cause):
     """A cause by which angles, load or recoil differ from what was recorded."""
 
@@ -260,6 +245,8 @@ class FactorCause(Cause):
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
         before, row = extend_by(law, ()), self.row_values(law, rows)
+        if self.under(before.law) is not self:
+            return super().changes(law, rows, values, trials)
         ends = state_at(law.joint, row, np.stack([row["start"], row["stop"]], axis=-1))
         state, one = before.true_state(ends, values), np.ones((len(values), 1))
         factors = [self.factor(state, [size * one for size in trial]) for trial in trials]
@@ -313,7 +300,7 @@ class Composition(StepLaw):
             columns = range(first, first + len(cause.parameters))
             first = columns.stop
             if cause.acts_on(self.law):
-                active.append((cause, columns))
+                active.append((cause.under(self.law), columns))
         return tuple(active)
 
     @cached_property
@@ -350,6 +337,8 @@ class Composition(StepLaw):
         before, factor = self._before_factors(true, values), self._factor(true, values)
         by_law = self._law_slopes(true, values) * factor[..., None]
         slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.cause_parameters), len(values), 1))]
+        for columns, by_factor in self._factor_slopes(true, values):
+            slopes[columns.start : columns.stop] = before * by_factor
         gamma_by_kind: dict[type[Any], Callable[[Array], Array]] = {
             StateCause: lambda shifted: self.gamma(state, shifted),
             TermCause: lambda shifted: self._before_factors(true, shifted) * factor,
@@ -358,8 +347,6 @@ class Composition(StepLaw):
             for _, columns in self.by_stage[kind]:
                 for k in columns:
                     slopes[k] = self.difference(function, values, k)
-        for columns, by_factor in self._factor_slopes(true, values):
-            slopes[columns.start : columns.stop] = before * by_factor
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:

@@ -20,10 +20,12 @@ from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.proposed import PeriodicTerm, ProposedTerm, SmoothTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, restore_law
-from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.schema import COVARIATE_PREFIX, NO_TIMES, has_times
 from stickslip_fit.machine import Machine
 
 FAMILIES = (temporal, environment, geometry, load, position, profile)
+HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load", *FURTHER_HISTORY}
 ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
     kind.name: kind for kind in (SmoothTerm, PeriodicTerm, ProposedTerm)
@@ -162,3 +164,19 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
 def _to_tuples(value: Any) -> Any:
     """Tuples in place of the lists of JSON."""
     return tuple(map(_to_tuples, value)) if isinstance(value, list | tuple) else value
+
+
+def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:
+    """Why a log of a machine cannot show a cause, or None where nothing is missing."""
+    if not has_times(rows) and HISTORY_COLUMNS & {*cause.columns}:
+        return NO_TIMES
+    if cause.kind:
+        joints = [joint for joint in machine.joints if machine.kinds[joint - 1] == cause.kind]
+        rows = rows[rows["joint"].isin(joints)]
+        if rows.empty:
+            of = f"joint {' or '.join(map(str, joints))}" if joints else f"a {cause.kind} joint"
+            return f"the log has no traverse of {of}"
+        rows = rows.assign(joint=cause.joints[0])  # the numbers of its joints are the published arm's
+    if cause.needs_geometry and not machine.has_published_geometry:
+        return "the geometry of the published arm is needed, and the machine has another"
+    return cause.explain_missing(rows)

@@ -12,6 +12,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
+from stickslip_fit.causes.friction import friction_effect
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -168,6 +169,10 @@ class Wear(FactorCause):
         """See `Cause.quantities`: for a tenfold of steps, and where it began to the order of magnitude."""
         begin = 10 ** round(log10(sizes["n0"].size.estimate))
         return {"k": sizes["k"].times(log(10)), "begin": f"{begin:,}"}
+
+    def under(self, law: StepLaw) -> Cause:
+        """See `Cause.under`: it changes friction."""
+        return friction_effect(self, law)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""

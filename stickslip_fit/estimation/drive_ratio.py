@@ -191,8 +191,9 @@ class _RatioSearch:
         """Of each group the better of two searches: from usual values, and from the nearest lambda's."""
         weight = np.ones(len(problem.y))
         minimum = problem.minimize(weight, start_at(problem, ratio), MAX_ITERATIONS)
-        if self.minima:
-            nearest = min(self.minima, key=lambda other: abs(np.log(other / ratio)))
+        alike = [other for other, values in self.minima.items() if values.shape == problem.start.shape]
+        if alike:
+            nearest = min(alike, key=lambda other: abs(np.log(other / ratio)))
             start = self.minima[nearest].copy()
             shares = _shares(problem.law)
             start[:, shares] *= min(nearest, 2.0) / min(ratio, 2.0)

@@ -272,7 +272,7 @@ class PhysicalRotary(Physical):
         self, q2: Array, q3: Array, sign: Array, values: Array
     ) -> tuple[Array, Array | float, list[Array], Array | None]:
         """Share r and inertia J, with the weights of their parameters."""
-        weights, gain = self.share_weights(q2, q3), self.inertia_weight(q2, q3)
+        weights, gain = self.share_weights(q2, q3), self.inertia_weight(q2, q3) if self._gains else None
         if gain is not None:
             gain = np.where(self.ratio(sign) < VELOCITY_LIMITED, 0.0, gain)
         shares = np.moveaxis(values[..., 1 + self._gains :], -1, 0)
@@ -295,6 +295,13 @@ class PhysicalRotary(Physical):
             slopes.append(step.by_inertia * gain)
         slopes += [step.by_share * against * weight for weight in weights]
         return step.gamma, np.stack(np.broadcast_arrays(*slopes), axis=-1)
+
+
+def _with_trace(parameters: tuple[Parameter, ...], ratios: Ratios) -> tuple[Parameter, ...]:
+    """Without the inertia where both directions are velocity-limited: no count depends on it."""
+    if max(ratios) >= VELOCITY_LIMITED:
+        return parameters
+    return tuple(parameter for parameter in parameters if parameter.name != "inertia")
 
 
 def _direction_sign(rows: Rows) -> Array:
@@ -331,7 +338,7 @@ class PhysicalElbow(PhysicalRotary):
     name = "physical-elbow"
     joint = 2
     columns = ("q3", "theta", "psi", "start", "stop")
-    parameters = (
+    parameters: tuple[Parameter, ...] = (
         Parameter("gamma0", "µrad", "step size without load, arm in", lower=0.0),
         Parameter("inertia", "1", "inertia gained with the arm out, as a share", *INERTIA),
         Parameter("r_q3_0", "1", "full load over friction, arm in", -MAX_SHARE, MAX_SHARE),
@@ -341,6 +348,7 @@ class PhysicalElbow(PhysicalRotary):
     def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
         self.machine = machine
         self.ratios = ratios
+        self.parameters = _with_trace(self.parameters, ratios)
         self.published = Elbow(machine)
 
     def share_weights(self, q2: Array, q3: Array) -> list[Array]:
@@ -370,6 +378,7 @@ class PhysicalBase(PhysicalRotary):
     def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
         self.machine = machine
         self.ratios = ratios
+        self.parameters = _with_trace(self.parameters, ratios)
         self.published: Rotary = Base(machine)
 
     def _relative_reach(self, q2: Array, q3: Array) -> Array:
@@ -390,7 +399,7 @@ class PhysicalBaseAtOneReach(PhysicalBase):
     """Joint 1 in a log that has one reach, at q2 and q3 (rad, m)."""
 
     name = "physical-base-one-reach"
-    parameters = (
+    parameters: tuple[Parameter, ...] = (
         Parameter("gamma0", "µrad", "step size without load at the log's one reach", lower=0.0),
         Parameter("r", "1", "full load over friction at the log's one reach", -MAX_SHARE, MAX_SHARE),
     )
