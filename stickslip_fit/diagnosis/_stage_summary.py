@@ -60,7 +60,7 @@ def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
     changes = reading.credible
     told = join_words([_describe_change(change, intervals) for change in changes], "or")
     regime = f" ({reading.regime} steps)" if reading.regime else ""
-    text = f"As a change of the stage, {causes} would be: {told}{regime}."
+    text = f"As a change of the stage, {causes} would be, where it acts most: {told}{regime}."
     if intervals and {change.quantity for change in changes} == {"friction", "mass"}:
         return f"{text} Counts cannot tell friction from mass."
     if intervals and len(changes) > 1:
