@@ -106,8 +106,9 @@ def test_the_set_is_the_smallest_that_holds_the_change_and_never_parts_equals():
 def test_what_is_said_of_a_change():
     told = reading(("friction", 0.5, 0.1), ("mass", 0.5, -0.09))
     assert describe_reading(told) == (
-        "As a change of the stage, wear would be, where it acts most: 10.0 % (9.0 to 11.0 %) more friction or preload or 9.0 % "
-        "(8.0 to 10.0 %) less moving mass (friction-limited steps). Counts cannot tell friction from mass."
+        "As a change of the stage, wear would be, where it acts most: 10.0 % (9.0 to 11.0 %) more friction "
+        "or preload or 9.0 % (8.0 to 10.0 %) less moving mass (friction-limited steps). Counts cannot tell "
+        "friction from mass."
     )
     assert "friction-limited" not in describe_reading(reading(("voltage", 1.0, 0.1), limited=(1.0, 0.6)))
     assert "acts as no single change" in describe_reading(reading(("voltage", 1.0, 0.1), p_value=1e-4))
