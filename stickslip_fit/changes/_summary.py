@@ -22,6 +22,8 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.changes.detection import STEP_SIZE, Change, Changes
 from stickslip_fit.changes.difference import POWER
+from stickslip_fit.changes.stage import read_stage_difference
+from stickslip_fit.diagnosis._stage_summary import describe_changes
 from stickslip_fit.logs.log import file_names
 from stickslip_fit.units import from_si
 
@@ -77,6 +79,7 @@ def _headline(changes: Changes) -> list[str]:
             f"Changed: {named}, {compared}, at a rate of false alarms of {rate} over everything below."
         )
         lines += [_describe_drive(changes, *drive) for drive in list(drives)[:MAX_NAMED]]
+        lines += _describe_stage(changes)
     alone = [len(sessions) == 1 for sessions in changes.sessions]
     if any(alone):
         one, other = ("old", "new") if alone[0] else ("new", "old")
@@ -106,6 +109,18 @@ def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
     elif size is not None:
         parts.append("no single parameter can be named for it")
     return f"Joint {joint} {format_direction(direction)}: {'; '.join(parts)}."
+
+
+def _describe_stage(changes: Changes) -> list[str]:
+    """What it would be as one change of the stage, as a sentence or none."""
+    found = read_stage_difference(changes)
+    if found is None:
+        return []
+    if not found.credible:
+        return ["No single change of friction, mass, voltage or ramp time describes all of it."]
+    told = describe_changes(found.credible, intervals=True)
+    regime = f" ({found.regime} steps)" if found.regime else ""
+    return [f"As one change of the stage that would be: {told}{regime}."]
 
 
 def _beyond_traverses(changes: Changes) -> str:

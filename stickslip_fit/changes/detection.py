@@ -28,13 +28,14 @@ from stickslip_fit.estimation import Flag, Result, fit_least_squares
 from stickslip_fit.estimation.identifiability import configuration_rows
 from stickslip_fit.estimation.result import Provenance
 from stickslip_fit.estimation.reweighting import OUTLIER, PATTERN
-from stickslip_fit.laws import Laws, StepLaw
+from stickslip_fit.laws import Laws, StepLaw, is_published
 from stickslip_fit.laws.base import traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 STEP_SIZE = "step size"
+ROLES = {"a": "unloaded", "gamma0": "unloaded", "c": "response", "d": "response"}  # of published parameters
 MAX_CONFIGURATIONS = 50  # of a law without calibration configurations
 SCHEMA = "stickslip-fit/changes/1"
 DECIMALS = 9  # of a configuration's features that make it another
@@ -58,6 +59,8 @@ class Change:
         That of step sizes, which are geometric means, is relative to the old one.
     is_significant : bool
         Whether its adjusted p-value is below the rate of false alarms.
+    role : {"unloaded", "response", ""}
+        Of a parameter of a published law: whether it is a step size without load, or a response to load.
     """
 
     joint: int
@@ -67,6 +70,7 @@ class Change:
     sessions: tuple[int, int]
     difference: Difference
     is_significant: bool
+    role: str = ""
 
     @property
     def difference_unit(self) -> str:
@@ -316,7 +320,12 @@ def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> C
         counts,
         difference,
         significant,
+        _find_role(drive.law, quantity.name),
     )
+
+
+def _find_role(law: StepLaw, parameter: str) -> str:
+    return ROLES.get(parameter.split("_")[0], "") if is_published(law) else ""
 
 
 def _of_sizes(log_size: Difference) -> Difference:

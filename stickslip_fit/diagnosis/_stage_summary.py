@@ -58,7 +58,7 @@ def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
             f"(p {p_value})."
         )
     changes = reading.credible
-    told = join_words([_describe_change(change, intervals) for change in changes], "or")
+    told = describe_changes(changes, intervals=intervals)
     regime = f" ({reading.regime} steps)" if reading.regime else ""
     text = f"As a change of the stage, {causes} would be, where it acts most: {told}{regime}."
     if intervals and {change.quantity for change in changes} == {"friction", "mass"}:
@@ -67,6 +67,11 @@ def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
         shares = ", ".join(f"{one.quantity} {100 * one.probability:.0f} %" for one in changes)
         return f"{text} Counts cannot tell which of them: {shares}."
     return text
+
+
+def describe_changes(changes: Sequence[StageChange], *, intervals: bool) -> str:
+    """Changes of which one is the true one."""
+    return join_words([_describe_change(change, intervals) for change in changes], "or")
 
 
 def _describe_change(change: StageChange, intervals: bool) -> str:

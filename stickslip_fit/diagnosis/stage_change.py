@@ -74,6 +74,23 @@ class StageChange:
     size: Interval
 
 
+def choose_credible(changes: Sequence[StageChange], p_value: float) -> tuple[StageChange, ...]:
+    """The smallest set of changes, likeliest first, that holds the true one with 95 %; equals stay together.
+
+    Empty where none suffices: `p_value` is that of the likeliest.
+    """
+    if p_value < NO_FIT:
+        return ()
+    total = 0.0
+    chosen: list[StageChange] = []
+    for change in changes:
+        if total >= CREDIBLE and change.probability < chosen[-1].probability * (1 - 1e-9):
+            break
+        chosen.append(change)
+        total += change.probability
+    return tuple(chosen)
+
+
 @dataclass(frozen=True, eq=False)
 class StageReading:
     """What findings that share a course in time say of the stage.
@@ -106,16 +123,7 @@ class StageReading:
     @property
     def credible(self) -> tuple[StageChange, ...]:
         """The smallest set that holds the change with 95 %; empty where none suffices."""
-        if not self.suffices:
-            return ()
-        total = 0.0
-        chosen: list[StageChange] = []
-        for change in self.changes:
-            if total >= CREDIBLE and change.probability < chosen[-1].probability * (1 - 1e-9):
-                break
-            chosen.append(change)
-            total += change.probability
-        return tuple(chosen)
+        return choose_credible(self.changes, self.p_value)
 
     @property
     def regime(self) -> str:
