@@ -1,15 +1,16 @@
 """Which change of the stage stands behind changes of an actuator, from step sizes and load coefficients.
 
-To first order in the load over friction, a quantity of the stage times 1 + s changes the step without load by
-u s and the response to load by v s; (u, v) depends on the regime (`laws.physical`, `FINGERPRINTS`). Each of
-them is fitted to the differences of all joints and directions, one size s for all. Errors are taken as normal
-and as wide as Student's t of their degrees of freedom; s is normal about 0 beforehand.
+To first order in the load over friction, a quantity of the stage times e^s multiplies the step without load
+by e^(u s) and the response to load by e^(v s); u and v depend on the regime (`laws.physical`, `FINGERPRINTS`).
+Each of them is fitted to the differences of all joints and directions, one size s for all. Errors are taken as
+normal and as wide as Student's t of their degrees of freedom; s is normal about 0 beforehand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 from scipy.special import chdtrc, logsumexp
@@ -30,9 +31,9 @@ FINGERPRINTS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("ramp time", VELOCITY_LIMITED): (0.0, -2.0),
     ("voltage", VELOCITY_LIMITED): (1.0, 2.0),
 }
-"""By quantity and regime: relative change of the step without load, and of the response, over its own."""
+"""u and v by quantity and regime."""
 MIN_DF = 2.5  # of a difference, with fewer of which its error is too uncertain
-MAX_ERROR = 0.3  # of a relative difference, beyond which it says nothing
+MAX_ERROR = 0.3  # of a logarithm, beyond which it says nothing
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,13 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
     Returns
     -------
     StageDifference or None
-        None where nothing changed, for other laws, and where the scatter from day to day
-        is hardly known.
+        None where nothing changed, for other laws, and where the scatter from day to day is hardly known.
     """
     if not changes.significant or not changes.machine.has_published_geometry:
         return None
     values, errors, responds = [], [], []
     for change in changes.changes:
-        value, error = _relative(change)
+        value, error = _log_ratio(change)
         if change.role and error < MAX_ERROR and change.difference.df > MIN_DF:
             values.append(value)
             errors.append(error)
@@ -82,12 +82,13 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
     return _compare(np.array(values), np.array(errors), np.array(responds))
 
 
-def _relative(change: Change) -> tuple[float, float]:
-    """A relative difference and its standard error, as wide as Student's t."""
+def _log_ratio(change: Change) -> tuple[float, float]:
+    """Logarithm of new over old, and its error, as wide as Student's t; NaN where the sign differs."""
     difference = change.difference
-    scale = difference.old or np.nan
-    widened = np.sqrt(difference.df / max(difference.df - 2.0, 0.5))
-    return float(difference.estimate / scale), float(widened * difference.standard_error / abs(scale))
+    if not difference.old * difference.new > 0:
+        return np.nan, np.nan
+    widened = difference.standard_error * np.sqrt(difference.df / max(difference.df - 2.0, 0.5))
+    return log(difference.new / difference.old), float(widened / abs(difference.old))
 
 
 def _compare(values: Array, errors: Array, responds: Array) -> StageDifference:
@@ -120,5 +121,5 @@ def _change(
     """A quantity's probability over both regimes, and its size in the likelier one."""
     keys = [key for key in share if key[0] == quantity]
     size, sd, _ = fits[max(keys, key=lambda key: share[key])]
-    interval = Interval(size, size - 1.96 * sd, size + 1.96 * sd)
+    interval = Interval(*np.expm1([size, size - 1.96 * sd, size + 1.96 * sd]).tolist())
     return StageChange(quantity, sum(share[key] for key in keys), interval)

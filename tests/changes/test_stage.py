@@ -10,16 +10,12 @@ from stickslip_fit.changes._summary import summarize_changes
 FRICTION = {"friction", "mass"}
 SIZE = 0.1
 # a and c times; quantities, regime, and the size of the first of them
+GROWN, TWICE = 1 + SIZE, (1 + SIZE) ** 2
 CASES = {
-    "friction, friction-limited": ((1 + SIZE, 1.0), FRICTION, "friction-limited", SIZE),
-    "ramp time, friction-limited": ((1 + 2 * SIZE, 1 + 2 * SIZE), {"ramp time"}, "friction-limited", SIZE),
-    "voltage, velocity-limited": ((1 + SIZE, 1 + 2 * SIZE), {"voltage"}, "velocity-limited", SIZE),
-    "friction, velocity-limited": (
-        (1.0, 1 - 2 * SIZE),
-        {*FRICTION, "ramp time"},
-        "velocity-limited",
-        SIZE,
-    ),
+    "friction, friction-limited": ((GROWN, 1.0), FRICTION, "friction-limited", SIZE),
+    "ramp time, friction-limited": ((TWICE, TWICE), {"ramp time"}, "friction-limited", SIZE),
+    "voltage, velocity-limited": ((GROWN, TWICE), {"voltage"}, "velocity-limited", SIZE),
+    "friction, velocity-limited": ((1.0, 1 / TWICE), {*FRICTION, "ramp time"}, "velocity-limited", SIZE),
 }
 
 
