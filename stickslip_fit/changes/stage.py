@@ -1,9 +1,10 @@
 """Which change of the stage stands behind changes of an actuator, from step sizes and load coefficients.
 
 To first order in the load over friction, a quantity of the stage times e^s multiplies the step without load
-by e^(u s) and the response to load by e^(v s); u and v depend on the regime (`laws.physical`, `FINGERPRINTS`).
-Each of them is fitted to the differences of all joints and directions, one size s for all. Errors are taken as
-normal and as wide as Student's t of their degrees of freedom; s is normal about 0 beforehand.
+by e^(u s) and the response to load by e^(v s); u and v depend on the regime (`laws.physical`,
+`FINGERPRINTS`). Each of them is fitted to the differences of all joints and directions, one size s for all.
+Errors are taken as normal and as wide as Student's t of their degrees of freedom; s is normal about 0
+beforehand.
 """
 
 from __future__ import annotations
