@@ -368,14 +368,14 @@ class FactorTest:
         """Sums of squares (SI), degrees of freedom, mean squares, F and p; over sessions, of cell means."""
         sums, design = self.sums, self.design
         names = ["session", design.factor, design.error_term, "total"]
-        ss = np.array([sums.blocks, sums.between, sums.within, sums.total], float)
-        table = pd.DataFrame({"term": names, "ss": ss, "df": [*sums.df, sum(sums.df)]})
-        if design.error_term == WITHIN_SESSION_ERROR:
-            table = table[1:].reset_index(drop=True)
-        table["ms"] = (table["ss"] / table["df"]).where(table["term"] != "total")
-        tested = table["term"] == design.factor
-        table["F"] = np.where(tested, self.statistic, np.nan)
-        return table.assign(p=np.where(tested, self.p_value, np.nan))
+        squares = [sums.blocks, sums.between, sums.within, sums.total]
+        rows = []
+        for name, ss, df in zip(names, squares, [*sums.df, sum(sums.df)], strict=True):
+            tested = (self.statistic, self.p_value) if name == design.factor else (np.nan, np.nan)
+            mean = float(ss) / df if df and name != "total" else np.nan
+            rows.append((name, float(ss), df, mean, *tested))
+        first = 1 if design.error_term == WITHIN_SESSION_ERROR else 0
+        return pd.DataFrame(rows[first:], columns=["term", "ss", "df", "ms", "F", "p"])
 
 
 def run_factor_test(design: FactorTestDesign) -> FactorTest | NotTestable:

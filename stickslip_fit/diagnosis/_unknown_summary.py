@@ -28,7 +28,7 @@ from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
-from stickslip_fit.logs.log import count_configurations
+from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import from_si
@@ -198,7 +198,7 @@ def _describe_worth(finding: Finding) -> str:
 def describe_scatter(diagnosis: Diagnosis) -> str:
     """The error that the true law would leave, as a clause; only what was repeated has a repeatability."""
     size = format_percent(diagnosis.repeatability)
-    if count_configurations(diagnosis.selection.problem.rows)["replicates"].any():
+    if has_replicates(diagnosis.selection.problem.rows):
         return f"the repeatability is {size}"
     return f"the scatter that no law explains is {size} (no traverse was repeated)"
 

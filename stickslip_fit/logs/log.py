@@ -56,19 +56,27 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
     moving joint), theta, psi, low and high (the stretch traversed, rad or m), ``+`` and ``-`` (traverses in
     each direction), replicates (those that repeat another of the same direction).
     """
+    table, keys = _list_configurations(rows), ["session", "joint", *_position_columns(rows)]
+    table = table.assign(**{way: (rows["direction"] == way).astype(np.int64) for way in "+-"})
+    counted = table.groupby(keys, dropna=False, sort=True)[["+", "-"]].sum().reset_index()
+    return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
+
+
+def has_replicates(rows: pd.DataFrame) -> bool:
+    """Whether a traverse repeats another of its session, configuration and direction."""
+    return bool(_list_configurations(rows).assign(direction=rows["direction"]).duplicated().any())
+
+
+def _list_configurations(rows: pd.DataFrame) -> pd.DataFrame:
+    """Session, joint and configuration of each row."""
     positions = _position_columns(rows)
     table = rows[["session", "joint", *positions[:-2]]].assign(
-        low=np.minimum(rows["start"], rows["stop"]),
-        high=np.maximum(rows["start"], rows["stop"]),
-        forward=(rows["direction"] == "+").astype(np.int64),
-        backward=(rows["direction"] == "-").astype(np.int64),
+        low=np.minimum(rows["start"], rows["stop"]), high=np.maximum(rows["start"], rows["stop"])
     )
     # Adding zero makes -0.0 and 0.0 one configuration.
     with np.errstate(over="ignore"):
         table[positions] = table[positions].round(_KEY_DECIMALS) + 0.0
-    counts = table.groupby(["session", "joint", *positions], dropna=False, sort=True)[["forward", "backward"]]
-    counted = counts.sum().reset_index().rename(columns={"forward": "+", "backward": "-"})
-    return counted.assign(replicates=(counted[["+", "-"]] - 1).clip(lower=0).sum(axis=1))
+    return table
 
 
 def _position_columns(rows: pd.DataFrame) -> list[str]:

@@ -69,12 +69,13 @@ def first_finding_picture(diagnosis: Diagnosis) -> Picture | None:
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """A diagnosis as a section of a report, whose headline and first figure stand above."""
-    findings, *stage, alternatives, untestable = diagnosis.summary().sections
+    summary = diagnosis.summary()
+    findings, *stage, alternatives, untestable = summary.sections
     gain, ranking = gain_picture(diagnosis), ranking_picture(diagnosis)
     said = 1 + len(diagnosis.findings) if diagnosis.findings else 1
     return Section(
         "What the simulation gets wrong",
-        diagnosis.summary().headline[said:],
+        summary.headline[said:],
         findings.tables,
         (gain,) if gain.svg is not None else (),
         key="diagnosis",
