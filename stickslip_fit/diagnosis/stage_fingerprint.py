@@ -7,7 +7,7 @@ fitted to what is left. Its effect on every count is exact, that of the law's ow
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ FREE = "free"
 SINGLE = ("friction", "voltage", "ramp time")  # of mass is friction's with the sign reversed
 COARSE = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, FRICTION_LIMITED)
 REFINEMENTS = 2
+UNLIKELY = 60.0  # deviance beyond the least, in units of the noise, of a lambda that is not looked at
 MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
@@ -51,6 +52,12 @@ class ChangeFit:
     information: Array
 
 
+IMPOSSIBLE = {
+    name: ChangeFit(np.inf, np.zeros(k), np.zeros((k, k)))
+    for name, k in {**dict.fromkeys(SINGLE, 1), FREE: 2}.items()
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Fingerprint:
     """All changes fitted to the traverses of one joint and direction.
@@ -62,7 +69,7 @@ class Fingerprint:
     ratios : array, shape (m,)
         The lambdas, in rising order.
     fits : tuple of mapping of str to ChangeFit
-        At each, by change: those of `SINGLE` and `FREE`.
+        At each, by change: those of `SINGLE` and `FREE`; of infinite deviance where lambda is too unlikely.
     df : int
         Of the residuals that a free change leaves.
     """
@@ -105,28 +112,40 @@ def fit_changes(
     course : array, shape (n,)
         How far the change is on at each traverse, 1 at most.
     """
-    found: dict[float, dict[str, ChangeFit]] = {}
+    before: dict[float, LinearizedFit] = {}
 
-    def evaluate(ratio: float) -> int:
-        law = physical_law_with(joint, rows, machine, (ratio, ratio))
-        at = _linearize(law, rows, response - effect, scale, ratio)
-        changes = StageEffects(law, rows, at.parts[0].values, ratio)
-        target = at.project(at.whiten(response - changes.unchanged))
-        found[ratio] = {}
-        for name in (*SINGLE, FREE):
+    def linearize(ratios: Iterable[float]) -> None:
+        for ratio in ratios:
+            law = physical_law_with(joint, rows, machine, (ratio, ratio))
+            before[ratio] = _linearize(law, rows, response - effect, scale, ratio)
 
-            def projected(size: Array, name: str = name) -> Array:
-                return at.project(at.whiten(changes.by(name, size, course)))
-
-            found[ratio][name] = _fit_size(projected, target, 2 if name == FREE else 1)
-        return at.df - 2
-
-    df = min(evaluate(ratio) for ratio in COARSE)
+    linearize(COARSE)
     for _ in range(REFINEMENTS):
-        for ratio in _middles_beside_best(found):
-            evaluate(ratio)
-    ratios = sorted(found)
-    return Fingerprint(joint, direction, np.array(ratios), tuple(found[ratio] for ratio in ratios), df)
+        linearize(_middles_beside_best(before))
+    ratios = sorted(before)
+    df = min(at.df for at in before.values()) - 2
+    deviance = np.array([before[ratio].residual @ before[ratio].residual for ratio in ratios])
+    likely = deviance < deviance.min() + UNLIKELY * max(1.0, deviance.min() / max(df, 1))
+    fits = tuple(
+        _fit_all(before[ratio], ratio, response, course) if is_likely else IMPOSSIBLE
+        for ratio, is_likely in zip(ratios, likely, strict=True)
+    )
+    return Fingerprint(joint, direction, np.array(ratios), fits, df)
+
+
+def _fit_all(at: LinearizedFit, ratio: float, response: Array, course: Array) -> dict[str, ChangeFit]:
+    """Every change at one lambda."""
+    (part,) = at.parts
+    changes = StageEffects(part.law, at.rows, part.values, ratio)
+    target = at.project(at.whiten(response - changes.unchanged))
+    fits = {}
+    for name in (*SINGLE, FREE):
+
+        def projected(size: Array, name: str = name) -> Array:
+            return at.project(at.whiten(changes.by(name, size, course)))
+
+        fits[name] = _fit_size(projected, target, 2 if name == FREE else 1)
+    return fits
 
 
 def _linearize(
@@ -139,11 +158,10 @@ def _linearize(
     return linearize_fit(rows, [part], response, scale)
 
 
-def _middles_beside_best(found: dict[float, dict[str, ChangeFit]]) -> list[float]:
-    """Middles of the intervals beside the lambda under which some change fits best."""
-    ratios = sorted(found)
-    deviance = [min(found[ratio][name].deviance for name in SINGLE) for ratio in ratios]
-    best = int(np.argmin(deviance))
+def _middles_beside_best(fits: Mapping[float, LinearizedFit]) -> list[float]:
+    """Middles of the intervals beside the lambda that fits best without the change."""
+    ratios = sorted(fits)
+    best = int(np.argmin([fits[ratio].residual @ fits[ratio].residual for ratio in ratios]))
     return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
 
 
