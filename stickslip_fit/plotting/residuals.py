@@ -267,9 +267,8 @@ def finding_picture(
         )
     elif is_named:
         caption += (
-            f"Above under the {'published ' * machine.has_published_geometry}law ({before} rms), below with "
-            f"all that was found in it ({after} rms): the lines should lie within the grey band, where noise "
-            "alone would keep them."
+            f"Above under the law as it was ({before} rms), below with all that was found in it ({after} "
+            "rms): the lines should lie within the grey band, where noise alone would keep them."
         )
     else:
         caption += f"{after} rms; noise alone would keep the lines within the grey band."
@@ -382,8 +381,7 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison, machi
     if not _select_covariates(comparison.rows, subset, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
     rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
-    published = "published " * machine.has_published_geometry
-    before = f" Dotted: the means under the {published}law." if extended else ""
+    before = " Dotted: the means under the law as it was." if extended else ""
     caption = (
         f"Mean residuals{' with all that was found in it' if extended else ''}, by classes "
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
