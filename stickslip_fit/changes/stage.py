@@ -21,16 +21,16 @@ from stickslip_fit.changes.detection import Change, Changes
 from stickslip_fit.diagnosis.stage_change import CREDIBLE, PRIOR_SD, QUANTITIES, StageChange, choose_credible
 from stickslip_fit.units import Interval
 
-FRICTION_LIMITED, VELOCITY_LIMITED = "friction-limited", "velocity-limited"
+REGIMES = ("friction-limited", "velocity-limited")
 FINGERPRINTS: Mapping[tuple[str, str], tuple[float, float]] = {
-    ("friction", FRICTION_LIMITED): (1.0, 0.0),
-    ("mass", FRICTION_LIMITED): (-1.0, 0.0),
-    ("ramp time", FRICTION_LIMITED): (2.0, 2.0),
-    ("voltage", FRICTION_LIMITED): (0.0, 0.0),
-    ("friction", VELOCITY_LIMITED): (0.0, -2.0),
-    ("mass", VELOCITY_LIMITED): (0.0, 2.0),
-    ("ramp time", VELOCITY_LIMITED): (0.0, -2.0),
-    ("voltage", VELOCITY_LIMITED): (1.0, 2.0),
+    ("friction", REGIMES[0]): (1.0, 0.0),
+    ("mass", REGIMES[0]): (-1.0, 0.0),
+    ("ramp time", REGIMES[0]): (2.0, 2.0),
+    ("voltage", REGIMES[0]): (0.0, 0.0),
+    ("friction", REGIMES[1]): (0.0, -2.0),
+    ("mass", REGIMES[1]): (0.0, 2.0),
+    ("ramp time", REGIMES[1]): (0.0, -2.0),
+    ("voltage", REGIMES[1]): (1.0, 2.0),
 }
 """u and v by quantity and regime."""
 MIN_DF = 2.5  # of a difference, with fewer of which its error is too uncertain

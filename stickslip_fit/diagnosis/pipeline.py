@@ -86,8 +86,8 @@ def diagnose(
         False-alarm rate over all tests.
     seed : int, optional
     gain : bool, optional
-        False only names the causes: no gain and no next experiment, in a fraction of the time;
-        `Diagnosis.measure_gain` and `next_experiment` do the rest.
+        False only names the causes: no gain, no next experiment and no change of the stage, in a fraction of
+        the time; `Diagnosis.measure_gain`, `next_experiment` and `read_stage` do the rest.
     progress : callable, optional
         Called with the step that begins and the share of the work that is done.
 

@@ -28,7 +28,7 @@ from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.result import AxesArray, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
-from stickslip_fit.laws import Laws, StepLaw, choose_laws
+from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
 from stickslip_fit.logs import Log
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
@@ -262,7 +262,7 @@ class Diagnosis(Summarized):
         log = self._without(list(courses))
         chosen = choose_laws(usable_rows(log), log.machine, laws)
         before = {part.law.joint: part.law for part in self.selection.problem.parts}
-        is_same = all(vars(law) == vars(before[joint]) for joint, law in chosen.items())
+        is_same = all(_describe(law) == _describe(before[joint]) for joint, law in chosen.items())
         return None if is_same else chosen
 
     def methods(self) -> str:
@@ -377,6 +377,14 @@ class Diagnosis(Summarized):
         from stickslip_fit.plotting.diagnosis import plot_gain
 
         return collect_axes(plot_gain(self))
+
+
+def _describe(law: StepLaw) -> dict[str, Any]:
+    """What a law is made of; nothing of one that only its own program knows, which chooses no other."""
+    try:
+        return describe_law(law)
+    except InputError:
+        return {}
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,8 @@ def read_stage(
     readings = []
     unread = list(courses)
     while unread:
-        together = [name for name in unread if _correlation(courses[unread[0]], courses[name]) > SAME_COURSE]
+        first, *others = unread
+        together = [first, *(name for name in others if _is_same(courses[first], courses[name]))]
         unread = [name for name in unread if name not in together]
         if (reading := _read(selection, tuple(together), courses, machine)) is not None:
             readings.append(reading)
@@ -180,10 +181,11 @@ def find_courses(selection: Selection) -> dict[str, Array]:
     return found
 
 
-def _correlation(one: Array, other: Array) -> float:
-    use = (one != 0) | (other != 0)
-    a, b = one[use] - one.mean(), other[use] - other.mean()
-    return float(abs(a @ b) / np.sqrt((a @ a) * (b @ b)))
+def _is_same(one: Array, other: Array) -> bool:
+    """Whether two courses rise and fall together, or are opposite."""
+    if not (np.ptp(one) > 0 and np.ptp(other) > 0):
+        return False
+    return bool(abs(np.corrcoef(one, other)[0, 1]) > SAME_COURSE)
 
 
 def _course(selection: Selection, version: Cause, values: Array) -> Array | None:

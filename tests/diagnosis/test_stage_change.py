@@ -12,7 +12,7 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
 from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, read_stage
 from stickslip_fit.diagnosis.stage_fingerprint import StageEffects
-from stickslip_fit.laws.physical import PhysicalPrismatic
+from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.step import step_size
 from stickslip_fit.units import Interval
 from tests.hidden.stage import Stage, drive_stage
@@ -82,6 +82,19 @@ def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read):
     found = diagnose(log, causes=[SessionJump()], gain=False)
     assert [one.cause for one in found.findings] == ["session-jump"]
     assert read_stage(found.selection, found.findings, log.machine) == ()
+
+
+def test_a_law_is_chosen_anew_only_where_it_becomes_another(read):
+    """A choice that stays the same is no reason to search again."""
+    table = drive_stage("session", Stage("friction"), "preload", 0.1, seed=1).table
+    log = read(table[table["joint"] == 2], "elbow.csv")
+    found = diagnose(log, laws={2: ssf.physical_law}, causes=[SessionJump()], gain=False)
+    assert [one.cause for one in found.findings][:1] == ["session-jump"]
+    assert found.choose_laws_anew(None) is None
+    assert found.choose_laws_anew({2: found.selection.problem.parts[0].law}) is None
+    assert found.choose_laws_anew({2: lambda joint, rows, machine: PhysicalElbow(machine)}) is None
+    other = {2: lambda joint, rows, machine: PhysicalElbow(machine, (0.8, 0.8))}
+    assert found.choose_laws_anew(other)[2].ratios == (0.8, 0.8)
 
 
 def reading(*changes, p_value=0.5, limited=(1.0, 1.0)):
