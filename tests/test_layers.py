@@ -37,6 +37,7 @@ LAYERS = (
     ("moves",),
     ("strategies",),
     ("capture", "studies", "changes", "law_comparison"),
+    ("drive",),
     ("plotting",),
     ("reporting",),
     ("_workflow",),
