@@ -22,9 +22,8 @@ from stickslip_fit.causes.parameters import (
     CauseParameter,
     Sizes,
     candidate_moments,
-    moment_parameter,
 )
-from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.roles import ONE_SESSION, TableRoles, direction_labels, direction_sign
 from stickslip_fit.causes.table_cause import Effect, TableCause
 from stickslip_fit.laws import Rows
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -152,15 +151,16 @@ class SteadyDrift(GenericCause):
         "the response in proportion to time."
     )
     shows_best = "the same condition at a session's beginning, middle and end"
-    sentence = "The response {k:rises|falls} by {k} through each session{opposite}"
+    sentence = "The response {k:rises|falls} steadily, by {k}{opposite}"
     remedy = "recalibrating within the session"
     columns = ("session_seconds",)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
-        unit = TableUnit(f"{self.unit or '1'}/{self.time_unit}")
-        return (CauseParameter("k", unit, f"change of the response per {self.time_unit}"),)
+        per = "row" if self.time_unit == "rows" else self.time_unit
+        unit = TableUnit(f"{self.unit or '1'}/{per}")
+        return (CauseParameter("k", unit, f"change of the response per {per}"),)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -184,7 +184,7 @@ class WarmUp(SteadyDrift):
     )
     shows_best = "the same condition, again and again from a session's first minute on"
     sentence = (
-        "The response {A:rises|falls} by {A} as a session runs, with a time constant of {tau}{opposite}"
+        "The response {A:rises|falls} by {A} towards a steady value, with a time constant of {tau}{opposite}"
     )
     remedy = "waiting until it is warm"
 
@@ -238,16 +238,28 @@ class SuddenChange(GenericCause):
         "the next the response is another, and stays so until the session's end."
     )
     shows_best = "the conditions of before the change once more, after it"
-    sentence = "The response {A:rises|falls} by {A} {moment} into session {session}, and stays so{opposite}"
     remedy = "calibrating anew after it"
     columns = ("session", "session_seconds")
 
     @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        where = "after the first row" if self.session == ONE_SESSION else "into session {session}"
+        return "The response {A:rises|falls} by {A} {moment} " + where + ", and stays so{opposite}"
+
+    @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
-        moment = replace(moment_parameter(self.session), unit=TableUnit(self.time_unit))
-        meaning = "change of the response"
-        return CauseParameter("A", TableUnit(self.unit), meaning, session=self.session), moment
+        label = None if self.session == ONE_SESSION else self.session
+        moment = CauseParameter(
+            "moment",
+            TableUnit(self.time_unit),
+            "when, from the first row on",
+            lower=0.0,
+            session=label,
+            sudden=True,
+        )
+        return CauseParameter("A", TableUnit(self.unit), "change of the response", session=label), moment
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]

@@ -128,7 +128,7 @@ def describe_independence(table: TableInfo) -> str:
             "all count as independent."
         )
     span = f"{format_significant(table.correlation_rows, 2)} rows"
-    if np.isfinite(table.correlation_time):
+    if np.isfinite(table.correlation_time) and table.time_unit != "rows":
         span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
     few = ""
     if table.independent < FEW_VALUES:
