@@ -159,7 +159,7 @@ def diagnose_table(
     time: Annotated[
         str | None,
         typer.Option(
-            help="Column of times or of seconds (or the law's unit); 'order': rows are in order of measurement."
+            help="Column of times or seconds; 'order': rows are in order of measurement."
         ),
     ] = None,
     position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
