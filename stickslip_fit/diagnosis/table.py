@@ -266,6 +266,7 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
         independent=len(problem) / length,
         correlation_rows=length,
         correlation_time=length * interval,
+        noise_period=np.nan if noise is None else noise.period_rows * interval,
         time_unit=roles.time_unit,
         roles=roles.columns,
     )

@@ -122,7 +122,7 @@ def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     flow = nile.load_pandas().data
     law = ssf.Law("volume ~ a", units={"volume": "1e8 m³", "a": "1e8 m³", "year": "years"})
     found = ssf.diagnose_table(flow, law, time="year", gain=False)
-    text = "The response falls by 248 1e8 m³ 27.5 years after the first row, and stays so"
+    text = "The response falls by 248 1e8 m³, 27.5 years after the first row, and stays so"
     assert found.summary().headline[0].startswith(text)
     by_order = ssf.diagnose_table(flow, law, time="order", gain=False).summary().headline[0]
     assert "27.5 rows after the first row" in by_order
