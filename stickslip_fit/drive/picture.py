@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import floor, isfinite, log, log10
 
 import numpy as np
+import numpy.typing as npt
 
 from stickslip_fit._typing import Array
 from stickslip_fit.drive.state import DriveState
@@ -89,12 +90,16 @@ def _view(
 
 def _extents(machine: Machine) -> tuple[Array, Array]:
     """What the arm reaches at all, in each view; a grid of 3 degrees misses 0.1 % of it at most."""
-    grids = [np.linspace(*machine.ranges[joint], 81) for joint in (1, 2)]
-    q = np.stack(np.meshgrid(*grids, machine.ranges[3], indexing="ij"), axis=-1)
-    x, y, z = np.moveaxis(forward(machine, q), -1, 0)
-    radius = np.cos(q[..., 0]) * x + np.sin(q[..., 0]) * y
-    above, plane = ([(min(v.min(), 0.0), max(v.max(), 0.0)) for v in pair] for pair in ((x, y), (radius, z)))
-    return np.array(above), np.array(plane)
+    q1, q2 = (np.linspace(*machine.ranges[joint], 81) for joint in (1, 2))
+    lengths = machine.l2 + np.array(machine.ranges[3])
+    radius = _ends(machine.a1 - np.outer(lengths, np.sin(q2)))
+    around = [_ends(np.outer(radius, turned(q1))) for turned in (np.cos, np.sin)]
+    return np.array(around), np.array([radius, _ends(np.outer(lengths, np.cos(q2)))])
+
+
+def _ends(values: Array) -> Point:
+    """The lowest and the highest, with the base's 0 between them."""
+    return min(float(values.min()), 0.0), max(float(values.max()), 0.0)
 
 
 @dataclass(frozen=True)
@@ -144,12 +149,13 @@ def round_down(value: float) -> float:
 
 
 BRAILLE = 0x2800
-DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a character, from the top
+DOTS = np.array([(0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80)])  # of a character, from the top
 DOT_COLUMNS, DOT_ROWS = 2, 4
 MARKS = {"base": "■", "elbow": "○", "tip": "●"}
 LEGEND = (*(f"{mark} {name}" for name, mark in MARKS.items()), "⠂⠐⠂ range of q3", "ellipse: 95 % of the tip's errors")
 ARM_WIDTH, ELLIPSE_WIDTH, MIN_HEIGHT = 24, 13, 7  # below which there is nothing to be seen
 GAP = 2
+ELLIPSE_POINTS = 256  # enough for a closed line of dots
 RANGE_SPACING, RANGE_TICK = 3, 2  # dots between those of joint 3's range, and beside the arm at its ends
 BAR_SHARE = 0.6  # of the width, at most, for the bar that shows the scale
 
@@ -164,28 +170,33 @@ class _Canvas:
         self._dots = np.zeros((height, width), int)
         self._letters: dict[tuple[int, int], str] = {}
 
-    def dot(self, point: Point) -> tuple[int, int]:
-        """Column and row of the dot at a point, from the top left."""
-        right, up = (np.asarray(point) - self._centre) * self.scale
-        column, row = (DOT_COLUMNS * self.width - 1) / 2 + right, (DOT_ROWS * self.height - 1) / 2 - up
-        return round(column), round(row)
+    def cells(self, points: npt.ArrayLike) -> tuple[Array, Array]:
+        """Column and row of the dots at points, shape (n, 2), from the top left; shapes (n,) and (n,)."""
+        right, up = ((np.asarray(points) - self._centre) * self.scale).T
+        columns = (DOT_COLUMNS * self.width - 1) / 2 + right
+        rows = (DOT_ROWS * self.height - 1) / 2 - up
+        return np.rint(columns).astype(int), np.rint(rows).astype(int)
 
-    def put(self, point: Point) -> None:
-        """A dot; nothing outside."""
-        column, row = self.dot(point)
-        if 0 <= column < DOT_COLUMNS * self.width and 0 <= row < DOT_ROWS * self.height:
-            self._dots[row // DOT_ROWS, column // DOT_COLUMNS] |= DOTS[row % DOT_ROWS][column % DOT_COLUMNS]
+    def put(self, points: npt.ArrayLike) -> None:
+        """Dots at points, shape (n, 2); none outside."""
+        columns, rows = self.cells(points)
+        inside = (columns >= 0) & (columns < DOT_COLUMNS * self.width)
+        inside &= (rows >= 0) & (rows < DOT_ROWS * self.height)
+        columns, rows = columns[inside], rows[inside]
+        places = rows // DOT_ROWS, columns // DOT_COLUMNS
+        np.bitwise_or.at(self._dots, places, DOTS[rows % DOT_ROWS, columns % DOT_COLUMNS])
 
     def line(self, start: Point, end: Point, spacing: int = 1) -> None:
         """A line of dots."""
-        length = max(np.abs(np.subtract(self.dot(end), self.dot(start))))
-        for share in np.append(np.arange(0, length, spacing) / max(length, 1), 1.0):
-            self.put((start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])))
+        columns, rows = self.cells([start, end])
+        length = max(abs(int(columns[1] - columns[0])), abs(int(rows[1] - rows[0])), 1)
+        share = np.append(np.arange(0, length, spacing) / length, 1.0)[:, None]
+        self.put(np.array(start) + share * np.subtract(end, start))
 
     def mark(self, point: Point, letter: str) -> None:
         """A letter in place of the dots."""
-        column, row = self.dot(point)
-        self._letters[column // DOT_COLUMNS, row // DOT_ROWS] = letter
+        (column,), (row,) = self.cells([point])
+        self._letters[int(column) // DOT_COLUMNS, int(row) // DOT_ROWS] = letter
 
     def lines(self) -> list[str]:
         """The picture, one string for each row."""
@@ -194,7 +205,7 @@ class _Canvas:
                 self._letters.get((column, row)) or (chr(BRAILLE + dots) if dots else " ")
                 for column, dots in enumerate(dots_of_row)
             )
-            for row, dots_of_row in enumerate(self._dots)
+            for row, dots_of_row in enumerate(self._dots.tolist())
         ]
 
     def bar(self, unit: str) -> str:
@@ -283,8 +294,6 @@ def _draw_ellipse(view: ArmView, height: int, scale: float) -> tuple[list[str], 
     if ellipse is None or not scale:
         return [""] * height, ""
     canvas = _Canvas(ELLIPSE_WIDTH, height, np.zeros(2), scale)
-    points = ellipse.points(4 * DOT_ROWS * height)
-    for start, end in zip(points, np.roll(points, 1, axis=0), strict=True):
-        canvas.line(start, end)
+    canvas.put(ellipse.points(ELLIPSE_POINTS))
     canvas.mark((0.0, 0.0), MARKS["tip"])
     return canvas.lines(), canvas.bar("µm")
