@@ -140,7 +140,7 @@ class PageServer(ThreadingHTTPServer):
         self.period = period
         self.token = secrets.token_urlsafe(24)
         self.ending = threading.Event()
-        self._lock = threading.Lock()
+        self._lock = threading.Condition()
         self._connections: set[socket.socket] = set()
         self._clients: set[str] = set()
         super().__init__((LOOPBACK, port), _Handler)
@@ -168,6 +168,8 @@ class PageServer(ThreadingHTTPServer):
         for connection in connections:
             with suppress(OSError):  # closed meanwhile
                 connection.shutdown(socket.SHUT_RD)
+        with self._lock:  # the streams end with a last event, for which the program may not be too quick
+            self._lock.wait_for(lambda: not self._clients, SEND_SECONDS)
         self.server_close()
 
     def connect(self, connection: socket.socket) -> None:
@@ -195,6 +197,7 @@ class PageServer(ThreadingHTTPServer):
         """The page was closed."""
         with self._lock:
             self._clients.discard(client)
+            self._lock.notify_all()
         self.page_content.leave(client)
 
 
@@ -314,7 +317,8 @@ class _Handler(BaseHTTPRequestHandler):
                 # A page sends nothing more on this connection, so that this is its end.
                 if readable and not self.server.ending.is_set():
                     return
-            self._send({"ended": True})
+            last = self.server.page_content.content(client)
+            self._send({"client": client} | last | {"ended": True})
         except OSError:
             pass
         finally:

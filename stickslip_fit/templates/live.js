@@ -47,14 +47,12 @@ export function follow(staleAfter, show, tell) {
   const connection = { last: 0, over: false, get stale() { return performance.now() - this.last > staleAfter; } };
   source.onmessage = (event) => {
     const content = JSON.parse(event.data);
-    if (content.ended) {
-      connection.over = true;
-      source.close();
-      tell("It has ended. What is shown is the last state.", "over");
-      return;
-    }
     if (!(content.age * 1000 > staleAfter)) connection.last = performance.now();
     show(content);
+    if (!content.ended) return;
+    connection.over = true;
+    source.close();
+    tell("It has ended. What is shown is the last state.", "over");
   };
   source.onerror = () => { if (!connection.over) { connection.last = -Infinity; tell("The connection to the program is lost.", "lost"); } };
   setInterval(() => {
