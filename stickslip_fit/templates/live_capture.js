@@ -50,7 +50,7 @@ function row(point) {
 
 /** Sizes of a chart in pixels of the screen, so that letters are as large as elsewhere. */
 function frame(svg) {
-  const { width, height } = svg.getBoundingClientRect();
+  const box = svg.getBoundingClientRect(), width = box.width - 2, height = box.height - 2; // inside the border
   const size = `${width} ${height}`;
   if (svg.dataset.size !== size) { erase(svg, ""); svg.dataset.size = size; svg.setAttribute("viewBox", `0 0 ${width} ${height}`); }
   return [width, height];
@@ -100,7 +100,7 @@ function drawLevels(svg, levels) {
   const begins = levels.filter(([, , stop], n) => n && levels[n - 1][2] && !stop).map(([time]) => time);
   shape(svg, "path", "begins", { class: "begins", d: begins.map((time) => `M${x(time)},${bottom}V8`).join("") });
   const stops = heard.filter(([, , stop]) => stop).map(([time, level]) => `M${x(time)},${y(level)}h0`);
-  shape(svg, "path", "stops", { class: "minus", "stroke-width": 9, d: stops.join("") });
+  shape(svg, "path", "stops", { class: "stops", d: stops.join("") });
 }
 
 function drawResiduals(svg, points) {

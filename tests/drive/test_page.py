@@ -516,7 +516,7 @@ def test_pages_are_told_of_the_end():
         connection = HTTPConnection(parts.hostname, parts.port, timeout=5)
         connection.request("GET", f"{parts.path}events")
         answer = connection.getresponse()
-    assert answer.read().endswith(b'data: {"ended":true}\n\n')
+    assert answer.read().endswith(b'"ended":true}\n\n')
     connection.close()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((parts.hostname, parts.port), timeout=1)
