@@ -222,7 +222,7 @@ class PacedClock(VirtualClock):
     A wait takes `MAX_PAUSE` at most: a night between two sessions is no part of what is to be seen.
     """
 
-    MAX_PAUSE = 1.0  # s
+    MAX_PAUSE = 0.5  # s
 
     def __init__(self, pace: float, begins: datetime = VIRTUAL_START) -> None:
         super().__init__(begins)

@@ -66,19 +66,18 @@ class ResidualPoint:
 
 
 def compare_reading(reading: TraverseReading, kept: bool = True) -> ResidualPoint:
-    """A reading's residual; a stop that is looked for every n steps is met n / 2 before it is found, on average."""
+    """A reading's residual; with a check every n steps, a stop is found n / 2 after it is met, on average."""
     row, expected = reading.drive.row, reading.drive.expected
     every = int(row["check_every"])
     count = reading.steps - every / 2 if every > 1 else float(reading.steps)
     size = format_value(reading.step_size, "nm" if row["joint"] == PRISMATIC else "µrad", 2)
     text = f"{reading.steps:,} steps, {size} a step"
-    ratios = [
+    residual, low, high = (
         count / value - 1 if expected.known and isfinite(value) else nan
         for value in (expected.steps, expected.high, expected.low)
-    ]
-    return ResidualPoint(
-        int(row["joint"]), str(row["direction"]), text, *ratios, doubtful=bool(reading.deviation), kept=kept
     )
+    doubtful, joint = bool(reading.deviation), int(row["joint"])
+    return ResidualPoint(joint, str(row["direction"]), text, residual, low, high, doubtful, kept)
 
 
 class CapturePage:

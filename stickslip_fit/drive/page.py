@@ -24,7 +24,14 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from stickslip_fit._format import MISSING, capitalize_first, format_number, format_uncertain, format_value, keep_units
+from stickslip_fit._format import (
+    MISSING,
+    capitalize_first,
+    format_number,
+    format_uncertain,
+    format_value,
+    keep_units,
+)
 from stickslip_fit.drive.page_server import PageFiles, RefusalError, serve_page
 from stickslip_fit.drive.picture import ArmView, error_ellipse, view_arm
 from stickslip_fit.drive.state import DriveState, VelocityInput

@@ -248,7 +248,9 @@ class _Handler(BaseHTTPRequestHandler):
             if not length.isdecimal() or len(length) > 9:
                 raise RefusalError(HTTPStatus.LENGTH_REQUIRED, "a message needs a Content-Length")
             if int(length) > MAX_BYTES:
-                raise RefusalError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a message has at most {MAX_BYTES} bytes")
+                raise RefusalError(
+                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a message has at most {MAX_BYTES} bytes"
+                )
             self.server.page_content.receive(self.rfile.read(int(length)))
             self._answer(HTTPStatus.NO_CONTENT)
 
@@ -345,4 +347,3 @@ def _finite(content: Any) -> Any:
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
     return None if isinstance(content, float) and not math.isfinite(content) else content
-

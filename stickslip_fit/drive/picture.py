@@ -10,7 +10,7 @@ the arm is centimetres, and is drawn by a magnification of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, isfinite, log, log10
+from math import floor, log, log10
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from stickslip_fit.units import from_si
 NOT_COVERED = 0.05
 CHI_SQUARE = -2.0 * log(NOT_COVERED)
 Point = tuple[float, float]
+IntArray = npt.NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ class ErrorEllipse:
 
 
 def error_ellipse(covariance: Array) -> ErrorEllipse | None:
-    """The ellipse that holds 95 % of normal errors with this covariance, m^2, shape (2, 2); None if not known.
+    """The ellipse that holds 95 % of normal errors of this covariance, m^2, shape (2, 2); None if not known.
 
     Examples
     --------
@@ -152,7 +153,11 @@ BRAILLE = 0x2800
 DOTS = np.array([(0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80)])  # of a character, from the top
 DOT_COLUMNS, DOT_ROWS = 2, 4
 MARKS = {"base": "■", "elbow": "○", "tip": "●"}
-LEGEND = (*(f"{mark} {name}" for name, mark in MARKS.items()), "⠂⠐⠂ range of q3", "ellipse: 95 % of the tip's errors")
+LEGEND = (
+    *(f"{mark} {name}" for name, mark in MARKS.items()),
+    "⠂⠐⠂ range of q3",
+    "ellipse: 95 % of the tip's errors",
+)
 ARM_WIDTH, ELLIPSE_WIDTH, MIN_HEIGHT = 24, 13, 7  # below which there is nothing to be seen
 GAP = 2
 ELLIPSE_POINTS = 256  # enough for a closed line of dots
@@ -170,7 +175,7 @@ class _Canvas:
         self._dots = np.zeros((height, width), int)
         self._letters: dict[tuple[int, int], str] = {}
 
-    def cells(self, points: npt.ArrayLike) -> tuple[Array, Array]:
+    def cells(self, points: npt.ArrayLike) -> tuple[IntArray, IntArray]:
         """Column and row of the dots at points, shape (n, 2), from the top left; shapes (n,) and (n,)."""
         right, up = ((np.asarray(points) - self._centre) * self.scale).T
         columns = (DOT_COLUMNS * self.width - 1) / 2 + right
@@ -237,7 +242,7 @@ def draw_arm(state: DriveState, machine: Machine, width: int, height: int) -> li
     InputError
         If the machine has no published geometry.
     """
-    views = view_arm(state, machine)
+    views: tuple[ArmView, ...] = view_arm(state, machine)
     wide = (width - GAP) // 2
     if wide < ARM_WIDTH + ELLIPSE_WIDTH:
         views, wide = views[1:], min(width, 2 * ARM_WIDTH)
@@ -259,7 +264,7 @@ def _write_legend(width: int) -> str:
 
 
 def _choose_ellipse_scale(views: tuple[ArmView, ...], height: int) -> float:
-    """Dots per m, the same in all views, from a coarse series so that growth is seen; 0 where none is known."""
+    """Dots per m, the same in all views, of a coarse series so that growth is seen; 0 where none is known."""
     ellipses = [error_ellipse(view.covariance) for view in views]
     longest = max((ellipse.longer for ellipse in ellipses if ellipse), default=0.0)
     room = min(DOT_COLUMNS * ELLIPSE_WIDTH, DOT_ROWS * height) / 2 - 1

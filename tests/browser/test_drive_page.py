@@ -229,7 +229,7 @@ def test_a_joint_goes_home_until_it_is_there_or_somebody_stops_it(steered, loop)
 
 def test_stop_is_the_largest_thing_to_press(steered):
     areas = steered.locator("button").evaluate_all(
-        "all => all.map(each => [each.id, each.getBoundingClientRect().width * each.getBoundingClientRect().height])"
+        "all => all.map(each => [each.id, each.offsetWidth * each.offsetHeight])"
     )
     (stop,) = (area for name, area in areas if name == "stop")
     assert all(stop > 2 * area for name, area in areas if name != "stop")
@@ -268,7 +268,9 @@ def test_the_page_shows_the_state_and_its_advice(steered, loop):
     assert float(position.split(" ")[0].replace("−", "-")) == pytest.approx(np.degrees(shown.q[1]), abs=0.01)
     # In the picture the tip is where the arm's kinematics say, 20 mm as long as the bar.
     spot, base, bar = (
-        steered.locator(f"#above [data-name={name}]").evaluate("each => JSON.parse(JSON.stringify(each.getBoundingClientRect()))")
+        steered.locator(f"#above [data-name={name}]").evaluate(
+            "each => JSON.parse(JSON.stringify(each.getBoundingClientRect()))"
+        )
         for name in ("tip", "base", "bar")
     )
     right = spot["x"] + spot["width"] / 2 - base["x"] - base["width"] / 2
@@ -284,7 +286,9 @@ def test_a_drive_that_stands_still_and_one_that_has_ended_are_told(visit):
         loop = KinematicLoop(device, device, machine, [0.4, -1.2, 0.005])
         with running(loop):
             opened(page, loop)
-        page.wait_for_function("() => /^Nothing has come/.test(document.getElementById('control').textContent)")
+        page.wait_for_function(
+            "() => /^Nothing has come/.test(document.getElementById('control').textContent)"
+        )
         page.keyboard.down("ArrowRight")
         time.sleep(0.3)
         assert device.read(0.0).tip_velocity is None

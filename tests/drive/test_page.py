@@ -236,7 +236,9 @@ def test_no_other_message_is_understood(change):
 
 
 def state(**changes):
-    loop = KinematicLoop(DrivePage(load_machine()), DrivePage(load_machine()), load_machine(), [0.4, -1.2, 0.005])
+    loop = KinematicLoop(
+        DrivePage(load_machine()), DrivePage(load_machine()), load_machine(), [0.4, -1.2, 0.005]
+    )
     shown = loop.state("idle", np.zeros(3))
     return DriveState(**{name: getattr(shown, name) for name in shown.__dataclass_fields__} | changes)
 
@@ -269,7 +271,9 @@ def test_what_is_shown_has_units_and_the_digits_that_its_error_deserves():
         "Go back to the − stop of joint 2 within 340 steps. It is about 12,345 steps away."
     )
     late = state(advice=HomingAdvice(1, "+", 50, 0))
-    assert describe_drive(late, machine)["advice"].startswith("Go back to the + stop of joint 1 now: the toler")
+    assert describe_drive(late, machine)["advice"].startswith(
+        "Go back to the + stop of joint 1 now: the toler"
+    )
 
 
 def test_what_is_not_known_is_shown_as_not_known():

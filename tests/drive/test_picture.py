@@ -128,7 +128,9 @@ def test_an_ellipse_holds_95_percent_of_errors():
     inside = np.hypot(along / ellipse.longer, across / ellipse.shorter) <= 1.0
     assert inside.mean() == pytest.approx(0.95, abs=4 * (0.95 * 0.05 / 40_000) ** 0.5)
     on_it = ellipse.points(7)
-    assert np.einsum("ni,ij,nj->n", on_it, np.linalg.inv(covariance), on_it) == pytest.approx(5.99146, rel=1e-5)
+    assert np.einsum("ni,ij,nj->n", on_it, np.linalg.inv(covariance), on_it) == pytest.approx(
+        5.99146, rel=1e-5
+    )
 
 
 def test_errors_that_are_not_known_have_no_ellipse(machine):
