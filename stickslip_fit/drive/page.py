@@ -151,7 +151,7 @@ class HeldInput:
             self._break(reason)
 
     def begin(self) -> None:
-        """Another page is in control, whose messages and presses count from 1."""
+        """Nothing is held; another page may be in control, whose messages and presses count from 1."""
         with self._lock:
             self._held = None
             self._number = self._press = self._broken = 0
@@ -235,7 +235,6 @@ class DrivePage:
             in_control = self._clients[0] == client
             self._clients.remove(client)
             if in_control:
-                self.held.release("the page was closed")
                 self.held.begin()
 
     def content(self, client: str) -> dict[str, Any]:

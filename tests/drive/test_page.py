@@ -335,10 +335,8 @@ def test_the_page_is_on_the_loopback_address_alone(served):
     parts = urlsplit(served.address)
     assert parts.hostname == "127.0.0.1"
     assert len(parts.path.strip("/")) >= 32
-    outside = socket.gethostbyname(socket.gethostname())
-    if not outside.startswith("127."):
-        with pytest.raises(OSError, match="refused"):
-            socket.create_connection((outside, parts.port), timeout=1)
+    with pytest.raises(OSError):  # noqa: PT011 (refused, or there is no such address)
+        socket.create_connection(("127.0.0.2", parts.port), timeout=1)
 
 
 def test_the_page_comes_with_a_policy_of_its_own_files_alone(served):
@@ -495,7 +493,7 @@ def test_a_page_that_is_closed_stops_at_once_and_the_next_one_controls(served):
         assert post(served, client=one["client"]) == 204
         assert moves(served.read(0.0))
         began = time.monotonic()
-        first.close()
+        first.socket.shutdown(socket.SHUT_WR)  # it would still take what is written
         wait_until(lambda: not moves(served.read(0.0)))
         assert time.monotonic() - began < VALID_SECONDS / 2
         wait_until(lambda: second.event()["controls"])
