@@ -5,8 +5,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from stickslip_fit.capture.operator import ExpectedCount, PlannedDrive, TraverseReading
+from stickslip_fit.capture.protocols import Detection
+from stickslip_fit.capture.terminal import UnattendedOperator
+from stickslip_fit.drive.live_capture import LiveOperator, serve_capture_page
 from stickslip_fit.drive.page import VALID_SECONDS, serve_drive_page
 from stickslip_fit.machine import load_machine
 from tests.drive.kinematic_loop import KinematicLoop, running
@@ -79,6 +84,7 @@ def test_a_key_moves_the_tip_while_it_is_held_and_no_longer(steered, loop, key, 
     steered.keyboard.up(key)
     stops(loop)
     moved = loop.state("", np.zeros(3)).tip - before
+    assert loop.device.held.broken == (0, "")  # it was told, and has not waited in vain
     assert np.sign(moved[axis]) == sign
     assert abs(moved[axis]) > 0.9 * np.abs(moved).sum()
 
@@ -355,3 +361,73 @@ def test_no_page_of_another_origin_gets_anything(visit, loop, tmp_path):
     mine = visit().page
     opened(mine, loop)
     assert mine.inner_text("#control") == "This page is in control."  # so that nobody was before
+
+
+RESIDUALS = (0.004, -0.006, 0.002, 0.031)  # the last one far beyond its interval
+
+
+@pytest.fixture
+def captured(capsys):
+    """The page of a capture that is in its fifth traverse."""
+    row = {"joint": 3, "start": 0.0, "stop": 0.012, "check_every": 5, "step_period": 0.01}
+    with serve_capture_page("my-plan.toml") as shown:
+        operator = LiveOperator(UnattendedOperator(), shown)
+        operator.begin_session("2026-03-09")
+        for number, residual in enumerate((*RESIDUALS, None)):
+            series = pd.Series(row | {"direction": "+-"[number % 2]})
+            drive = PlannedDrive(
+                series, f"{number + 1} of 24: joint 3", ExpectedCount(12300.0, 12200.0, 12400.0)
+            )
+            operator.begin_drive(drive)
+            steps = round(12300 * (1 + (residual or 0.0)) + 2.5) if residual else 6150
+            for check in range(100):
+                stop = residual is not None and check == 99
+                operator.progress(drive, steps - 5 * (99 - check), Detection(stop, 20.0 if stop else 0.5))
+            if residual is not None:
+                doubt = "3.1 % more steps than predicted (12,300)" if residual > 0.02 else ""
+                operator.review(TraverseReading(drive, steps, 0.012 / steps, doubt))
+        yield shown
+
+
+def centre(page, chart, name):
+    """Where the parts of a path of single points are: x and y of each."""
+    words = page.locator(f"#{chart} [data-name='{name}']").get_attribute("d").replace("h0", "").split("M")[1:]
+    return np.array([[float(value) for value in word.split(",")] for word in words])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 400])
+def test_the_page_of_a_capture_shows_it(visit, captured, axe, scheme, width):
+    seen = visit(color_scheme=scheme, viewport={"width": width, "height": 900})
+    page = seen.page
+    page.goto(captured.address)
+    page.wait_for_function("() => document.getElementById('count').textContent === '6,150'")
+    assert page.inner_text("#title") == "5 of 24: joint 3 (3+)"
+    assert page.inner_text("#about") == "of about 12,300 (12,200 to 12,400 in 95 %)"
+    rows = page.locator("#latest tr").all_inner_texts()
+    assert len(rows) == len(RESIDUALS)
+    assert "+3.10 ± 0.8" in rows[0]
+    assert "doubtful" in rows[0]
+    assert "+0.40" in rows[-1]
+    # Half of what is expected is half of the bar up to the mark.
+    fill, mark = (
+        page.locator(f"#bar [data-name={name}]").evaluate(
+            "each => { const b = each.getBBox(); return b.x + b.width; }"
+        )
+        for name in ("count", "expected")
+    )
+    assert fill / mark == pytest.approx(0.5, abs=0.01)
+    plus, minus = (centre(page, "errors", f"dots {sign}") for sign in ("plus", "minus"))
+    across = np.array([plus[0], minus[0], plus[1], minus[1]])
+    slope, _ = np.polyfit(RESIDUALS, across[:, 1], 1)
+    assert slope < 0  # upwards
+    assert across[:, 1] == pytest.approx(
+        np.polyval(np.polyfit(RESIDUALS, across[:, 1], 1), RESIDUALS), abs=0.1
+    )
+    assert (np.diff(across[:, 0]) > 0).all()
+    assert len(centre(page, "levels", "stops")) == len(RESIDUALS)
+    assert page.locator("button, input").count() == 0
+    assert axe(page) == []
+    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+    assert seen.console == []
+    assert [address for address in seen.requests if not address.startswith((LOCAL, "data:"))] == []
