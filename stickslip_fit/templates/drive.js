@@ -53,7 +53,7 @@ function releaseAll(why = "") {
 }
 
 function hold(from, axis, sign) {
-  if (!controls || held.has(from)) return;
+  if (!controls || connection.stale || held.has(from)) return;
   if (home !== null) return releaseAll("Stopped: a key was pressed while a joint went home.");
   if (!active()) { press += 1; complaint = ""; }
   held.set(from, [axis, sign]);
@@ -71,7 +71,7 @@ function stop() {
 }
 
 function takeHome(joint) {
-  if (!controls || active()) return releaseAll();
+  if (!controls || connection.stale || active()) return releaseAll();
   press += 1;
   complaint = "";
   home = joint;
@@ -180,7 +180,9 @@ function showNumbers(content) {
   write("tolerance", drive.tolerance.text);
   const share = Math.min(100, 100 * drive.radius.um / drive.tolerance.um) || 0;
   $("bar").setAttribute("aria-valuenow", share.toFixed(0));
-  $("bar").classList.toggle("exceeded", drive.radius.um > drive.tolerance.um);
+  const exceeded = drive.radius.um > drive.tolerance.um;
+  write("exceeded", exceeded ? ": exceeded" : "");
+  $("bar").classList.toggle("exceeded", exceeded);
   $("bar").querySelector("rect").setAttribute("width", share.toFixed(1));
 }
 
