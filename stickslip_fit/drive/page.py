@@ -118,6 +118,7 @@ class HeldInput:
         self._sent = 0.0  # when it was, by this clock
         self._number = self._press = 0
         self._broken = 0  # the latest press that holds no longer
+        self._sent_home = 0  # the latest press by which the loop was sent home
         self._offset = 0.0  # of this clock from the page's
         self._ended = False
         self._reason = ""
@@ -154,27 +155,35 @@ class HeldInput:
         """Nothing is held; another page may be in control, whose messages and presses count from 1."""
         with self._lock:
             self._held = None
-            self._number = self._press = self._broken = 0
-
-    def end_homing(self) -> None:
-        """The joint has met its stop, or something else has ended it."""
-        with self._lock:
-            if self._held and self._held.home is not None:
-                self._break("")
+            self._number = self._press = self._broken = self._sent_home = 0
 
     def read(self, now: float) -> VelocityInput:
-        """See `InputDevice.read`."""
+        """See `InputDevice.read`; a joint is sent home once, since the loop reads on when it is there."""
         with self._lock:
             if self._ended:
                 return VelocityInput(ends=True)
+            left = self._left()
             if self._held is None:
                 return VelocityInput()
-            left = VALID_SECONDS - (self._clock() - self._sent)
-            if left <= 0.0:
-                self._break("nothing came from the page any more; release all keys, then press again")
+            if self._held.home is not None and self._sent_home == self._press:
+                self._break("")
                 return VelocityInput()
             wanted = self._held.velocity(self.max_speed)
+            if wanted.home is not None:
+                self._sent_home = self._press
             return VelocityInput(wanted.tip_velocity, None, wanted.home, now + left)
+
+    def wants_home(self) -> bool:
+        """Whether a joint that was sent home is to go on."""
+        with self._lock:
+            return self._left() > 0.0 and self._held is not None and self._held.home is not None
+
+    def _left(self) -> float:
+        """Seconds for which what is held still holds; where there are none, nothing is held any more."""
+        left = VALID_SECONDS - (self._clock() - self._sent) if self._held else 0.0
+        if self._held and left <= 0.0:
+            self._break("nothing came from the page any more; release all keys, then press again")
+        return left
 
     @property
     def broken(self) -> tuple[int, str]:
@@ -209,17 +218,17 @@ class DrivePage:
         self._clients: list[str] = []
         self._state: DriveState | None = None
         self._shown = 0.0
-        self._homing = False
 
     def read(self, now: float) -> VelocityInput:
         """See `InputDevice.read`."""
         return self.held.read(now)
 
+    def interrupts(self, now: float) -> bool:
+        """Whether a joint on its way home is to stop: the page does not want it any more, or is gone."""
+        return not self.held.wants_home()
+
     def show(self, state: DriveState) -> None:
         """See `Screen.show`; the page takes it for stale if none comes for `STALE_SECONDS`."""
-        was_homing, self._homing = self._homing, state.status == "homing"
-        if was_homing and not self._homing:
-            self.held.end_homing()
         self._state, self._shown = state, self._clock()
 
     def join(self, client: str) -> None:

@@ -268,6 +268,7 @@ def test_the_page_shows_the_state_and_its_advice(steered, loop):
     assert "Go back to the − stop of joint 2 within 120 steps" in steered.inner_text("#advice")
     assert steered.inner_text("#place") == ", ".join(f"{1000 * x:.4f}" for x in shown.tip)
     assert steered.inner_text("#steps3") == f"{shown.steps[2]:+,}".replace("-", "−")
+    assert steered.inner_text("#exceeded") == (": exceeded" if shown.tip_radius > 10e-6 else "")
     assert steered.inner_text("#tolerance") == "10.0\N{NO-BREAK SPACE}µm"
     position = steered.inner_text("#position2")
     assert position.endswith(" deg")
@@ -292,11 +293,17 @@ def test_a_drive_that_stands_still_and_one_that_has_ended_are_told(visit):
         loop = KinematicLoop(device, device, machine, [0.4, -1.2, 0.005])
         with running(loop):
             opened(page, loop)
+            page.keyboard.down("ArrowRight")
+            wait_for(lambda: wanted(loop) is not None)
+        assert device.read(0.0).tip_velocity is not None
         page.wait_for_function(
             "() => /^Nothing has come/.test(document.getElementById('control').textContent)"
         )
-        page.keyboard.down("ArrowRight")
-        time.sleep(0.3)
+        time.sleep(0.2)
+        assert device.read(0.0).tip_velocity is None
+        assert device.held.broken == (0, "")  # the page has let go
+        page.keyboard.down("ArrowUp")
+        time.sleep(0.2)
         assert device.read(0.0).tip_velocity is None
     page.wait_for_function("() => /^It has ended/.test(document.getElementById('control').textContent)")
     assert page.locator("[data-axis]:disabled").count() == 6

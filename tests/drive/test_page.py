@@ -179,26 +179,41 @@ def test_stop_needs_a_new_press(held, fingers):
     assert moves(held.read(0.0))
 
 
-def test_a_joint_goes_home_while_the_page_lives(held, fingers, clock):
+def test_a_joint_is_sent_home_once(held, fingers):
+    """The loop reads on when it is there, and must not go again before the page has heard of it."""
+    fingers.send(press=True, home=2)
+    assert held.wants_home()
+    assert held.read(0.0).home == 2
+    assert held.wants_home()
+    fingers.send(home=2)
+    assert held.wants_home()
+    assert held.read(0.0).home is None
+    assert not held.wants_home()
+    fingers.send(home=2)
+    assert held.read(0.0).home is None
+    assert held.broken == (1, "")
     fingers.send(press=True, home=2)
     assert held.read(0.0).home == 2
-    assert not moves(held.read(0.0))
-    clock.now += VALID_SECONDS + 0.01
-    assert held.read(0.0).home is None
 
 
-def test_homing_ends_when_the_loop_has_ended_it(clock):
+@pytest.mark.parametrize("end", ["silence", "stop", "release", "key", "closed"])
+def test_a_joint_goes_home_while_the_page_wants_it(clock, end):
     page = DrivePage(load_machine(), clock=clock)
     page.join("a")
     fingers = Fingers(page.held, clock)
-    fingers.send(press=True, home=3)
-    for status, home in (("idle", 3), ("homing", 3), ("homing", 3), ("idle", None)):
-        page.show(state(status=status))
-        assert page.read(0.0).home == home
-    fingers.send(home=3)  # the page has not heard of it yet
-    assert page.read(0.0).home is None
-    fingers.send(press=True, home=1)
-    assert page.read(0.0).home == 1
+    fingers.send(press=True, home=2)
+    assert page.read(0.0).home == 2
+    for _ in range(20):
+        clock.now += 0.05
+        fingers.send(home=2)
+        assert not page.interrupts(0.0)
+    if end == "silence":
+        clock.now += VALID_SECONDS + 0.01
+    elif end == "closed":
+        page.leave("a")
+    else:
+        fingers.send(*((1, 0, 0) if end == "key" else ()), stop=end == "stop")
+    assert page.interrupts(0.0)
 
 
 def test_the_end_is_for_good(held, fingers):
