@@ -10,7 +10,7 @@ the arm is centimetres, and is drawn by a magnification of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, log, log10
+from math import floor, inf, log, log10
 
 import numpy as np
 import numpy.typing as npt
@@ -213,9 +213,9 @@ class _Canvas:
             for row, dots_of_row in enumerate(self._dots.tolist())
         ]
 
-    def bar(self, unit: str) -> str:
-        """A bar of a round length, with that length."""
-        length = round_down(BAR_SHARE * DOT_COLUMNS * self.width / self.scale)
+    def bar(self, unit: str, longest: float = inf) -> str:
+        """A bar of a round length, in m at most `longest`, with that length."""
+        length = round_down(min(BAR_SHARE * DOT_COLUMNS * self.width / self.scale, longest))
         dashes = "─" * max(round(length * self.scale / DOT_COLUMNS) - 2, 0)
         return f"├{dashes}┤ {from_si(length, unit):g} {unit}"
 
@@ -291,7 +291,7 @@ def _draw_arm_alone(view: ArmView, width: int, height: int) -> tuple[list[str], 
     canvas.line(view.near, view.far, RANGE_SPACING)
     for name, letter in MARKS.items():
         canvas.mark(getattr(view, name), letter)
-    return canvas.lines(), canvas.bar("mm")
+    return canvas.lines(), canvas.bar("mm", float(np.max(spans)))
 
 
 def _draw_ellipse(view: ArmView, height: int, scale: float) -> tuple[list[str], str]:
