@@ -41,7 +41,7 @@ dates = [2012-03-05]
 [[sweep]]
 joint = 3
 q2_deg = -90
-ranges_mm = [[2, 3]]
+ranges_mm = [[2, 2.4]]
 """
 
 
