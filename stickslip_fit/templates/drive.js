@@ -95,14 +95,15 @@ document.documentElement.addEventListener("pointerleave", () => { for (const fro
 addEventListener("keydown", (event) => {
   const button = event.target.closest?.("button"), slider = event.target.id === "speed";
   const known = AXES[event.key];
+  if (event.key === "Enter" && button?.id === "stop") return; // a click
   if (event.ctrlKey || event.metaKey || event.altKey) return releaseAll("Stopped: another key was pressed.");
   if (known && !slider) {
     event.preventDefault(); // would scroll
     if (!event.repeat) hold(`key ${event.code}`, ...known);
-  } else if (event.key === "Escape" || (event.key === " " && !button)) {
-    event.preventDefault();
+  } else if (event.key === "Escape" || event.key === " ") {
+    event.preventDefault(); // Space would press the button that has the focus, and it has to stop wherever that is
     if (!event.repeat) stop();
-  } else if ((event.key === " " || event.key === "Enter") && button?.dataset.axis) {
+  } else if (event.key === "Enter" && button?.dataset.axis) {
     event.preventDefault(); // would click
     if (!event.repeat) hold("button", Number(button.dataset.axis), Number(button.dataset.sign));
   } else if (!event.repeat && !(known && slider)) {
@@ -111,7 +112,8 @@ addEventListener("keydown", (event) => {
 });
 addEventListener("keyup", (event) => {
   release(`key ${event.code}`);
-  if (event.key === " " || event.key === "Enter") release("button");
+  if (event.key === "Enter") release("button");
+  if (event.key === " ") event.preventDefault(); // some browsers press the button now
 });
 
 for (const button of document.querySelectorAll("[data-axis]")) {

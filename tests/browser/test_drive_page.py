@@ -191,18 +191,25 @@ def test_the_mouse_moves_it_while_it_is_down_on_a_button(steered, loop):
 
 
 def test_the_keyboard_reaches_every_button(steered, loop):
-    """Tab to a button; Enter or Space hold it, and leaving it ends that."""
+    """Tab to a button; Enter holds it, leaving it ends that, and Space stops here, too."""
     steered.locator("#stop").focus()
     steered.keyboard.press("Tab")
-    for key in ("Enter", " "):
-        steered.keyboard.down(key)
+    for end in (
+        lambda: steered.keyboard.up("Enter"),
+        lambda: steered.keyboard.press(" "),
+        lambda: steered.evaluate("document.activeElement.blur()"),
+    ):
+        steered.keyboard.down("Enter")
         wait_for(lambda: wanted(loop) == pytest.approx((0.0, 20e-6, 0.0)))
-        steered.keyboard.up(key)
+        end()
         stops(loop)
-    steered.keyboard.down("Enter")
-    wait_for(lambda: wanted(loop) is not None)
-    steered.evaluate("document.activeElement.blur()")
-    stops(loop)
+        steered.keyboard.up("Enter")
+    changes = len(loop.changes)
+    steered.locator("#stop").focus()
+    steered.keyboard.press("Tab")
+    steered.keyboard.press(" ")
+    time.sleep(0.2)
+    assert len(loop.changes) == changes
 
 
 def test_the_slider_sets_the_speed_and_its_arrows_move_nothing(steered, loop):
@@ -230,7 +237,12 @@ def test_a_joint_goes_home_until_it_is_there_or_somebody_stops_it(steered, loop)
     wait_for(lambda: wanted(loop) == 2)
     steered.keyboard.press("ArrowRight")
     stops(loop)
-    assert len(loop.changes) == 7
+    button.click()
+    wait_for(lambda: wanted(loop) == 2)
+    steered.keyboard.press(" ")  # with the focus still on that button
+    stops(loop)
+    time.sleep(0.3)
+    assert len(loop.changes) == 9
 
 
 def test_stop_is_the_largest_thing_to_press(steered):
