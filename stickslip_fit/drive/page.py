@@ -6,7 +6,8 @@ What is wanted holds until the first of:
 
 - a message without it arrives: the key was released, the page lost the focus, was hidden or left;
 - the page's stream ends: it was closed, its browser crashed, the connection broke;
-- `VALID_SECONDS` have passed since the page *sent* the last message: it is frozen, or too slow.
+- `VALID_SECONDS` have passed since the page *sent* the last message, or `HOMING_VALID_SECONDS` for a joint
+  that goes home: the page is frozen, or too slow.
 
 After the last two, and after a stop, nothing moves until all keys are released and one is pressed anew: a
 page that comes back to life must not go on with what was held before.
@@ -40,6 +41,8 @@ from stickslip_fit.units import JOINTS, PRISMATIC, from_si, to_si
 
 HEARTBEAT = 0.05  # s between two messages of a page on which something is held
 VALID_SECONDS = 0.2  # after which a message holds no longer: three heartbeats may be lost
+# Of a joint on its way home, which takes a minute or two, looks for its stop, and ends there in any case.
+HOMING_VALID_SECONDS = 1.0
 PERIOD = 0.04  # s between two states that the page shows
 STALE_SECONDS = 0.5  # after which the page says that nothing has come, and holds nothing
 DEFAULT_MAX_SPEED = to_si(60.0, "µm")  # m/s
@@ -90,6 +93,11 @@ class PageMessage(BaseModel):
         """Whether anything is held."""
         return any(self.direction) or self.home is not None
 
+    @property
+    def valid_seconds(self) -> float:
+        """How long it holds after it was sent."""
+        return VALID_SECONDS if self.home is None else HOMING_VALID_SECONDS
+
     def velocity(self, max_speed: float) -> VelocityInput:
         """What is wanted, without its time."""
         if self.home is not None:
@@ -139,7 +147,7 @@ class HeldInput:
             self._ended |= message.ends
             if message.stop or message.ends:
                 self._break("stopped on the page")
-            elif message.wants and max(gap, arrived - sent) > VALID_SECONDS:
+            elif message.wants and max(gap, arrived - sent) > message.valid_seconds:
                 self._break("the page was too slow; release all keys, then press again")
             elif message.wants and message.press > self._broken:
                 self._held, self._sent, self._reason = message, sent, ""
@@ -180,7 +188,7 @@ class HeldInput:
 
     def _left(self) -> float:
         """Seconds for which what is held still holds; where there are none, nothing is held any more."""
-        left = VALID_SECONDS - (self._clock() - self._sent) if self._held else 0.0
+        left = self._held.valid_seconds - (self._clock() - self._sent) if self._held else 0.0
         if self._held and left <= 0.0:
             self._break("nothing came from the page any more; release all keys, then press again")
         return left
