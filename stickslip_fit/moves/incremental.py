@@ -14,7 +14,9 @@ the joints' covariance P.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -193,6 +195,30 @@ class DriveReckoning:
         self.q[joint - 1] -= displacement / 2
         self._own_variance[joint] += (displacement / 2) ** 2
         self._update(joint)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Position and uncertainty in plain numbers, SI, for a journal; see `restore`."""
+        history = [(last.direction, last.load, last.steps) for last in self.history.values()]
+        sums = {
+            f"{joint}{direction}": [own.displacement, *own.gradient.tolist()]
+            for (joint, direction), own in self._sums.items()
+        }
+        variance = [self._own_variance[joint] for joint in JOINTS]
+        return {"q": list(self.q), "variance": variance, "history": history, "sums": sums}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Go on from a `snapshot` of a drive by the same law."""
+        self.q = [float(position) for position in snapshot["q"]]
+        self._own_variance = dict(zip(JOINTS, snapshot["variance"], strict=True))
+        self.history = {
+            joint: MotionHistory(*last) for joint, last in zip(JOINTS, snapshot["history"], strict=True)
+        }
+        self._sums = {
+            (int(key[0]), key[1]): _Sums(np.array(gradient), displacement)
+            for key, (displacement, *gradient) in snapshot["sums"].items()
+        }
+        for joint in JOINTS:
+            self._update(joint)
 
     def _within_range(self, joint: int, displacement: float) -> float:
         low, high = self.arm.machine.ranges[joint]
