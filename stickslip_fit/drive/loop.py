@@ -169,10 +169,15 @@ class DriveLoop:
             self._go_home(wanted.home)
         else:
             self._move(self._wanted_rates(wanted, now), elapsed)
+        self.show()
+        return not self._dead
+
+    def show(self) -> None:
+        """Show the state, unless it was shown a moment ago."""
+        now = self.clock.now()
         if now - self._shown_at >= SHOW_INTERVAL:
             self._shown_at = now
             self.screen.show(self.state())
-        return not self._dead
 
     def state(self) -> DriveState:
         """The drive as it is now."""

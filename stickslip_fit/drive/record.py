@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from stickslip_fit import __version__
 from stickslip_fit.capture.events import ImpossibleEventError
-from stickslip_fit.capture.journal import Journal, continue_journal, create_journal
+from stickslip_fit.capture.journal import Journal, continue_journal, create_journal, read_journal
 from stickslip_fit.drive.diffusion import Burst
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
@@ -71,13 +72,34 @@ class DriveReplay:
         return drive
 
 
+@dataclass(frozen=True)
+class Departure:
+    """Steps of a joint in one direction since it left a stop, all others at rest; the first at `seconds`."""
+
+    direction: str
+    steps: int
+    seconds: float
+
+
 class DriveRecord:
-    """Writes a drive into a journal, if there is one; `seconds` of it are over before."""
+    """Writes a drive into a journal, if there is one; `seconds` of it are over before.
+
+    Attributes
+    ----------
+    departures : dict of int to Departure
+        Of the joints whose steps since a stop are a count.
+    """
 
     def __init__(self, journal: Journal | None = None, seconds: float = 0.0) -> None:
         self.journal = journal
         self.seconds = seconds
+        self.departures: dict[int, Departure] = {}
         self._bursts = 0  # since the last snapshot
+
+    def close(self) -> None:
+        """Close the journal."""
+        if self.journal is not None:
+            self.journal.close()
 
     def begin(self, drive: DriveReckoning) -> None:
         """A new drive begins here."""
@@ -87,6 +109,7 @@ class DriveRecord:
 
     def burst(self, burst: Burst, drive: DriveReckoning, seconds: float) -> None:
         """A burst that is about to be commanded; all before it have been made."""
+        self._follow(burst, drive, seconds)
         if self.journal is None:
             return
         if self._bursts >= SNAPSHOT_INTERVAL:
@@ -94,6 +117,15 @@ class DriveRecord:
         event = {"event": "burst", "joint": burst.joint, "steps": burst.signed_steps, "seconds": seconds}
         self.journal.append(event)
         self._bursts += 1
+
+    def _follow(self, burst: Burst, drive: DriveReckoning, seconds: float) -> None:
+        """Keep `departures` up to date: a count ends where the joint turns, or another one moves."""
+        joint, before = burst.joint, self.departures.get(burst.joint)
+        self.departures.clear()
+        if drive.variance(joint) == 0.0 and drive.q[joint - 1] in drive.arm.machine.ranges[joint]:
+            self.departures[joint] = Departure(burst.direction, burst.steps, seconds)
+        elif before is not None and before.direction == burst.direction:
+            self.departures[joint] = replace(before, steps=before.steps + burst.steps)
 
     def rest(self, drive: DriveReckoning, seconds: float) -> None:
         """All bursts have been made, or their doubt is in the drive's uncertainty."""
@@ -104,7 +136,13 @@ class DriveRecord:
 
 def begin_record(path: Path | None, drive: DriveReckoning) -> DriveRecord:
     """Begin the journal of a drive; raises InputError where there is one already, or it cannot be written."""
-    record = DriveRecord(create_journal(path) if path else None)
+    journal = None
+    if path is not None:
+        replay = DriveReplay()
+        # An empty one was left by a drive that failed before it began.
+        empty = path.exists() and not read_journal(path, replay.apply).count
+        journal = continue_journal(path, replay.apply) if empty else create_journal(path)
+    record = DriveRecord(journal)
     record.begin(drive)
     return record
 

@@ -223,12 +223,12 @@ class Manipulator:
         self._stops[joint] = (low, high)
         self._positions[f"q{joint}"] = min(max(self._positions[f"q{joint}"], low), high)
 
-    def begin_session(self, label: str) -> None:
-        """Begin a session, unless it is the current one; its clock starts with its first step."""
+    def begin_session(self, label: str, began: float | None = None) -> None:
+        """Begin a session, unless it is the current one; its clock starts at `began` or its first step, s."""
         self._end_motion()
         if label == self._session and self._session_began is not None:
             return
-        self._session, self._session_began = label, None
+        self._session, self._session_began = label, began
         self._history = {joint: JointHistory(steps=last.steps) for joint, last in self._history.items()}
 
     def begin_drive(self) -> None:
