@@ -88,8 +88,6 @@ class DriveLoop:
     ----------
     commanded : list of float
         Where the tip would be had it followed the velocities as commanded, base frame, m.
-    steps : list of int
-        Of each joint, those in direction - taken off.
     """
 
     def __init__(
@@ -116,7 +114,6 @@ class DriveLoop:
         self.homing: Homing | None = None
         self.began = clock.now() - record.seconds
         self.diffusion = StepDiffusion(drive.q, self._step_size)
-        self.steps = [0, 0, 0]
         self.commanded = [float(x) for x in forward(drive.arm.machine, drive.q)]
         self.status, self.message = "idle", ""
         self._wanted = VelocityInput()
@@ -201,7 +198,7 @@ class DriveLoop:
             tolerance=self.tolerance,
             wanted_velocity=np.array(velocity),
             tip_velocity=np.array(self._velocity),
-            steps=(self.steps[0], self.steps[1], self.steps[2]),
+            steps=(self.record.steps[0], self.record.steps[1], self.record.steps[2]),
             limits=self._limits,
             advice=advise_homing(drive, self.seconds, self._rates, self.tolerance),
             message=self.message,
@@ -284,7 +281,6 @@ class DriveLoop:
         joint, seconds = burst.joint, self.seconds
         self.record.burst(burst, self.drive, seconds)
         moved = self.drive.advance(joint, burst.direction, burst.steps, seconds)
-        self.steps[joint - 1] += burst.signed_steps
         try:
             self.controller.step(joint, burst.signed_steps)
         except BaseException as error:

@@ -88,12 +88,15 @@ class DriveRecord:
     ----------
     departures : dict of int to Departure
         Of the joints whose steps since a stop are a count.
+    steps : list of int
+        Of each joint since this record was begun or resumed, those in direction - taken off.
     """
 
     def __init__(self, journal: Journal | None = None, seconds: float = 0.0) -> None:
         self.journal = journal
         self.seconds = seconds
         self.departures: dict[int, Departure] = {}
+        self.steps = [0, 0, 0]
         self._bursts = 0  # since the last snapshot
 
     def close(self) -> None:
@@ -119,8 +122,9 @@ class DriveRecord:
         self._bursts += 1
 
     def _follow(self, burst: Burst, drive: DriveReckoning, seconds: float) -> None:
-        """Keep `departures` up to date: a count ends where the joint turns, or another one moves."""
+        """Count the steps, and those since a stop until the joint turns or another one moves."""
         joint, before = burst.joint, self.departures.get(burst.joint)
+        self.steps[joint - 1] += burst.signed_steps
         self.departures.clear()
         if drive.variance(joint) == 0.0 and drive.q[joint - 1] in drive.arm.machine.ranges[joint]:
             self.departures[joint] = Departure(burst.direction, burst.steps, seconds)
