@@ -2,9 +2,10 @@
 
 Each campaign has laws of its own: those of the reference campaign, with each joint's and direction's
 day-to-day difference drawn anew for each session. The law that drives is fitted to a simulated log of them,
-never the truth itself. Every drive begins at a known place within the workspace and lasts 20 s, at a speed of 5
-to 60 µm/s in a random direction that changes every 2 to 6 s. `DriveLoop` turns it into steps, which are then
-made one after another by the true law, each joint and direction with one relative error, held for the drive.
+never the truth itself. Every drive begins at a known place within the workspace and lasts 20 s. Its speed is
+5 to 60 µm/s, its direction random and another one every 2 to 6 s. `DriveLoop` turns this into steps, which
+are then made one after another by the true law, each joint and direction with one relative error that is held
+for the drive.
 """
 
 from __future__ import annotations

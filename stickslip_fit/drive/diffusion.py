@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from stickslip_fit.units import JOINTS
 
 FORWARD_STEPS, REVERSAL_STEPS = 0.5, 1.0  # by which a joint lags before it steps, on and back
-MAX_LAG = 2.0  # steps; where a joint lags more, the target waits for it
+SPARE_LAG = 1.0  # steps beyond those of a tick; where a joint lags more, the target waits for it
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,23 @@ StepSize = Callable[[int, str], float]
 class StepDiffusion:
     """Where the joints should be, and the steps that take them there.
 
+    Parameters
+    ----------
+    q : sequence of float
+        Where they are, rad, rad, m.
+    step_size : callable
+    slots : int
+        Steps of all joints together that a tick has room for.
+
     Attributes
     ----------
     target : list of float
         rad, rad, m.
     """
 
-    def __init__(self, q: Sequence[float], step_size: StepSize) -> None:
+    def __init__(self, q: Sequence[float], step_size: StepSize, slots: int = 1) -> None:
         self.target = list(q)
+        self.slots = slots
         self._step_size = step_size
         self._last = dict.fromkeys(JOINTS, "")
 
@@ -53,7 +62,8 @@ class StepDiffusion:
         """Move the target, from joints at `q`, unless one would lag too much; whether it was moved."""
         moved = [target + change for target, change in zip(self.target, displacement, strict=True)]
         for joint in JOINTS:
-            if displacement[joint - 1] and abs(self._lag(joint, moved[joint - 1] - q[joint - 1])) > MAX_LAG:
+            lag = self._lag(joint, moved[joint - 1] - q[joint - 1])
+            if displacement[joint - 1] and abs(lag) > self.slots + SPARE_LAG:
                 return False
         self.target = moved
         return True
@@ -65,8 +75,9 @@ class StepDiffusion:
             if joint is not None or abs(self._lag(number, lag)) > REVERSAL_STEPS:
                 self.target[number - 1] = q[number - 1]
 
-    def bursts(self, q: Sequence[float], slots: int) -> Iterator[Burst]:
-        """The next bursts of joints at `q`, which the caller keeps up to date; `slots` steps in all."""
+    def bursts(self, q: Sequence[float]) -> Iterator[Burst]:
+        """The bursts of a tick, of joints at `q`, which the caller keeps up to date."""
+        slots = self.slots
         while slots > 0:
             lags = {joint: self._lag(joint, self.target[joint - 1] - q[joint - 1]) for joint in JOINTS}
             due = {joint: abs(lag) / self._threshold(joint, lag) for joint, lag in lags.items()}

@@ -57,9 +57,11 @@ class KeyboardDevice:
         for key in self._keys():
             if not self._wanted.ends:
                 self._wanted = self._press(key.lower(), now)
+        if now >= self._wanted.valid_until:
+            self._wanted = VelocityInput(ends=self._wanted.ends)
         wanted = self._wanted
-        if wanted.home is not None or now >= wanted.valid_until:
-            self._wanted = VelocityInput(ends=wanted.ends)  # a going home is asked for once
+        if wanted.home is not None:
+            self._wanted = VelocityInput()  # it is asked for once
         return wanted
 
     def _press(self, key: str, now: float) -> VelocityInput:

@@ -113,7 +113,7 @@ class DriveLoop:
         self.screen_age = screen_age
         self.homing: Homing | None = None
         self.began = clock.now() - record.seconds
-        self.diffusion = StepDiffusion(drive.q, self._step_size)
+        self.diffusion = StepDiffusion(drive.q, self._step_size, self.timing.slots)
         self.commanded = [float(x) for x in forward(drive.arm.machine, drive.q)]
         self.status, self.message = "idle", ""
         self._wanted = VelocityInput()
@@ -222,14 +222,13 @@ class DriveLoop:
 
     def _move(self, rates: Triple, elapsed: float) -> None:
         self._limits = ()
+        machine, target = self.drive.arm.machine, self.diffusion.target
+        wanted = self._wanted.tip_velocity
+        if wanted is not None and any(wanted) and abs(axis_distance(machine, target)) < DAMPED_WITHIN:
+            self._limits = ("the tip is near the axis of joint 1, where it cannot follow sideways",)
         if not any(rates):
             self._come_to_rest()
             return
-        machine, target = self.drive.arm.machine, self.diffusion.target
-        if rates[0] and self._wanted.tip_velocity is not None:
-            distance = axis_distance(machine, target)
-            if abs(distance) < DAMPED_WITHIN:
-                self._limits = ("the tip is near the axis of joint 1, where it cannot follow sideways",)
         rates = self._slow_down(rates)
         displacement = [rate * elapsed for rate in rates]
         if blocked := self._soft_limit(displacement):
@@ -245,7 +244,7 @@ class DriveLoop:
             self._rates, self._velocity = rates, tip_velocity(machine, target, rates)
             for axis in range(3):
                 self.commanded[axis] += self._velocity[axis] * elapsed
-        for burst in self.diffusion.bursts(self.drive.q, self.timing.slots):
+        for burst in self.diffusion.bursts(self.drive.q):
             self._command(burst)
             if self._dead:
                 return
