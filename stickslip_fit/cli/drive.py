@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,14 @@ from stickslip_fit.cli._options import (
 from stickslip_fit.errors import InputError
 
 
+class InputKind(StrEnum):
+    """What a person drives by."""
+
+    keyboard = "keyboard"
+    gamepad = "gamepad"
+    spacemouse = "spacemouse"
+
+
 def drive(
     calibration: Calibration,
     at: Annotated[
@@ -37,13 +46,16 @@ def drive(
     ] = None,
     script: Annotated[
         Path | None,
-        typer.Option(help="CSV of velocities: time_s,vx_um_s,vy_um_s,vz_um_s; else the keyboard drives."),
+        typer.Option(help="CSV of velocities: time_s,vx_um_s,vy_um_s,vz_um_s; else a person drives."),
         INPUT,
     ] = None,
+    by: Annotated[InputKind, typer.Option("--by", help="What a person drives by.")] = InputKind.keyboard,
     tolerance: Annotated[
         float, typer.Option(min=0.001, help="Uncertainty of the tip, µm (95 %), before which to re-home.")
     ] = 10.0,
-    speed: Annotated[float, typer.Option(min=1.0, max=500.0, help="Of the tip by a key, µm/s.")] = 20.0,
+    speed: Annotated[
+        float, typer.Option(min=1.0, max=500.0, help="Of the tip by a key or a stick, µm/s.")
+    ] = 20.0,
     hold: Annotated[float, typer.Option(min=10.0, max=1000.0, help="How long a key moves it, ms.")] = 50.0,
     journal: Annotated[
         Path | None,
@@ -96,6 +108,7 @@ def drive(
         journal=journal,
         log=log,
         script=script,
+        device=by.value,
         speed=to_si(speed, "µm"),
         hold=to_si(hold, "ms"),
         step_period=to_si(step_period, "ms"),

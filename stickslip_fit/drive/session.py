@@ -28,10 +28,14 @@ from stickslip_fit.drive.record import DriveRecord, begin_record, resume_record
 from stickslip_fit.drive.screen import ScreenThread, TerminalScreen, format_advice
 from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
+from stickslip_fit.drive.sticks import StickDevice, open_gamepad, open_spacemouse
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.machine import forward
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
 from stickslip_fit.units import from_si
+
+STICKS = {"gamepad": open_gamepad, "spacemouse": open_spacemouse}
+STICK_HELP = "tip along x and y by the (left) stick, z by the right one; start, or the second button, ends"
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +49,11 @@ class DriveJob:
     tolerance : float
         Of the tip's 95 % radius, m.
     script : Path or None
-        Velocities; without them the keyboard drives.
+        Velocities; without them a person drives.
+    device : {'keyboard', 'gamepad', 'spacemouse'}
+        What they drive by.
     speed : float
-        Of the tip by a key, m/s.
+        Of the tip by a key or at full deflection, m/s.
     hold : float
         How long a key press moves, s.
     step_period : float
@@ -60,6 +66,7 @@ class DriveJob:
     journal: Path | None
     log: Path | None
     script: Path | None
+    device: str
     speed: float
     hold: float
     step_period: float
@@ -114,9 +121,16 @@ def open_record(job: DriveJob) -> Iterator[tuple[DriveRecord, DriveReckoning]]:
 
 @contextmanager
 def open_input(job: DriveJob) -> Iterator[DriveInput]:
-    """The input device: a script, which waits while a joint goes home, or the keyboard."""
+    """The input device: a script, which waits while a joint goes home, or what a person drives by."""
     if job.script is not None:
         yield DriveInput(ScriptDevice(read_script(job.script)), lambda now: False)
+        return
+    if job.device in STICKS:
+        stick = StickDevice(STICKS[job.device], job.speed)
+        try:
+            yield DriveInput(stick, partial(wants_something, stick), (f"{job.device}: {STICK_HELP}",))
+        finally:
+            stick.close()
         return
     with Keyboard() as keys:
         if not keys.at_terminal:
