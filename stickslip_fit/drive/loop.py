@@ -229,7 +229,12 @@ class DriveLoop:
         if not any(rates):
             self._come_to_rest()
             return
-        rates = self._slow_down(rates)
+        try:
+            rates = self._slow_down(rates)
+        except InputError as error:
+            self._come_to_rest()
+            self._stop(str(error))
+            return
         displacement = [rate * elapsed for rate in rates]
         if blocked := self._soft_limit(displacement):
             self._come_to_rest()
@@ -250,12 +255,16 @@ class DriveLoop:
                 return
 
     def _slow_down(self, rates: Triple) -> Triple:
-        """All joints scaled together to what the controller can make, one joint's step after another's."""
-        needed = sum(
-            abs(rate) / self._step_size(joint, "+" if rate > 0 else "-")
-            for joint, rate in zip(JOINTS, rates, strict=True)
-            if rate
-        )
+        """All joints scaled together to what the controller can make, one joint's step after another's.
+
+        Raises InputError where a joint that is to move has no law in both directions, or stalls.
+        """
+        needed = 0.0
+        for joint, rate in zip(JOINTS, rates, strict=True):
+            if rate:
+                onwards, back = ("+", "-") if rate > 0 else ("-", "+")
+                self._step_size(joint, back)
+                needed += abs(rate) / self._step_size(joint, onwards)
         if needed <= self.timing.max_rate * (1.0 + RATE_TOL):
             return rates
         share = self.timing.max_rate / needed

@@ -218,3 +218,18 @@ def test_the_state_goes_out_in_plain_numbers(arm):
     assert content["status"] == "idle"
     rates = joint_velocity(arm.machine, START, (0, 20e-6, 0))
     assert content["q"][0] == pytest.approx(START[0] + 2 * rates[0], abs=1e-4)
+
+
+def test_a_joint_without_calibration_stays_where_it_is_and_the_others_go(arm):
+    from dataclasses import replace
+
+    joints = {number: arm.result.joints[number] for number in (2, 3)}
+    partial = replace(arm, result=replace(arm.result, joints=joints))
+    wishes = [(1.0, tip(20, 0, 10)), (2.0, tip(0, 20, 0))]
+    loop, controller, shown = drive_of(partial, wishes, [0.0, -1.3, 0.006])
+    loop.run()
+    assert controller.made
+    assert {moved for _, moved, _ in controller.made} <= {2, 3}
+    assert all(moment < 1.0 for moment, _, _ in controller.made)
+    assert shown.states[-2].status == "stopped"
+    assert "joint 1 has no calibration" in shown.states[-2].message
