@@ -22,7 +22,7 @@ from stickslip_fit.capture.protocols import STEP_PERIOD, VirtualClock
 from stickslip_fit.causes import ExtendedLaw, library
 from stickslip_fit.drive.advice import ADVICE_SHARE
 from stickslip_fit.drive.loop import TICK, DriveLoop
-from stickslip_fit.drive.record import DriveRecord
+from stickslip_fit.drive.record import BurstRecord
 from stickslip_fit.drive.state import DriveState, VelocityInput
 from stickslip_fit.estimation import Result, fit_constant_step, fit_least_squares
 from stickslip_fit.laws import StepLaw
@@ -169,7 +169,7 @@ def drive(arm: CalibratedArm, start: Array, script: Script) -> Drive:
     clock = VirtualClock()
     controller, shown = Steps(clock), Shown([], [], [])
     reckoning = DriveReckoning(arm, start)
-    loop = DriveLoop(reckoning, controller, clock, script, shown, DriveRecord(), tolerance=1.0)  # type: ignore[arg-type]
+    loop = DriveLoop(reckoning, controller, clock, script, shown, BurstRecord(), tolerance=1.0)  # type: ignore[arg-type]
     began = process_time()
     state = loop.run()
     cpu = (process_time() - began) / (SECONDS / TICK)

@@ -65,8 +65,8 @@ def drive(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from where the journal says the joints stand.")
     ] = False,
-    log: Annotated[
-        Path | None, typer.Option(help="Campaign log to write: each going home is a row."), Output()
+    homing_log: Annotated[
+        Path | None, typer.Option("--log", help="Campaign log to write: each going home is a row."), Output()
     ] = None,
     port: Port = None,
     dialect: DialectOption = Dialect.new,
@@ -106,7 +106,7 @@ def drive(
         start=start,
         tolerance=to_si(tolerance, "µm"),
         journal=journal,
-        log=log,
+        log=homing_log,
         script=script,
         device=by.value,
         speed=to_si(speed, "µm"),

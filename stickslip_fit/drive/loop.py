@@ -23,7 +23,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.capture.protocols import STEP_PERIOD, Clock, Controller, ControllerError
 from stickslip_fit.drive.advice import advise_homing
 from stickslip_fit.drive.diffusion import Burst, StepDiffusion
-from stickslip_fit.drive.record import DriveRecord
+from stickslip_fit.drive.record import BurstRecord
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen, VelocityInput
 from stickslip_fit.drive.velocity import (
     DAMPED_WITHIN,
@@ -77,7 +77,7 @@ class DriveLoop:
     clock : Clock
     device : InputDevice
     screen : Screen
-    record : DriveRecord
+    record : BurstRecord
     tolerance : float
         The largest 95 % radius of the tip that the user accepts, m.
     timing : StepTiming, optional
@@ -97,7 +97,7 @@ class DriveLoop:
         clock: Clock,
         device: InputDevice,
         screen: Screen,
-        record: DriveRecord,
+        record: BurstRecord,
         tolerance: float,
         timing: StepTiming | None = None,
         screen_age: Callable[[], float] = lambda: 0.0,

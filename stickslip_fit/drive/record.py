@@ -81,7 +81,7 @@ class Departure:
     seconds: float
 
 
-class DriveRecord:
+class BurstRecord:
     """Writes a drive into a journal, if there is one; `seconds` of it are over before.
 
     Attributes
@@ -138,7 +138,7 @@ class DriveRecord:
             self._bursts = 0
 
 
-def begin_record(path: Path | None, drive: DriveReckoning) -> DriveRecord:
+def begin_record(path: Path | None, drive: DriveReckoning) -> BurstRecord:
     """Begin the journal of a drive; raises InputError where there is one already, or it cannot be written."""
     journal = None
     if path is not None:
@@ -146,12 +146,12 @@ def begin_record(path: Path | None, drive: DriveReckoning) -> DriveRecord:
         # An empty one was left by a drive that failed before it began.
         empty = path.exists() and not read_journal(path, replay.apply).count
         journal = continue_journal(path, replay.apply) if empty else create_journal(path)
-    record = DriveRecord(journal)
+    record = BurstRecord(journal)
     record.begin(drive)
     return record
 
 
-def resume_record(path: Path, arm: CalibratedArm) -> tuple[DriveRecord, DriveReckoning]:
+def resume_record(path: Path, arm: CalibratedArm) -> tuple[BurstRecord, DriveReckoning]:
     """Continue the journal of a drive.
 
     Raises
@@ -169,7 +169,7 @@ def resume_record(path: Path, arm: CalibratedArm) -> tuple[DriveRecord, DriveRec
         message = f"was begun with another law or session (session {replay.session}); go on with the same one"
         raise InputError(InputIssue(message, str(path)))
     drive = replay.restore(arm)
-    record = DriveRecord(journal, replay.seconds)
+    record = BurstRecord(journal, replay.seconds)
     record.rest(drive, replay.seconds)
     return record, drive
 

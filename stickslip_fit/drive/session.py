@@ -24,7 +24,7 @@ from stickslip_fit.capture.tuning import check_tuning, load_tuning
 from stickslip_fit.drive.homing import HomingLog, StopFinder
 from stickslip_fit.drive.keyboard import HELP, KeyboardDevice
 from stickslip_fit.drive.loop import DriveLoop, StepTiming
-from stickslip_fit.drive.record import DriveRecord, begin_record, resume_record
+from stickslip_fit.drive.record import BurstRecord, begin_record, resume_record
 from stickslip_fit.drive.screen import ScreenThread, TerminalScreen, format_advice
 from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
@@ -97,7 +97,7 @@ def timing_of(dialect: str, step_period: float) -> StepTiming:
 
 
 @contextmanager
-def open_record(job: DriveJob) -> Iterator[tuple[DriveRecord, DriveReckoning]]:
+def open_record(job: DriveJob) -> Iterator[tuple[BurstRecord, DriveReckoning]]:
     """Begin or resume a drive and its journal.
 
     Raises
@@ -146,7 +146,7 @@ def wants_something(device: InputDevice, now: float) -> bool:
 
 
 def run_drive(
-    job: DriveJob, rig: DriveRig, record: DriveRecord, drive: DriveReckoning, inputs: DriveInput
+    job: DriveJob, rig: DriveRig, record: BurstRecord, drive: DriveReckoning, inputs: DriveInput
 ) -> DriveState:
     """Run a drive to its end, shown in the terminal."""
     terminal = TerminalScreen(inputs.help_lines)

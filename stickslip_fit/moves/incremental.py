@@ -43,7 +43,7 @@ class _Sums:
 
 
 @dataclass(frozen=True)
-class _Motion:
+class _Stretch:
     """Steps of one joint in one direction, with no other's in between."""
 
     joint: int
@@ -98,7 +98,7 @@ class DriveReckoning:
         self._sums: dict[Group, _Sums] = {}
         self._own_variance = dict(zip(JOINTS, (error**2).tolist(), strict=True))
         self._variance = dict(self._own_variance)
-        self._motion: _Motion | None = None
+        self._motion: _Stretch | None = None
         self._shared = max(len(fit.cause_parameters) for fit in self.arm.result.joints.values())
         self._shared_inverse = _invert_shared(self.arm, self._shared)
         self._by_shared: dict[int, Array] = {}
@@ -225,7 +225,7 @@ class DriveReckoning:
         position = self.q[joint - 1]
         return min(max(position + displacement, low), high) - position
 
-    def _begin_motion(self, joint: int, direction: str, seconds: float) -> _Motion:
+    def _begin_motion(self, joint: int, direction: str, seconds: float) -> _Stretch:
         """End the motion in progress, whose load the joint's next one follows, and begin another."""
         last = self._motion
         if last is not None:
@@ -238,7 +238,7 @@ class DriveReckoning:
         if lost:
             size = self.step_size(joint, direction, seconds) * (1 if direction == "+" else -1)
             self._add(joint, direction, 0.0, -size * slopes)
-        return _Motion(joint, direction, self.q[joint - 1], before, seconds, lost)
+        return _Stretch(joint, direction, self.q[joint - 1], before, seconds, lost)
 
     def _add(self, joint: int, direction: str, displacement: float, gradient: Array) -> None:
         group = (joint, direction)

@@ -10,7 +10,7 @@ import pytest
 from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import library
 from stickslip_fit.drive.loop import DriveLoop, StepTiming
-from stickslip_fit.drive.record import DriveRecord
+from stickslip_fit.drive.record import BurstRecord
 from stickslip_fit.drive.velocity import joint_velocity
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
@@ -26,7 +26,7 @@ def drive_of(arm, wishes, start=START, tolerance=1.0, period=0.01, **options):
     clock = VirtualClock()
     controller, shown = Steps(clock, period), Shown()
     reckoning = DriveReckoning(arm, start)
-    inputs = (Hand(wishes), shown, DriveRecord(), tolerance)
+    inputs = (Hand(wishes), shown, BurstRecord(), tolerance)
     return DriveLoop(reckoning, controller, clock, *inputs, **options), controller, shown
 
 
