@@ -24,7 +24,7 @@ from stickslip_fit.capture.journal import LOG_COLUMNS
 from stickslip_fit.capture.protocols import ConnectionLost, Detection
 from stickslip_fit.capture.traverse import DriveTarget, Rig, drive_to_stop
 from stickslip_fit.drive.diffusion import Burst
-from stickslip_fit.drive.record import Departure, BurstRecord
+from stickslip_fit.drive.record import BurstRecord, Departure
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.log import format_csv
 from stickslip_fit.logs.schema import CONDITIONS
