@@ -54,7 +54,7 @@ def test_noise_is_held_however_the_drive_is_cut(arm):
         errors[each] = drive.q_error[2]
         assert errors[each] > repeatability * (drive.q[2] - START[2])
     assert errors[1] == pytest.approx(errors[1000], rel=2e-3)
-    cut = dead_reckon(arm, START, [DriveCommand(3, "+", 10)] * 100)
+    cut = dead_reckon(arm, START, [DriveCommand(3, "+", 100)] * 10)
     assert cut.q_error[2] < 0.9 * errors[1]
 
 
