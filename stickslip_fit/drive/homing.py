@@ -8,7 +8,8 @@ how far the start may be off.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import timedelta
 from math import ceil, nan
@@ -113,7 +114,8 @@ class StopFinder:
         missing = -departure.steps % CHECK_EVERY
         if missing:
             observer.before_command(missing)
-            self.rig.controller.step(joint, missing if departure.direction == "+" else -missing)
+            with observer.doubting():
+                self.rig.controller.step(joint, missing if departure.direction == "+" else -missing)
         row = self._row(joint, departure.direction, low + high - stop, stop, departure.seconds)
         steps = departure.steps + missing
         steps += self._drive(joint, departure.direction, stop, row)
@@ -123,7 +125,9 @@ class StopFinder:
     def _drive(self, joint: int, direction: str, stop: float, row: Mapping[str, Any]) -> int:
         """Drive to the stop; the steps until it was detected."""
         drive, observer = self.drive, _Observer(self, joint, direction)
-        outcome = drive_to_stop(self.rig, self._target(joint, direction, stop), observer)
+        with observer.doubting():
+            outcome = drive_to_stop(self.rig, self._target(joint, direction, stop), observer)
+        self.record.departures.clear()
         if outcome.status != "ok":
             observer.doubt()
             if outcome.steps:
@@ -132,7 +136,6 @@ class StopFinder:
             message = f"joint {joint} was not brought to its stop: {outcome.reason}"
             raise (ConnectionLost if outcome.connection_lost else InputError)(message)
         drive.place(joint, stop)
-        self.record.departures.clear()
         self.record.rest(drive, self.seconds())
         return outcome.steps
 
@@ -192,6 +195,15 @@ class _Observer:
 
     def stop_wanted(self) -> bool:
         return self.finder.interrupted()
+
+    @contextmanager
+    def doubting(self) -> Iterator[None]:
+        """Doubt the last command where something ends it, a person or the program."""
+        try:
+            yield
+        except BaseException:
+            self.doubt()
+            raise
 
     def doubt(self) -> None:
         """The last command may or may not have been carried out, if no check followed it."""

@@ -3,7 +3,7 @@
 In each tick the wanted tip velocity becomes joint velocities (`velocity`), all scaled together to what the
 controller can make; soft limits stop what would take a joint to where it may stand at its stop already; whole
 steps follow by error diffusion (`diffusion`). Each burst is recorded before it is commanded (`record`), and
-`DriveReckoning` follows it.
+`DriveReckoning` follows it. Going home (`homing`) is a drive of its own, in commands of five steps.
 
 A tick takes 10 ms, or as long as its steps take: a controller makes one joint's steps after the other's, a
 step in each of its periods, and returns when they are made. Nothing is ever commanded for longer than a tick,
@@ -122,13 +122,17 @@ class DriveLoop:
         self._limits: tuple[str, ...] = ()
         self._last_tick = clock.now() - TICK
         self._shown_at = -np.inf
-        self._blocked = ""  # the soft limit that the motion under way has met
         self._dead = False
 
     @property
     def seconds(self) -> float:
         """Time since the drive began, s."""
         return self.clock.now() - self.began
+
+    @property
+    def screen_is_frozen(self) -> bool:
+        """Whether the screen does not show what happens, so that nothing may move."""
+        return self.screen_age() > MAX_SCREEN_AGE
 
     def run(self) -> DriveState:
         """Drive until the input ends or the connection is lost; the state at the end.
@@ -212,7 +216,7 @@ class DriveLoop:
         tip, joints = wanted.tip_velocity, wanted.joint_velocity
         if now >= wanted.valid_until or (tip is None and joints is None):
             return AT_REST
-        if self.screen_age() > MAX_SCREEN_AGE:
+        if self.screen_is_frozen:
             self._stop("the screen is frozen: nothing moves until it is back")
             return AT_REST
         if tip is not None:
@@ -241,8 +245,8 @@ class DriveLoop:
             self._limits = (blocked,)
             self._stop(f"{blocked}: drive the other way, or home that joint")
             return
-        if self._blocked or self.status == "stopped":
-            self._blocked, self.message = "", ""
+        if self.status == "stopped":
+            self.message = ""
         self.status = "moving"
         self._rates, self._velocity = AT_REST, AT_REST
         if self.diffusion.advance(self.drive.q, displacement):

@@ -9,8 +9,9 @@ Of the last burst of a journal nobody knows whether it was made, unless somethin
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,9 @@ from stickslip_fit.units import JOINTS
 SNAPSHOT_INTERVAL = 500  # bursts: 5 s of uninterrupted motion
 MAX_STEPS = 10**5
 _KEYS = {
-    "begun": {"version", "law", "session", "snapshot"},
+    "begun": {"version", "time", "law", "session", "snapshot"},
     "burst": {"joint", "steps", "seconds"},
-    "rest": {"seconds", "snapshot"},
+    "rest": {"seconds", "steps", "snapshot"},
 }
 
 
@@ -39,7 +40,9 @@ class DriveReplay:
     def __init__(self) -> None:
         self.law = ""
         self.session = ""
+        self.began = datetime.now(UTC)
         self.seconds = 0.0
+        self.steps = [0, 0, 0]
         self.snapshot: Mapping[str, Any] = {}
         self.bursts: list[tuple[Burst, float]] = []
 
@@ -53,12 +56,17 @@ class DriveReplay:
             raise ImpossibleEventError(f"{name} cannot stand here")
         if name == "begun":
             self.law, self.session = str(content["law"]), str(content["session"])
+            self.began = _time(content["time"])
         else:
             self.seconds = _number(content["seconds"], "seconds")
         if name == "burst":
-            self.bursts.append((_burst(content), self.seconds))
+            burst = _burst(content)
+            self.bursts.append((burst, self.seconds))
+            self.steps[burst.joint - 1] += burst.signed_steps
         else:
             self.snapshot, self.bursts = _check_snapshot(content["snapshot"]), []
+        if name == "rest" and content["steps"] != self.steps:
+            raise ImpossibleEventError(f"{content['steps']} steps, and the bursts are {self.steps}")
 
     def restore(self, arm: CalibratedArm) -> DriveReckoning:
         """The drive as it was; the last burst may or may not have been made, if nothing follows it."""
@@ -82,21 +90,31 @@ class Departure:
 
 
 class BurstRecord:
-    """Writes a drive into a journal, if there is one; `seconds` of it are over before.
+    """Writes a drive into a journal, if there is one.
+
+    Parameters
+    ----------
+    journal : Journal, optional
+    seconds : float
+        Of the drive that are over already.
+    steps : sequence of int, optional
+        That its joints have made already, see below.
 
     Attributes
     ----------
     departures : dict of int to Departure
         Of the joints whose steps since a stop are a count.
     steps : list of int
-        Of each joint since this record was begun or resumed, those in direction - taken off.
+        Of each joint since the drive began, those in direction - taken off.
     """
 
-    def __init__(self, journal: Journal | None = None, seconds: float = 0.0) -> None:
+    def __init__(
+        self, journal: Journal | None = None, seconds: float = 0.0, steps: Sequence[int] = (0, 0, 0)
+    ) -> None:
         self.journal = journal
         self.seconds = seconds
         self.departures: dict[int, Departure] = {}
-        self.steps = [0, 0, 0]
+        self.steps = list(steps)
         self._bursts = 0  # since the last snapshot
 
     def close(self) -> None:
@@ -107,16 +125,17 @@ class BurstRecord:
     def begin(self, drive: DriveReckoning) -> None:
         """A new drive begins here."""
         if self.journal is not None:
-            content = {"version": __version__, "law": hash_law(drive.arm), "session": drive.arm.session}
+            arm, time = drive.arm, datetime.now(UTC).isoformat(timespec="milliseconds")
+            content = {"version": __version__, "time": time, "law": hash_law(arm), "session": arm.session}
             self.journal.commit({"event": "begun", **content, "snapshot": drive.snapshot()})
 
     def burst(self, burst: Burst, drive: DriveReckoning, seconds: float) -> None:
         """A burst that is about to be commanded; all before it have been made."""
+        if self._bursts >= SNAPSHOT_INTERVAL:
+            self.rest(drive, seconds)
         self._follow(burst, drive, seconds)
         if self.journal is None:
             return
-        if self._bursts >= SNAPSHOT_INTERVAL:
-            self.rest(drive, seconds)
         event = {"event": "burst", "joint": burst.joint, "steps": burst.signed_steps, "seconds": seconds}
         self.journal.append(event)
         self._bursts += 1
@@ -134,7 +153,8 @@ class BurstRecord:
     def rest(self, drive: DriveReckoning, seconds: float) -> None:
         """All bursts have been made, or their doubt is in the drive's uncertainty."""
         if self.journal is not None:
-            self.journal.commit({"event": "rest", "seconds": seconds, "snapshot": drive.snapshot()})
+            content = {"seconds": seconds, "steps": self.steps, "snapshot": drive.snapshot()}
+            self.journal.commit({"event": "rest", **content})
             self._bursts = 0
 
 
@@ -152,7 +172,7 @@ def begin_record(path: Path | None, drive: DriveReckoning) -> BurstRecord:
 
 
 def resume_record(path: Path, arm: CalibratedArm) -> tuple[BurstRecord, DriveReckoning]:
-    """Continue the journal of a drive.
+    """Continue the journal of a drive; the time in between counts as time of the drive.
 
     Raises
     ------
@@ -169,8 +189,9 @@ def resume_record(path: Path, arm: CalibratedArm) -> tuple[BurstRecord, DriveRec
         message = f"was begun with another law or session (session {replay.session}); go on with the same one"
         raise InputError(InputIssue(message, str(path)))
     drive = replay.restore(arm)
-    record = BurstRecord(journal, replay.seconds)
-    record.rest(drive, replay.seconds)
+    elapsed = (datetime.now(UTC) - replay.began).total_seconds()
+    record = BurstRecord(journal, max(replay.seconds, elapsed), replay.steps)
+    record.rest(drive, record.seconds)
     return record, drive
 
 
@@ -199,11 +220,21 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
+def _time(value: Any) -> datetime:
+    try:
+        time = datetime.fromisoformat(value)
+    except (TypeError, ValueError):
+        time = None
+    if time is None or time.tzinfo is None:
+        raise ImpossibleEventError(f"the time is {value!r}, no date and time with its time zone")
+    return time
+
+
 def _check_snapshot(snapshot: Any) -> Mapping[str, Any]:
     """A snapshot as `DriveReckoning.snapshot` writes it."""
-    if not isinstance(snapshot, dict) or snapshot.keys() != {"q", "variance", "history", "sums"}:
+    if not isinstance(snapshot, dict) or snapshot.keys() != {"q", "variance", "doubt", "history", "sums"}:
         raise ImpossibleEventError("a snapshot that lacks something")
-    for name in ("q", "variance"):
+    for name in ("q", "variance", "doubt"):
         values = snapshot[name]
         if not isinstance(values, list) or len(values) != len(JOINTS):
             raise ImpossibleEventError(f"{name} is {values!r}")

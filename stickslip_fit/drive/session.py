@@ -167,7 +167,7 @@ def run_drive(
                 record=record,
                 log=HomingLog(job.log, job.arm.machine),
                 seconds=lambda: loop.seconds,
-                interrupted=lambda: inputs.interrupts(rig.clock.now()),
+                interrupted=lambda: inputs.interrupts(rig.clock.now()) or loop.screen_is_frozen,
                 progress=loop.show,
                 step_period=rig.timing.step_period,
             )

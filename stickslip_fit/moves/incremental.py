@@ -97,6 +97,7 @@ class DriveReckoning:
         self.history = dict.fromkeys(JOINTS, MotionHistory())
         self._sums: dict[Group, _Sums] = {}
         self._own_variance = dict(zip(JOINTS, (error**2).tolist(), strict=True))
+        self._doubt = dict.fromkeys(JOINTS, 0.0)  # rad or m on either side
         self._variance = dict(self._own_variance)
         self._motion: _Stretch | None = None
         self._shared = max(len(fit.cause_parameters) for fit in self.arm.result.joints.values())
@@ -185,15 +186,20 @@ class DriveReckoning:
         self.q[joint - 1] = position
         for direction in "+-":
             self._sums.pop((joint, direction), None)
+        self._doubt[joint] = 0.0
         self._own_variance[joint] = error**2
         self._variance[joint] = error**2
         self._by_shared.pop(joint, None)
         self._motion = None
 
     def doubt(self, joint: int, displacement: float) -> None:
-        """The last displacement may or may not have been made: half of it, give or take the other half."""
+        """The last displacement may or may not have been made: half of it, give or take the other half.
+
+        The halves of several doubts add up, and their sum is taken for a standard deviation: wherever the
+        joint stands, it is within 1.96 of them.
+        """
         self.q[joint - 1] -= displacement / 2
-        self._own_variance[joint] += (displacement / 2) ** 2
+        self._doubt[joint] += abs(displacement) / 2
         self._update(joint)
 
     def snapshot(self) -> dict[str, Any]:
@@ -203,13 +209,14 @@ class DriveReckoning:
             f"{joint}{direction}": [own.displacement, *own.gradient.tolist()]
             for (joint, direction), own in self._sums.items()
         }
-        variance = [self._own_variance[joint] for joint in JOINTS]
-        return {"q": list(self.q), "variance": variance, "history": history, "sums": sums}
+        variance, doubt = ([own[joint] for joint in JOINTS] for own in (self._own_variance, self._doubt))
+        return {"q": list(self.q), "variance": variance, "doubt": doubt, "history": history, "sums": sums}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
         """Go on from a `snapshot` of a drive by the same law."""
         self.q = [float(position) for position in snapshot["q"]]
         self._own_variance = dict(zip(JOINTS, snapshot["variance"], strict=True))
+        self._doubt = dict(zip(JOINTS, snapshot["doubt"], strict=True))
         self.history = {
             joint: MotionHistory(*last) for joint, last in zip(JOINTS, snapshot["history"], strict=True)
         }
@@ -249,9 +256,8 @@ class DriveReckoning:
         self._update(joint)
 
     def _update(self, joint: int) -> None:
-        self._variance[joint] = self._own_variance[joint] + sum(
-            self._group_variance(joint, direction, None) for direction in "+-"
-        )
+        moved = sum(self._group_variance(joint, direction, None) for direction in "+-")
+        self._variance[joint] = self._own_variance[joint] + self._doubt[joint] ** 2 + moved
         if not self._shared:
             return
         forth, back = (self._covariance_with_shared(joint, direction) for direction in "+-")

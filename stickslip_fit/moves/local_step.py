@@ -75,10 +75,22 @@ class LocalSteps:
         self._cells: dict[tuple[int, str, str], _Cell] = {}
 
     def law(self, joint: int, direction: str) -> tuple[StepLaw, Array, Array, float]:
-        """See `CalibratedArm.law`, which looks it up anew each time."""
+        """See `CalibratedArm.law`, which looks it up anew each time.
+
+        Raises
+        ------
+        InputError
+            As there, and if the law has no error bars.
+        """
         key = (joint, direction)
         if key not in self._laws:
-            self._laws[key] = self.arm.law(joint, direction)
+            law, values, covariance, repeatability = self.arm.law(joint, direction)
+            if not (np.isfinite(covariance).all() and np.isfinite(repeatability)):
+                raise InputError(
+                    f"joint {joint}, direction {direction}: the calibration has no error bars, so that "
+                    "nobody could say where the tip is; fit a log with repeated traverses"
+                )
+            self._laws[key] = law, values, covariance, repeatability
         return self._laws[key]
 
     def at(

@@ -233,3 +233,18 @@ def test_a_joint_without_calibration_stays_where_it_is_and_the_others_go(arm):
     assert all(moment < 1.0 for moment, _, _ in controller.made)
     assert shown.states[-2].status == "stopped"
     assert "joint 1 has no calibration" in shown.states[-2].message
+
+
+def test_a_law_without_error_bars_drives_nothing(arm):
+    """Nobody could say how surely the tip is where it is said to be, nor where a soft limit lies."""
+    from dataclasses import replace
+
+    fits = {
+        number: replace(fit, covariance=np.full_like(fit.covariance, np.nan))
+        for number, fit in arm.result.joints.items()
+    }
+    unsure = replace(arm, result=replace(arm.result, joints=fits))
+    loop, controller, _ = drive_of(unsure, [(0.5, tip(0, 0, 20))])
+    state = loop.run()
+    assert not controller.made
+    assert "no error bars" in state.message

@@ -145,6 +145,9 @@ def test_a_doubtful_burst_is_halfway_between_made_and_not_made(arm):
     drive.doubt(1, moved)
     assert drive.q[0] == pytest.approx(START[0] + moved / 2)
     assert 1.96 * drive.q_error[0] > moved / 2
+    for _ in range(9):
+        drive.doubt(1, drive.advance(1, "+", 4, 0.0))
+    assert 1.96 * drive.q_error[0] > 10 * moved / 2, "all may have been made, or none"
 
 
 def test_steps_lost_at_a_reversal(fit, campaign, tmp_path):
