@@ -13,7 +13,7 @@ from stickslip_fit.moves.arm import error_radius
 from stickslip_fit.units import JOINTS
 
 ADVICE_SHARE = 0.75  # of the tolerance; the error exceeds it then in some 1 % of drives
-FARTHEST = 3600.0  # s
+FARTHEST = 1e5  # s
 BISECTIONS = 12  # to a four-thousandth of the time
 
 
@@ -28,7 +28,7 @@ def advise_homing(
     seconds : float
         Since the drive began.
     joint_velocity : sequence of float
-        rad/s, rad/s, m/s; steps are counted at this velocity.
+        rad/s, rad/s, m/s; steps are counted at this velocity, or if the joint does not move, on its way home.
     tolerance : float
         Of the tip's 95 % radius, m.
     """
@@ -43,9 +43,12 @@ def advise_homing(
     direction = "-" if position - low <= high - position else "+"
     to_stop = abs((low if direction == "-" else high) - position)
     steps_to_stop = round(to_stop / drive.step_size(joint, direction, seconds))
-    rate = joint_velocity[joint - 1]
     if radius >= tolerance:
         return HomingAdvice(joint, direction, steps_to_stop, 0)
+    if not joint_velocity[joint - 1]:  # how far it could go home by itself
+        alone = drive.step_size(joint, direction, seconds) * (1.0 if direction == "+" else -1.0)
+        joint_velocity = [alone if number == joint else 0.0 for number in JOINTS]
+    rate = joint_velocity[joint - 1]
     size = drive.step_size(joint, "+" if rate > 0 else "-", seconds)
     time = _seconds_until(drive, seconds, joint_velocity, tolerance, covariance)
     return HomingAdvice(joint, direction, steps_to_stop, int(abs(rate) * time / size))

@@ -182,6 +182,18 @@ def test_the_advice_counts_down_to_the_tolerance(arm):
     assert exceeds.advice.steps_left == 0
 
 
+def test_at_rest_the_advice_counts_the_steps_home(arm):
+    loop, _, _ = drive_of(arm, [(8.0, joint(3, -60e-6)), (9.0, {})], tolerance=3e-6)
+    state = loop.run()
+    assert state.tip_radius < 3e-6
+    steps = state.advice.steps_left
+    assert steps > 50
+    for _ in range(steps):
+        loop.drive.advance(3, "-", 1, 20.0)
+    radius = loop.state().tip_radius
+    assert radius == pytest.approx(3e-6, rel=0.01)
+
+
 def test_single_joints_go_at_the_rate_wanted(arm):
     loop, controller, _ = drive_of(arm, [(5.0, joint(2, 2e-3))])
     state = loop.run()
