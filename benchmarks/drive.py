@@ -174,7 +174,7 @@ def drive(arm: CalibratedArm, start: Array, script: Script) -> Drive:
     state = loop.run()
     cpu = (process_time() - began) / (SECONDS / TICK)
     speed = float(np.linalg.norm(script.velocities[0]))
-    return Drive(start, controller.made, np.array(loop.commanded), speed * SECONDS, state, shown, cpu)
+    return Drive(start, controller.made, np.array(loop.commanded_tip), speed * SECONDS, state, shown, cpu)
 
 
 def step_truly(benches: Sequence[Bench], drives: Sequence[Drive], rng: np.random.Generator) -> Array:

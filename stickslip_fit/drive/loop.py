@@ -86,7 +86,7 @@ class DriveLoop:
 
     Attributes
     ----------
-    commanded : list of float
+    commanded_tip : list of float
         Where the tip would be had it followed the velocities as commanded, base frame, m.
     """
 
@@ -114,7 +114,7 @@ class DriveLoop:
         self.homing: Homing | None = None
         self.began = clock.now() - record.seconds
         self.diffusion = StepDiffusion(drive.q, self._step_size, self.timing.slots)
-        self.commanded = [float(x) for x in forward(drive.arm.machine, drive.q)]
+        self.commanded_tip = [float(x) for x in forward(drive.arm.machine, drive.q)]
         self.status, self.message = "idle", ""
         self._wanted = VelocityInput()
         self._velocity: Triple = AT_REST
@@ -252,7 +252,7 @@ class DriveLoop:
         if self.diffusion.advance(self.drive.q, displacement):
             self._rates, self._velocity = rates, tip_velocity(machine, target, rates)
             for axis in range(3):
-                self.commanded[axis] += self._velocity[axis] * elapsed
+                self.commanded_tip[axis] += self._velocity[axis] * elapsed
         for burst in self.diffusion.bursts(self.drive.q):
             self._command(burst)
             if self._dead:
@@ -327,7 +327,7 @@ class DriveLoop:
         except InputError as error:
             self._stop(str(error))
         self.diffusion.settle(self.drive.q, joint)
-        self.commanded = [float(x) for x in forward(self.drive.arm.machine, self.diffusion.target)]
+        self.commanded_tip = [float(x) for x in forward(self.drive.arm.machine, self.diffusion.target)]
         self.record.rest(self.drive, self.seconds)
 
     def _stop(self, message: str) -> None:

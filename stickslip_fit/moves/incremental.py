@@ -9,7 +9,8 @@ takes every command for a drive of its own, with noise of its own.
 Errors are in joint space. Those of parameters that all joints share (a cause's) are correlated between joints
 and directions; from the covariance X of a group's parameters with the shared ones, S, two groups have the
 covariance X_a S^-1 X_b'. The tip's covariance is J P J' with the Jacobian J at the present positions and
-the joints' covariance P.
+the joints' covariance P. All this is first order in the errors: that a joint which is not where it is taken
+to be also steps differently from there on is left out.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class _Stretch:
 
 
 class DriveReckoning:
-    """Where a drive has taken the joints, how surely, and the size of their next steps; see above.
+    """Where a drive has taken the joints, how surely, and the size of their next steps.
 
     Parameters
     ----------

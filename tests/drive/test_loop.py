@@ -36,7 +36,7 @@ def test_the_tip_goes_where_it_is_sent(arm):
     wanted = forward(arm.machine, START) + np.array([200, 50, 150]) * 1e-6
     steps_long = np.array([60e-3 * 97e-6, 50e-3 * 100e-6, 1e-6])
     assert np.linalg.norm(state.tip - wanted) < np.linalg.norm(steps_long)
-    assert np.allclose(loop.commanded, wanted, atol=0.3e-6)
+    assert np.allclose(loop.commanded_tip, wanted, atol=0.3e-6)
     assert state.steps == tuple(controller.total(number) for number in (1, 2, 3))
     assert state.time == pytest.approx(15.0, abs=0.03)
 
@@ -64,12 +64,12 @@ def test_a_reversal_waits_for_a_whole_step(arm):
 def test_no_more_steps_than_the_controller_makes_and_the_direction_is_kept(arm):
     """One joint's step after the other's: 100 a second of all joints together."""
     loop, controller, shown = drive_of(arm, [(4.0, tip(150, 150, 150))])
-    start = np.array(loop.commanded)
+    start = np.array(loop.commanded_tip)
     state = loop.run()
     assert sum(abs(steps) for _, _, steps in controller.made) <= 401
-    way = np.array(loop.commanded) - start
+    way = np.array(loop.commanded_tip) - start
     assert way / np.linalg.norm(way) == pytest.approx(np.ones(3) / np.sqrt(3), abs=2e-3)
-    assert np.linalg.norm(state.tip - loop.commanded) < 8e-6
+    assert np.linalg.norm(state.tip - loop.commanded_tip) < 8e-6
     assert "slowed down to" in shown.states[5].limits[0]
 
 
