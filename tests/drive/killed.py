@@ -31,7 +31,7 @@ from stickslip_fit.moves.arm import Z_95
 
 PLACE = struct.Struct("=ddd")
 START = (0.2, -1.3, 0.006)
-LONGEST = 0.4  # s
+LONGEST = 0.3  # s
 PACE = 4e-4  # s for a step, so that kills find joints in motion
 SPEED = 50e-6  # m/s
 
