@@ -50,6 +50,13 @@ def drive(
         INPUT,
     ] = None,
     by: Annotated[InputKind, typer.Option("--by", help="What a person drives by.")] = InputKind.keyboard,
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="Show it on a page in a browser of this computer, and drive by that."),
+    ] = False,
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65_535, help="Of the page; any free one without it.")
+    ] = 0,
     tolerance: Annotated[
         float, typer.Option(min=0.001, help="Uncertainty of the tip, µm (95 %), before which to re-home.")
     ] = 10.0,
@@ -94,6 +101,10 @@ def drive(
     from stickslip_fit.drive.session import DriveJob, drive_real
     from stickslip_fit.units import to_si
 
+    if page:
+        reject_options({"--script": script, "--by": by is not InputKind.keyboard}, "beside --page")
+    else:
+        reject_options({"--page-port": page_port}, "without --page")
     if resume:
         reject_options({"--at": at}, "with --resume: the journal says where the joints stand")
         require_option(journal, "--journal, the one to go on with")
@@ -108,7 +119,8 @@ def drive(
         journal=journal,
         log=homing_log,
         script=script,
-        device=by.value,
+        device="page" if page else by.value,
+        page_port=page_port,
         speed=to_si(speed, "µm"),
         hold=to_si(hold, "ms"),
         step_period=to_si(step_period, "ms"),

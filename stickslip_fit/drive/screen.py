@@ -71,6 +71,18 @@ class TerminalScreen:
         self._drawn = len(lines)
 
 
+class Screens:
+    """Several screens as one."""
+
+    def __init__(self, screens: tuple[Screen, ...]) -> None:
+        self.screens = screens
+
+    def show(self, state: DriveState) -> None:
+        """See `Screen.show`."""
+        for screen in self.screens:
+            screen.show(state)
+
+
 class ScreenThread:
     """A `Screen` in a thread of its own, so that a terminal that stands still does not hold up the joints."""
 

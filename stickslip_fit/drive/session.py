@@ -22,15 +22,17 @@ from stickslip_fit.capture.terminal import Keyboard
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.capture.tuning import check_tuning, load_tuning
 from stickslip_fit.drive.homing import HomingLog, StopFinder
-from stickslip_fit.drive.keyboard import HELP, KeyboardDevice
+from stickslip_fit.drive.keyboard import HELP, MAX_SPEED, KeyboardDevice
 from stickslip_fit.drive.loop import DriveLoop, StepTiming
+from stickslip_fit.drive.page import serve_drive_page
+from stickslip_fit.drive.picture import draw_arm
 from stickslip_fit.drive.record import BurstRecord, begin_record, resume_record
-from stickslip_fit.drive.screen import ScreenThread, TerminalScreen, format_advice
+from stickslip_fit.drive.screen import Screens, ScreenThread, TerminalScreen, format_advice
 from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
 from stickslip_fit.drive.sticks import StickDevice, open_gamepad, open_spacemouse
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.machine import forward
+from stickslip_fit.machine import Machine, forward
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
 from stickslip_fit.units import from_si
 
@@ -50,8 +52,10 @@ class DriveJob:
         Of the tip's 95 % radius, m.
     script : Path or None
         Velocities; without them a person drives.
-    device : {'keyboard', 'gamepad', 'spacemouse'}
+    device : {'keyboard', 'gamepad', 'spacemouse', 'page'}
         What they drive by.
+    page_port : int
+        Of the page, 0 for any free one.
     speed : float
         Of the tip by a key or at full deflection, m/s.
     hold : float
@@ -67,6 +71,7 @@ class DriveJob:
     log: Path | None
     script: Path | None
     device: str
+    page_port: int
     speed: float
     hold: float
     step_period: float
@@ -74,11 +79,12 @@ class DriveJob:
 
 @dataclass(frozen=True, eq=False)
 class DriveInput:
-    """An input device, whether the person interrupts a going home, and lines of help."""
+    """An input device, whether the person interrupts a going home, lines of help, and screens of its own."""
 
     device: InputDevice
     interrupts: Callable[[float], bool]
     help_lines: tuple[str, ...] = ()
+    screens: tuple[Screen, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +138,11 @@ def open_input(job: DriveJob) -> Iterator[DriveInput]:
         finally:
             stick.close()
         return
+    if job.device == "page":
+        title = f"session {job.arm.session}"
+        with serve_drive_page(job.arm.machine, title, MAX_SPEED, job.page_port) as page:
+            yield DriveInput(page, page.interrupts, (f"open {page.address}",), (page,))
+        return
     with Keyboard() as keys:
         if not keys.at_terminal:
             raise InputError("keys can be pressed at a terminal only; drive there, or by --script")
@@ -149,13 +160,13 @@ def run_drive(
     job: DriveJob, rig: DriveRig, record: BurstRecord, drive: DriveReckoning, inputs: DriveInput
 ) -> DriveState:
     """Run a drive to its end, shown in the terminal."""
-    terminal = TerminalScreen(inputs.help_lines)
+    terminal = TerminalScreen(inputs.help_lines, partial(_picture, job.arm.machine))
     with ExitStack() as closing:
         closing.callback(terminal.close)
-        screen: Screen = terminal
+        screen: Screen = Screens((terminal, *inputs.screens))
         age: Callable[[], float] = _never_stalls
         if isinstance(rig.clock, RealClock) and sys.stdout.isatty():
-            thread = ScreenThread(terminal, rig.clock.now)
+            thread = ScreenThread(screen, rig.clock.now)
             closing.callback(thread.close)
             screen, age = thread, thread.age
         how = (job.tolerance, rig.timing, age)
@@ -172,6 +183,10 @@ def run_drive(
                 step_period=rig.timing.step_period,
             )
         return loop.run()
+
+
+def _picture(machine: Machine, state: DriveState, width: int, height: int) -> list[str]:
+    return draw_arm(state, machine, width, height)
 
 
 def _never_stalls() -> float:

@@ -33,6 +33,7 @@ def job_of(arm, folder, seconds):
         log=None,
         script=folder / "path.csv",
         device="keyboard",
+        page_port=0,
         speed=2e-5,
         hold=0.05,
         step_period=0.01,

@@ -83,6 +83,8 @@ def test_a_drive_goes_on_from_its_journal(folder):
         (("--at", "0,-90,0", "--script", "path.csv"), "give --port"),
         (("--at", "0,-90,0", "--seed", "3"), "--seed means nothing at a real rig"),
         (("--at", "0,-90,20", "--emulate", "--script", "path.csv"), "q3 = 20.00 mm is outside its range"),
+        (("--at", "0,-90,0", "--emulate", "--page", "--script", "path.csv"), "--script means nothing beside"),
+        (("--at", "0,-90,0", "--emulate", "--page-port", "8000"), "--page-port means nothing without"),
         (("--at", "0,-90,0", "--emulate"), "keys can be pressed at a terminal only"),
         (("--at", "0,-90,0", "--emulate", "--dialect", "anc300", "--script", "path.csv"), "is not emulated"),
         (("--at", "0,-90,0", "--emulate", "--script", "path.csv", "--log", "path.csv"), "path.csv"),
