@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import typer
 
 from stickslip_fit._format import format_value, join_words
 from stickslip_fit._typing import Array
@@ -141,6 +142,7 @@ def open_input(job: DriveJob) -> Iterator[DriveInput]:
     if job.device == "page":
         title = f"session {job.arm.session}"
         with serve_drive_page(job.arm.machine, title, MAX_SPEED, job.page_port) as page:
+            typer.echo(f"open {page.address}")
             yield DriveInput(page, page.interrupts, (f"open {page.address}",), (page,))
         return
     with Keyboard() as keys:

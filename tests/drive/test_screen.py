@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from stickslip_fit.drive.screen import ScreenThread, TerminalScreen, format_line, semi_axes
+from stickslip_fit.drive.screen import Screens, ScreenThread, TerminalScreen, format_line, semi_axes
 from stickslip_fit.drive.state import DriveState, HomingAdvice
 
 
@@ -120,3 +120,17 @@ def test_a_screen_that_fails_never_comes_back():
     screen.show(state())
     screen.close(10)
     assert screen.age() == float("inf")
+
+
+def test_several_screens_show_the_same():
+    shown = []
+
+    class Other:
+        def __init__(self, name):
+            self.name = name
+
+        def show(self, one):
+            shown.append((self.name, one.time))
+
+    Screens((Other("a"), Other("b"))).show(state(3.0))
+    assert shown == [("a", 3.0), ("b", 3.0)]
