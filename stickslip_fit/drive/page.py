@@ -29,15 +29,15 @@ from stickslip_fit._format import (
     MISSING,
     capitalize_first,
     format_number,
-    format_uncertain,
     format_value,
     keep_units,
 )
 from stickslip_fit.drive.page_server import PageFiles, RefusalError, serve_page
 from stickslip_fit.drive.picture import ArmView, error_ellipse, view_arm
+from stickslip_fit.drive.screen import format_advice, format_count, format_joint
 from stickslip_fit.drive.state import DriveState, VelocityInput
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import JOINTS, PRISMATIC, from_si, to_si
+from stickslip_fit.units import JOINTS, from_si, to_si
 
 HEARTBEAT = 0.05  # s between two messages of a page on which something is held
 VALID_SECONDS = 0.2  # after which a message holds no longer: three heartbeats may be lost
@@ -330,8 +330,15 @@ def describe_drive(state: DriveState, machine: Machine) -> dict[str, Any]:
         "status": state.status,
         "message": capitalize_first(state.message) if state.message else "",
         "limits": [capitalize_first(limit) for limit in state.limits],
-        "advice": _write_advice(state),
-        "joints": [_describe_joint(state, joint) for joint in JOINTS],
+        "advice": format_advice(state),
+        "joints": [
+            {
+                "name": f"q{joint}",
+                "position": format_joint(state, joint),
+                "steps": format_count(state.steps[joint - 1]),
+            }
+            for joint in JOINTS
+        ],
         "tip": [format_number(value, "mm", 4) for value in state.tip],
         "wanted": _write_velocity(state.wanted_velocity),
         "velocity": _write_velocity(state.tip_velocity),
@@ -342,13 +349,6 @@ def describe_drive(state: DriveState, machine: Machine) -> dict[str, Any]:
     }
 
 
-def _describe_joint(state: DriveState, joint: int) -> dict[str, str]:
-    unit = "mm" if joint == PRISMATIC else "deg"
-    position, error = float(state.q[joint - 1]), float(state.q_error[joint - 1])
-    text = format_uncertain(position, error, unit) if error > 0.0 else f"{format_value(position, unit, 4)}"
-    return {"name": f"q{joint}", "position": text, "steps": f"{state.steps[joint - 1]:+,}".replace("-", "−")}
-
-
 def _write_length(length: float) -> str:
     return keep_units(format_value(length, "µm", 2 if length < to_si(10.0, "µm") else 1))
 
@@ -357,18 +357,6 @@ def _write_velocity(velocity: Any) -> str:
     if not np.all(np.isfinite(velocity)):
         return MISSING
     return ", ".join(format_number(float(value), "µm", 1) for value in velocity)
-
-
-def _write_advice(state: DriveState) -> str:
-    advice = state.advice
-    if advice is None:
-        return ""
-    sign = advice.direction.replace("-", "−")
-    within = f"within {advice.steps_left:,} steps" if advice.steps_left else "now: the tolerance is exceeded"
-    return (
-        f"Go back to the {sign} stop of joint {advice.joint} {within}. It is about "
-        f"{advice.steps_to_stop:,} steps away."
-    )
 
 
 def _describe_view(view: ArmView) -> dict[str, Any]:

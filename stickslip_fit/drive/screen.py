@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import shutil
 import sys
+import textwrap
 import threading
 from collections.abc import Callable
 
 import numpy as np
 import typer
 
-from stickslip_fit._format import format_value, pluralize
+from stickslip_fit._format import format_direction, format_number, format_value, pluralize
 from stickslip_fit.drive.state import DriveState, Screen
 from stickslip_fit.moves.arm import Z_95
 from stickslip_fit.units import JOINTS, PRISMATIC, from_si
@@ -22,6 +23,7 @@ from stickslip_fit.units import JOINTS, PRISMATIC, from_si
 LINE_INTERVAL = 1.0  # s between two lines where there is no terminal
 CHI_95 = 2.7955  # 95 % of normal errors in three dimensions lie within so many semi-axes
 PICTURE_HEIGHT = 14
+NO_ADVICE = "none: the tip is known well enough"
 Picture = Callable[[DriveState, int, int], list[str]]
 """From a state, width and height to the lines of a picture."""
 
@@ -62,10 +64,11 @@ class TerminalScreen:
     def _draw(self, state: DriveState) -> None:
         width, height = shutil.get_terminal_size()
         lines = format_state(state)
-        room = height - len(lines) - len(self.help_lines) - 2
+        help_lines = [part for line in self.help_lines for part in textwrap.wrap(line, width - 1)]
+        room = height - len(lines) - len(help_lines) - 2
         if self.picture is not None and room >= 5:
             lines += self.picture(state, width - 1, min(room, PICTURE_HEIGHT))
-        lines = [line[: width - 1] for line in [*lines, *self.help_lines]][: height - 1]
+        lines = [line[: width - 1] for line in [*lines, *help_lines]][: height - 1]
         begin = f"\x1b[{self._drawn}A\r" if self._drawn else "\x1b[?25l"
         typer.echo(begin + "\n".join(f"{line}\x1b[K" for line in lines) + "\n\x1b[J", nl=False)
         self._drawn = len(lines)
@@ -139,14 +142,17 @@ class ScreenThread:
 
 def format_state(state: DriveState) -> list[str]:
     """The state of a drive in a few lines."""
-    tip = ", ".join(f"{from_si(x, 'mm'):.4f}" for x in state.tip)
+    tip = ", ".join(format_number(float(x), "mm", 4) for x in state.tip)
     axes = " × ".join(f"{from_si(length, 'µm'):.1f}" for length in semi_axes(state.tip_covariance))
     share = state.tip_radius / state.tolerance
     velocity, wanted = (
-        ", ".join(f"{from_si(x, 'µm'):+.1f}" for x in of)
+        ", ".join(format_number(float(x), "µm", 1) for x in of)
         for of in (state.tip_velocity, state.wanted_velocity)
     )
-    joints = [_format_joint(state, joint) for joint in JOINTS]
+    joints = [
+        f"joint {joint} {format_joint(state, joint)} (95 %), {format_count(state.steps[joint - 1])} steps"
+        for joint in JOINTS
+    ]
     return [
         f"{state.time:8.1f} s  {state.status}",
         f"tip     ({tip}) mm",
@@ -155,7 +161,7 @@ def format_state(state: DriveState) -> list[str]:
         f"        95 % ellipsoid, semi-axes {axes} µm",
         f"speed   ({velocity}) µm/s of ({wanted}) wanted",
         *joints,
-        f"advice  {format_advice(state)}",
+        f"advice  {format_advice(state) or NO_ADVICE}",
         f"limits  {'; '.join(state.limits) or 'none'}",
         f"        {state.message}",
     ]
@@ -163,7 +169,7 @@ def format_state(state: DriveState) -> list[str]:
 
 def format_line(state: DriveState) -> str:
     """The state of a drive in one line."""
-    tip = ", ".join(f"{from_si(x, 'mm'):.4f}" for x in state.tip)
+    tip = ", ".join(format_number(float(x), "mm", 4) for x in state.tip)
     parts = [
         f"{state.time:.1f} s",
         state.status,
@@ -176,14 +182,16 @@ def format_line(state: DriveState) -> str:
 
 
 def format_advice(state: DriveState) -> str:
-    """What the advice says, in words."""
+    """What the advice says, in words; empty where there is none."""
     advice = state.advice
     if advice is None:
-        return "none: the tip is known well enough"
-    stop = f"joint {advice.joint} to its stop in {advice.direction} ({advice.steps_to_stop:,} steps away)"
-    if state.tip_radius >= state.tolerance:
-        return f"go back now: {stop}"
-    return f"go back within {pluralize(advice.steps_left, 'step')}: {stop}"
+        return ""
+    exceeded = state.tip_radius >= state.tolerance or not advice.steps_left
+    within = (
+        "now: the tolerance is exceeded" if exceeded else f"within {pluralize(advice.steps_left, 'step')}"
+    )
+    stop = f"the {format_direction(advice.direction)} stop of joint {advice.joint}"
+    return f"Go back to {stop} {within}. It is about {pluralize(advice.steps_to_stop, 'step')} away."
 
 
 def semi_axes(covariance: np.ndarray) -> np.ndarray:
@@ -197,11 +205,25 @@ def semi_axes(covariance: np.ndarray) -> np.ndarray:
     return CHI_95 * np.sqrt(np.clip(np.linalg.eigvalsh(covariance)[::-1], 0.0, None))
 
 
-def _format_joint(state: DriveState, joint: int) -> str:
-    unit, fine = ("mm", "µm") if joint == PRISMATIC else ("deg", "mrad")
-    error = format_value(Z_95 * float(state.q_error[joint - 1]), fine, 2)
-    position = f"{from_si(float(state.q[joint - 1]), unit):.4f} {unit}"
-    return f"joint {joint} {position} ± {error}, {state.steps[joint - 1]:+,} steps"
+def format_joint(state: DriveState, joint: int) -> str:
+    """A joint's position with its 95 % error.
+
+    Examples
+    --------
+    >>> zero = np.zeros(3)
+    >>> tip = (zero, np.eye(3), 0.0, 1e-5, zero, zero)
+    >>> rest = DriveState(0.0, "idle", zero, np.array([0.0, 2e-6, 0.0]), *tip, steps=(0, 0, 0))
+    >>> format_joint(rest, 2)
+    '0.0000 deg ± 4 µrad'
+    """
+    unit, fine, decimals = ("mm", "µm", 2) if joint == PRISMATIC else ("deg", "µrad", 0)
+    error = format_value(Z_95 * float(state.q_error[joint - 1]), fine, decimals)
+    return f"{format_value(float(state.q[joint - 1]), unit, 4)} ± {error}"
+
+
+def format_count(steps: int) -> str:
+    """A signed count of steps."""
+    return f"{steps:+,}".replace("-", "−")
 
 
 def _micrometres(value: float) -> str:

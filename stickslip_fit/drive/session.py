@@ -28,7 +28,14 @@ from stickslip_fit.drive.loop import DriveLoop, StepTiming
 from stickslip_fit.drive.page import serve_drive_page
 from stickslip_fit.drive.picture import draw_arm
 from stickslip_fit.drive.record import BurstRecord, begin_record, resume_record
-from stickslip_fit.drive.screen import Screens, ScreenThread, TerminalScreen, format_advice
+from stickslip_fit.drive.screen import (
+    NO_ADVICE,
+    Screens,
+    ScreenThread,
+    TerminalScreen,
+    format_advice,
+    format_count,
+)
 from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
 from stickslip_fit.drive.sticks import StickDevice, open_gamepad, open_spacemouse
@@ -219,12 +226,12 @@ def _ignore(message: str) -> None:
 
 def summarize_drive(state: DriveState, job: DriveJob) -> str:
     """Where the tip is, how surely, and what to do, in sentences."""
-    steps = join_words([f"{count:+,}" for count in state.steps])
+    steps = join_words([format_count(count) for count in state.steps])
     sentences = [
         f"Tip at {format_tip(state.tip)}, within {_micrometres(state.tip_radius)} (95 %); the tolerance is "
         f"{_micrometres(state.tolerance)}.",
-        f"Joints 1, 2 and 3 made {steps} steps in {state.time:.1f} s.",
-        f"Advice: {format_advice(state)}.",
+        f"Joints 1, 2 and 3 made {steps} steps in {state.time:.1f} s, those in − taken off.",
+        f"Advice: {format_advice(state) or f'{NO_ADVICE}.'}",
     ]
     if state.message:
         sentences.append(f"Last: {state.message}.")

@@ -277,9 +277,9 @@ def test_what_is_shown_has_units_and_the_digits_that_its_error_deserves():
         machine,
     )
     assert [joint["position"] for joint in shown["joints"]] == [
-        "28.6479 ± 0.0011 deg",
-        "−71.620 ± 0.006 deg",
-        "5.120 ± 0.003 mm",
+        "28.6479 deg ± 39 µrad",
+        "−71.6197 deg ± 196 µrad",
+        "5.1200 mm ± 6.66 µm",
     ]
     assert [joint["steps"] for joint in shown["joints"]] == ["−1,200", "+0", "+34,567"]
     assert shown["limits"] == ["Joint 2 is at its soft limit"]

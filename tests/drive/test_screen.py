@@ -52,9 +52,9 @@ def test_a_terminal_shows_everything_and_is_left_clean(monkeypatch):
     screen.show(state(limits=("joint 2 is at its soft limit",), advice=HomingAdvice(3, "-", 6400, 250)))
     first = terminal.sent()
     for part in (
-        *("(56.1000, 2.0000, 0.3000) mm", "4.4 µm of 10.0 µm", "5.6 × 2.8 × 0.9 µm", "-3,400 steps"),
-        *("go back within 250 steps: joint 3 to its stop in - (6,400 steps away)", "soft limit", "keys"),
-        *("+10.0, +0.0, +0.0", "the arm", "joint 3 6.0000 mm"),
+        *("(56.1000, 2.0000, 0.3000) mm", "4.4 µm of 10.0 µm", "5.6 × 2.8 × 0.9 µm", "−3,400 steps"),
+        *("Go back to the − stop of joint 3 within 250 steps. It is about 6,400", "soft limit", "keys"),
+        *("10.0, 0.0, 0.0", "the arm", "joint 3 6.0000 mm"),
     ):
         assert part in first
     assert first.startswith("\x1b[?25l")
@@ -75,7 +75,9 @@ def test_elsewhere_it_is_a_line_a_second_and_one_for_each_message(capsys):
     assert len(lines) == 4
     assert not any("\x1b" in line for line in lines)
     assert lines[-1].endswith("stopped here")
-    assert "go back now: joint 1" in format_line(state(tip_radius=11e-6, advice=HomingAdvice(1, "+", 100, 0)))
+    assert "the + stop of joint 1 now: the tolerance" in format_line(
+        state(tip_radius=11e-6, advice=HomingAdvice(1, "+", 100, 0))
+    )
 
 
 def test_the_ellipsoid_holds_95_percent():

@@ -51,7 +51,7 @@ def test_a_script_drives_the_emulated_rig(folder):
 
 def test_the_tolerance_brings_advice(folder):
     text = drive(folder, *BY_SCRIPT, "--tolerance", "0.2")
-    assert re.search(r"Advice: go back now: joint \d to its stop in [+-] \([\d,]+ steps away\)", text)
+    assert re.search(r"Advice: Go back to the [+−] stop of joint \d now: the tolerance is exceeded", text)
 
 
 def test_another_truth_is_far_off(folder, tmp_path):
