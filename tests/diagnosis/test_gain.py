@@ -73,7 +73,7 @@ def waves(study):
 
 
 def splits_of(selection):
-    return hold_out_configurations(selection, np.random.default_rng(0))
+    return hold_out_configurations(selection)
 
 
 def measured(problem, workers=1, selector=SELECT, alpha=ALPHA):
