@@ -159,6 +159,8 @@ def expected_covariance(selection: Selection) -> Array:
     A, and the variance that its normal equations have, B, give inv(A) B inv(A) (H. White, Econometrica
     48:817, 1980). A prior counts as an observation in both.
     """
+    if not selection.law_causes:
+        return np.zeros((0, 0))
     problem = selection.problem
     linearized, expected = problem.linearize(), expect_noise(problem, selection.linearized)
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
