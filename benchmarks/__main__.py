@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from benchmarks import (
+    drive,
     end_stop,
     fit_groups,
     nist,
@@ -14,6 +15,17 @@ from benchmarks import (
     study,
 )
 
-for benchmark in (start_up, read_log, simulate_campaign, fit_groups, nist, nist_anova, study, end_stop, step):
+for benchmark in (
+    start_up,
+    read_log,
+    simulate_campaign,
+    fit_groups,
+    nist,
+    nist_anova,
+    study,
+    end_stop,
+    step,
+    drive,
+):
     print(f"--- {benchmark.__name__}: {(benchmark.__doc__ or '').splitlines()[0]}", flush=True)
     benchmark.main()

@@ -36,6 +36,11 @@ MODULES = {
         "stickslip_fit.capture.operator",
         "stickslip_fit.capture.tuning",
     ),
+    "drive": (
+        "stickslip_fit.drive.state",
+        "stickslip_fit.drive.loop",
+        "stickslip_fit.drive.record",
+    ),
     "reporting": ("stickslip_fit.reporting",),
     "units": ("stickslip_fit.units", "stickslip_fit.errors"),
 }

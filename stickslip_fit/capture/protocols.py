@@ -214,3 +214,21 @@ class VirtualClock:
     def today(self) -> datetime:
         """Date and time of day, UTC."""
         return self.begins.astimezone(UTC) + timedelta(seconds=self._now)
+
+
+class PacedClock(VirtualClock):
+    """A virtual clock so many times as fast as the real one, so that people can follow an emulated rig.
+
+    A wait takes `MAX_PAUSE` at most: a night between two sessions is no part of what is to be seen.
+    """
+
+    MAX_PAUSE = 0.5  # s
+
+    def __init__(self, pace: float, begins: datetime = VIRTUAL_START) -> None:
+        super().__init__(begins)
+        self.pace = pace
+
+    def sleep(self, seconds: float) -> None:
+        """Advance by so much, and wait."""
+        super().sleep(seconds)
+        time.sleep(min(max(seconds, 0.0) / self.pace, self.MAX_PAUSE))

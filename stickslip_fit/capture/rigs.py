@@ -5,7 +5,7 @@ How `emulator.campaign` does the same at an emulated rig is no part of this modu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journ
 from stickslip_fit.capture.devices import open_controller
 from stickslip_fit.capture.end_stop import SequentialDetector
 from stickslip_fit.capture.journal import Journal, JournalReplay
-from stickslip_fit.capture.operator import CountPredictor, Operator
+from stickslip_fit.capture.operator import CountPredictor, Operator, keep_operator
 from stickslip_fit.capture.protocols import AudioSource, Clock, Controller, RealClock
 from stickslip_fit.capture.terminal import Keyboard, TerminalOperator
 from stickslip_fit.capture.traverse import DriveLimits, Rig
@@ -50,12 +50,20 @@ class RigConnection:
     device: str | None
 
 
-def capture_real(job: CaptureJob, connection: RigConnection, tuning: Path) -> str:
-    """Capture a plan at a real rig; a sentence on how far it got, raises as `run_campaign`."""
+def capture_real(
+    job: CaptureJob,
+    connection: RigConnection,
+    tuning: Path,
+    watch: Callable[[Operator], Operator] = keep_operator,
+) -> str:
+    """Capture a plan at a real rig; a sentence on how far it got, raises as `run_campaign`.
+
+    `watch` gives an operator that passes everything on, and may show it elsewhere.
+    """
     tuned = load_tuning(tuning)
     check_tuning(tuned, tuning)
     with Keyboard() as keys, open_journal(job) as (journal, replay):
-        operator = TerminalOperator(keys)
+        operator = watch(TerminalOperator(keys))
         with open_rig(connection, job.plan.timing.step_period, operator) as (controller, source):
             rig = Rig(controller, SequentialDetector(source, tuned), RealClock())
             return run_campaign(job, journal, replay, rig, operator)

@@ -35,7 +35,11 @@ NO_INPUT = (
     "the standard input has ended, so that nobody can answer; go on at a terminal with --resume, or try it "
     "with --emulate --unattended"
 )
-SPECIAL = "\x1b"  # any arrow or function key
+SPECIAL = "\x1b"  # any function key that has no letter here
+# Keys without a character stand as letters of Unicode's private area, which no key types.
+UP, DOWN, RIGHT, LEFT, PAGE_UP, PAGE_DOWN = "\ue000\ue001\ue002\ue003\ue004\ue005"
+SEQUENCES = {"A": UP, "B": DOWN, "C": RIGHT, "D": LEFT, "5~": PAGE_UP, "6~": PAGE_DOWN}
+WINDOWS_CODES = {"H": UP, "P": DOWN, "M": RIGHT, "K": LEFT, "I": PAGE_UP, "Q": PAGE_DOWN}
 POLL = 0.02  # s between two queries of a keyboard that cannot be waited for
 
 
@@ -88,7 +92,7 @@ class PosixConsole:
             text = ""
         if not text:
             raise InputError(NO_INPUT)
-        return re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", SPECIAL, text)
+        return re.sub(r"\x1b[\[O]([0-9;]*[A-Za-z~])", lambda found: SEQUENCES.get(found[1], SPECIAL), text)
 
 
 class WindowsConsole:
@@ -118,8 +122,7 @@ class WindowsConsole:
         if key == "\x03":
             raise KeyboardInterrupt  # Ctrl-C arrives as a key here
         if key == "\x00" or (key == "\xe0" and self._console.kbhit()):  # else an à
-            self._console.getwch()  # which special key it is
-            return SPECIAL
+            return WINDOWS_CODES.get(self._console.getwch(), SPECIAL)
         return key
 
 
@@ -164,10 +167,15 @@ class Keyboard:
 
     def pressed(self) -> bool:
         """Whether a key was pressed since the last call; discards all input."""
-        self._unread, pressed = "", False
+        self._unread = ""
+        return bool(self.take())
+
+    def take(self) -> str:
+        """The keys pressed since the last call; none where it is no terminal."""
+        keys, self._unread = self._unread, ""
         while self._console is not None and self._console.waiting(0.0):
-            pressed = bool(self._console.read())
-        return pressed
+            keys += self._console.read()
+        return keys
 
     def key(self, seconds: float | None = None) -> str:
         """Wait for a key, in lower case; empty for Enter, and where none comes within so many seconds."""

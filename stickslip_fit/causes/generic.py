@@ -22,9 +22,8 @@ from stickslip_fit.causes.parameters import (
     CauseParameter,
     Sizes,
     candidate_moments,
-    moment_parameter,
 )
-from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.roles import ONE_SESSION, TableRoles, direction_labels, direction_sign
 from stickslip_fit.causes.table_cause import Effect, TableCause
 from stickslip_fit.laws import Rows
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -33,6 +32,7 @@ from stickslip_fit.units import TableUnit
 BY_DIRECTION = "-by-direction"
 TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
 COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
+FINE_ORDER = 8  # of a polynomial over a column, where the simple one does not do
 MAX_MOMENTS = 2000  # of a sudden change, each tried; with more rows some are left out
 MAX_SESSIONS = 50  # that may each have an offset of their own
 # Of the longest session; what takes longer is a drift.
@@ -146,21 +146,22 @@ class SteadyDrift(GenericCause):
     time_unit: str = "s"
 
     base_name = "drift"
-    base_phrase = "the response drifts through each session"
+    base_phrase = "the response drifts"
     physics = (
         "Whatever changes slowly and steadily, such as a temperature, a battery or a relaxing clamp, changes "
         "the response in proportion to time."
     )
-    shows_best = "the same condition at a session's beginning, middle and end"
-    sentence = "The response {k:rises|falls} by {k} through each session{opposite}"
+    shows_best = "the same condition at the beginning, in the middle and at the end"
+    sentence = "The response {k:rises|falls} steadily, by {k}{opposite}"
     remedy = "recalibrating within the session"
     columns = ("session_seconds",)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
-        unit = TableUnit(f"{self.unit or '1'}/{self.time_unit}")
-        return (CauseParameter("k", unit, f"change of the response per {self.time_unit}"),)
+        per = "row" if self.time_unit == "rows" else self.time_unit
+        unit = TableUnit(f"{self.unit or '1'}/{per}")
+        return (CauseParameter("k", unit, f"change of the response per {per}"),)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -177,14 +178,14 @@ class WarmUp(SteadyDrift):
     """A (1 - exp(-t / tau)), t from the session's first row."""
 
     base_name = "warm-up"
-    base_phrase = "something warms up in each session"
+    base_phrase = "something warms up"
     physics = (
         "What is switched on warms towards a balance with its surroundings, exponentially with the time "
         "constant of its heat capacity, and takes the response with it."
     )
-    shows_best = "the same condition, again and again from a session's first minute on"
+    shows_best = "the same condition, again and again from the first minute on"
     sentence = (
-        "The response {A:rises|falls} by {A} as a session runs, with a time constant of {tau}{opposite}"
+        "The response {A:rises|falls} by {A} towards a steady value, with a time constant of {tau}{opposite}"
     )
     remedy = "waiting until it is warm"
 
@@ -232,22 +233,34 @@ class SuddenChange(GenericCause):
     time_unit: str = "s"
 
     base_name = "sudden-change"
-    base_phrase = "something changed at one moment of a session"
+    base_phrase = "something changed at one moment"
     physics = (
         "A knock, a cable that is moved, a screw that gives or a setting that is changed: from one row to "
         "the next the response is another, and stays so until the session's end."
     )
-    shows_best = "the conditions of before the change once more, after it"
-    sentence = "The response {A:rises|falls} by {A} {moment} into session {session}, and stays so{opposite}"
+    shows_best = "the conditions of before the change, measured once more after it"
     remedy = "calibrating anew after it"
     columns = ("session", "session_seconds")
 
     @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        where = "after the first row" if self.session == ONE_SESSION else "into session {session}"
+        return "The response {A:rises|falls} by {A}, {moment} " + where + ", and stays so{opposite}"
+
+    @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
-        moment = replace(moment_parameter(self.session), unit=TableUnit(self.time_unit))
-        meaning = "change of the response"
-        return CauseParameter("A", TableUnit(self.unit), meaning, session=self.session), moment
+        label = None if self.session == ONE_SESSION else self.session
+        moment = CauseParameter(
+            "moment",
+            TableUnit(self.time_unit),
+            "when, from the first row on",
+            lower=0.0,
+            session=label,
+            sudden=True,
+        )
+        return CauseParameter("A", TableUnit(self.unit), "change of the response", session=label), moment
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -334,8 +347,10 @@ class ColumnDependence(GenericCause):
         return {"column": self.column, "opposite": super().quantities({})["opposite"]}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
-        """See `GenericCause`: the higher the order, the smaller."""
-        return [(self, self.size * np.diag(1.0 / np.arange(1, self.order + 1)))]
+        """See `GenericCause`: the higher the order, the smaller; a simple curve, and one that bends more."""
+        most = min(FINE_ORDER, rows[self.column].nunique() - 1)
+        versions = [self, *([replace(self, order=most)] if most > self.order else [])]
+        return [(one, self.size * np.diag(1.0 / np.arange(1, one.order + 1))) for one in versions]
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""

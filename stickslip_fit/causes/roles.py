@@ -19,6 +19,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue, shorten
 
 ORDER = "order"
+ONE_SESSION = "all"  # label of the rows of a table without sessions
 BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
 MAX_LISTED = 3  # faulty cells of a column, and columns of a table
 OWN_COLUMNS = {
@@ -45,6 +46,8 @@ class TableRoles:
         Two values, or numbers whose signs count.
     group : str or None
         What belongs together: replicates of one condition, one specimen.
+    unit : str
+        Of a time column's numbers; times of day become seconds.
     """
 
     session: str | None = None
@@ -52,16 +55,17 @@ class TableRoles:
     position: str | None = None
     direction: str | None = None
     group: str | None = None
+    unit: str = "s"
 
     @property
     def columns(self) -> dict[str, str]:
         """The column of each role that is given."""
-        return {role: name for role, name in vars(self).items() if name is not None}
+        return {role: name for role, name in vars(self).items() if role != "unit" and name is not None}
 
     @property
     def time_unit(self) -> str:
         """Of ``session_seconds``."""
-        return "row" if self.time == ORDER else "s"
+        return "rows" if self.time == ORDER else self.unit
 
 
 def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] = ()) -> pd.DataFrame:
@@ -109,7 +113,7 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     seconds, time_issues = _read_time(frame, roles)
     if issues or time_issues:
         raise InputError([*issues, *time_issues])
-    session = frame[roles.session].astype(str) if roles.session else pd.Series("all", frame.index)
+    session = frame[roles.session].astype(str) if roles.session else pd.Series(ONE_SESSION, frame.index)
     order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
     rows = frame.assign(session=session.astype(object), session_seconds=seconds, joint=1)
     rows = rows.iloc[order].reset_index(drop=True)

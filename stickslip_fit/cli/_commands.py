@@ -103,6 +103,11 @@ COMMANDS = {
         "Compute how far from its goal a move may end.",
         "accuracy-map fit.json --chart map.svg",
     ),
+    "drive": CommandEntry(
+        "drive",
+        "Drive the tip by hand, and see where it is and how surely.",
+        "drive fit.json --at 0,-90,6 --script path.csv --emulate",
+    ),
     "compare-laws": CommandEntry(
         "changes",
         "Compare the published laws with physical ones.",

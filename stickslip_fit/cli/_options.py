@@ -131,6 +131,10 @@ class Dialect(StrEnum):
 Port = Annotated[str | None, typer.Option(help="Serial port of the controller; VISA resource of an ANC300.")]
 DialectOption = Annotated[Dialect, typer.Option(help="Dialect of the controller.")]
 Device = Annotated[str | None, typer.Option(help="Microphone: its name, a part of it, or its number.")]
+Page = Annotated[bool, typer.Option("--page", help="Also show it on a page, for a browser on this computer.")]
+PagePort = Annotated[
+    int, typer.Option(min=0, max=65535, help="Of that page; 0 takes any that is free.", show_default=False)
+]
 Ratio = Annotated[float, typer.Option(help="Emulated: signal-to-noise ratio of the stop, dB.")]
 
 

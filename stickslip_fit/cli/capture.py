@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -19,6 +21,8 @@ from stickslip_fit.cli._options import (
     DialectOption,
     Force,
     MachinePath,
+    Page,
+    PagePort,
     PlanPath,
     Port,
     Ratio,
@@ -32,7 +36,7 @@ from stickslip_fit.cli._options import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from stickslip_fit.capture.operator import CountPredictor
+    from stickslip_fit.capture.operator import CountPredictor, Operator
     from stickslip_fit.estimation import Result
     from stickslip_fit.machine import Machine
     from stickslip_fit.simulation import LawValues
@@ -188,6 +192,8 @@ def plan(
     ] = None,
     most_steps: Annotated[int, typer.Option(min=1, help="Limit of any drive.")] = 60_000,
     machine: MachinePath = None,
+    page: Page = False,
+    page_port: PagePort = 0,
     emulate: Annotated[bool, typer.Option("--emulate", help="Try it without hardware.")] = False,
     hide: Annotated[
         list[str] | None,
@@ -205,6 +211,10 @@ def plan(
     ] = False,
     unattended: Annotated[bool, typer.Option("--unattended", help="Emulated: ask nobody.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Emulated: of the noise.")] = 0,
+    pace: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Emulated: so many times as fast as a rig; without it, at once."),
+    ] = None,
 ) -> None:
     """Make the traverses of a plan: drive, listen, record."""
     of_real = {"--port": port, "--tuning": tuning, "--device": device}
@@ -213,6 +223,7 @@ def plan(
         "--truth": truth,
         "--ideal-detector": ideal_detector,
         "--unattended": unattended,
+        "--pace": pace,
     }
     reject_options(of_real if emulate else of_emulated, f"at {'an emulated' if emulate else 'a real'} rig")
 
@@ -234,16 +245,33 @@ def plan(
     conditions = parse_conditions(" ".join(condition or ()), "--condition")
     counts = (predictor, count_predictor, DriveLimits(most_steps), conditions)
     job = rigs.CaptureJob(planned, geometry, output, resume, *counts)
-    if emulate:
-        laws = read_law_values(truth or reference_law(), geometry)
-        laws = emulated.hide_causes(laws, tuple(hide or ()), planned, geometry)
-        emulation = emulated.EmulationOptions(laws, dialect.value, ideal_detector, snr, seed)
-        print(emulated.capture_emulated(job, emulation, unattended))
-    else:
-        usage = "--port; or try it without hardware, with --emulate"
-        connection = rigs.RigConnection(require_option(port, usage), dialect.value, device)
-        tuned = require_option(tuning, "--tuning, which `capture tune` writes")
-        print(rigs.capture_real(job, connection, tuned))
+    with _watch(page, page_port, planned.name or plan.stem) as watch:
+        if emulate:
+            laws = read_law_values(truth or reference_law(), geometry)
+            laws = emulated.hide_causes(laws, tuple(hide or ()), planned, geometry)
+            emulation = emulated.EmulationOptions(laws, dialect.value, ideal_detector, snr, seed, pace)
+            print(emulated.capture_emulated(job, emulation, unattended, watch))
+        else:
+            usage = "--port; or try it without hardware, with --emulate"
+            connection = rigs.RigConnection(require_option(port, usage), dialect.value, device)
+            tuned = require_option(tuning, "--tuning, which `capture tune` writes")
+            print(rigs.capture_real(job, connection, tuned, watch))
+
+
+@contextmanager
+def _watch(page: bool, port: int, title: str) -> Iterator[Callable[[Operator], Operator]]:
+    """What makes an operator show everything on a page, too; the operator as it is without one."""
+    from stickslip_fit.capture.operator import keep_operator
+
+    if not page:
+        reject_options({"--page-port": port or None}, "without --page")
+        yield keep_operator
+        return
+    from stickslip_fit.drive.live_capture import LiveOperator, serve_capture_page
+
+    with serve_capture_page(title, port) as shown:
+        print(f"page: {shown.address}", flush=True)
+        yield lambda operator: LiveOperator(operator, shown)
 
 
 class _GroupPredictor(ABC):

@@ -158,7 +158,7 @@ def diagnose_table(
     ] = None,
     time: Annotated[
         str | None,
-        typer.Option(help="Column of seconds or times of day; 'order': rows are in order of measurement."),
+        typer.Option(help="Column of times or seconds; 'order': rows are in order of measurement."),
     ] = None,
     position: Annotated[str | None, typer.Option(help="Column: where it stands.")] = None,
     direction: Annotated[str | None, typer.Option(help="Column: which way it moves.")] = None,

@@ -17,6 +17,7 @@ from stickslip_fit._io import write_atomically
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.diagnosis.stage_change import StageReading
 from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 SCHEMA = "stickslip-fit/diagnosis/1"
@@ -63,6 +64,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "alike": [list(pair) for pair in diagnosis.aliased_causes],
         "gain": gain and {"metric": metric, **gain},
         "gain_new_session": percent.of_gain(diagnosis.gain_new_session),
+        "stage": [_stage_reading_to_json(reading) for reading in diagnosis.stage],
         "next_experiment": [traverse_to_json(traverse) for traverse in diagnosis.next_experiment],
         "alpha": diagnosis.alpha,
         "seed": diagnosis.seed,
@@ -105,6 +107,7 @@ def _table_to_json(table: TableInfo) -> dict[str, Any]:
             "independent_values": _number_or_null(table.independent),
             "correlation_rows": _number_or_null(table.correlation_rows),
             "correlation_time": _number_or_null(table.correlation_time),
+            "noise_period": _number_or_null(table.noise_period),
             "roles": {role: column for role, column in table.roles.items() if column},
         },
     }
@@ -164,6 +167,41 @@ def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
         "repeats": traverse.repeats,
         "tells_apart": list(traverse.tells_apart),
         "note": traverse.note,
+    }
+
+
+def _stage_reading_to_json(reading: StageReading) -> dict[str, Any]:
+    """Which change of the stage findings may be; `credible` are those that together hold it with 95 %."""
+    fingerprint = [
+        {
+            "joint": int(row["joint"]),
+            "direction": str(row["direction"]),
+            **{
+                f"{name}_pct": _number_or_null(100.0 * row[name])
+                for name in ("unloaded", "unloaded_error", "response", "response_error")
+            },
+            "friction_limited": _number_or_null(row["friction_limited"]),
+        }
+        for _, row in reading.fingerprint.iterrows()
+    ]
+    return {
+        "causes": list(reading.causes),
+        "regime": reading.regime or None,
+        "p_value": _number_or_null(reading.p_value),
+        "credible": [change.quantity for change in reading.credible],
+        "changes": [
+            {
+                "quantity": change.quantity,
+                "probability": _number_or_null(change.probability),
+                "size_pct": {
+                    name: _number_or_null(100.0 * getattr(change.size, name))
+                    for name in ("estimate", "low", "high")
+                },
+            }
+            for change in reading.changes
+        ],
+        "fingerprint": fingerprint,
+        "left_out_joints": list(reading.left_out),
     }
 
 

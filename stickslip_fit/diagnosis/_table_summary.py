@@ -128,14 +128,17 @@ def describe_independence(table: TableInfo) -> str:
             "all count as independent."
         )
     span = f"{format_significant(table.correlation_rows, 2)} rows"
-    if np.isfinite(table.correlation_time):
+    if np.isfinite(table.correlation_time) and table.time_unit != "rows":
         span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
-    few = ""
+    warnings = ""
+    if np.isfinite(table.noise_period):
+        period = f"{format_significant(table.noise_period)} {table.time_unit}"
+        warnings += f" It swings with a period of about {period}: what repeats so passes for noise."
     if table.independent < FEW_VALUES:
-        few = " What changes as slowly as that passes for noise: a longer record would tell them apart."
+        warnings += " What changes as slowly as that passes for noise: a longer record would tell them apart."
     return (
         f"The {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
-        f"independent ones: the noise persists over {span}.{few}"
+        f"independent ones: the noise persists over {span}.{warnings}"
     )
 
 
@@ -247,7 +250,7 @@ def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
     if not finding.equivalent:
         return ""
     known = {cause.name: getattr(cause, "shows_best", "") for cause in diagnosis.selection.problem.causes}
-    advice = [f"{name} shows best {known[name]}" for name in finding.cause_set if known.get(name)]
+    advice = [f"for {name}, {known[name]}" for name in finding.cause_set if known.get(name)]
     if not advice:
         return " Data in which the two differ more would separate them."
     return f" What would separate them: {'; '.join(advice)}."

@@ -33,6 +33,7 @@ MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after w
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
+LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
 SPACING_TOL = 0.25  # of the interval between samples
@@ -79,6 +80,20 @@ class Autocorrelation:
         gamma = variance_over_innovations(self.coefficients)
         long_run = 1.0 / (1.0 - float(self.coefficients.sum())) ** 2
         return max(float(long_run / gamma), 1.0)
+
+    @property
+    def period_rows(self) -> float:
+        """Period of the noise's longest-lived oscillation, in rows; NaN where none lasts for a period.
+
+        That of the autoregression's largest pair of complex roots (G. U. Yule, Phil. Trans. A 226:267, 1927).
+        """
+        roots = np.roots(np.r_[1.0, -self.coefficients])
+        waves = roots[np.imag(roots) > 0]
+        if not len(waves):
+            return np.nan
+        largest = waves[np.argmax(np.abs(waves))]
+        period = float(2.0 * np.pi / np.angle(largest))
+        return period if np.abs(largest) ** period > LEAST_SWING and period > SHORTEST_SWING else np.nan
 
     def select(self, kept: IntArray) -> Autocorrelation:
         """That of some rows."""

@@ -174,6 +174,8 @@ class TableInfo:
         Autocorrelation time in rows: `rows` over `independent`; 1 without autocorrelation.
     correlation_time : float
         The same in the unit of the time; NaN without a time.
+    noise_period : float
+        Of the noise's oscillation, in that unit; NaN where it has none.
     time_unit : str
     roles : mapping of str to str
         Column of each role that was given or found: session, time, position, direction, group.
@@ -190,6 +192,7 @@ class TableInfo:
     independent: float
     correlation_rows: float = 1.0
     correlation_time: float = float("nan")
+    noise_period: float = float("nan")
     time_unit: str = "s"
     roles: Mapping[str, str] = field(default_factory=dict)
     file: str = ""
@@ -199,4 +202,4 @@ class TableInfo:
     @property
     def is_correlated(self) -> bool:
         """Whether a value says something of the next one."""
-        return self.correlation_rows > 1.0
+        return self.correlation_rows > 1.0 or self.noise_period > 0.0

@@ -317,5 +317,5 @@ def _fingerprint_row(one: Fingerprint, limited: float) -> dict[str, object]:
         "unloaded_error": float(np.sqrt(covariance[0, 0])),
         "response": float(response @ best.size),
         "response_error": float(np.sqrt(response @ covariance @ response)),
-        "friction_limited": limited,
+        "friction_limited": np.minimum(limited, 1.0),  # sums of rounded probabilities
     }

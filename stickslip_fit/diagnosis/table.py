@@ -87,8 +87,9 @@ def diagnose_table(
     session : str, optional
         Column whose values share the law's own parameters; one session without it.
     time : str, optional
-        Column of seconds or of times of day. ``"order"``: rows stand in the order in which they were
-        measured. Without it their order means nothing, and nothing that needs time is tested.
+        Column of times of day, or of numbers, in seconds unless the law's `units` say otherwise. ``"order"``:
+        rows stand in the order in which they were measured. Without it their order means nothing, and
+        nothing that needs time is tested.
     position, direction, group : str, optional
         Columns of where something stands, of which way it moves (two values, or numbers whose signs count),
         and of what belongs together.
@@ -118,9 +119,10 @@ def diagnose_table(
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
     table, source = read_table(frame, sheet)
-    roles = TableRoles(session, time, position, direction, group)
+    law = as_law(law)
+    roles = TableRoles(session, time, position, direction, group, _time_unit(law, table, time))
     if shared is not None:
-        law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
+        law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
     progress("fitting the law", 0.0)
     problem, missing = problem_from_table(
         table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
@@ -264,9 +266,16 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
         independent=len(problem) / length,
         correlation_rows=length,
         correlation_time=length * interval,
+        noise_period=np.nan if noise is None else noise.period_rows * interval,
         time_unit=roles.time_unit,
         roles=roles.columns,
     )
+
+
+def _time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
+    """The declared unit of a time column of numbers; seconds where none is declared."""
+    is_number = time in table and pd.api.types.is_numeric_dtype(table[time])
+    return str((getattr(law, "units", None) or {}).get(time, "s")) if is_number else "s"
 
 
 def read_table(

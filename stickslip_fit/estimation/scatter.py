@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pandas as pd
 from scipy.special import fdtrc
 
 from stickslip_fit._format import format_direction, format_percent
-from stickslip_fit.estimation.noise import NoiseLevel, configuration_columns
-from stickslip_fit.estimation.result import JointFit, Result
+from stickslip_fit.estimation.closed_form import solve_calibration
+from stickslip_fit.estimation.result import Result
+from stickslip_fit.estimation.with_causes import law_without_causes
 from stickslip_fit.logs import Log
 
 LEVEL, MIN_RATIO = 1e-3, 1.4  # of the F test over all directions; of the standard deviations
 MIN_DF = 4
-NORMAL_MEDIAN = 0.4549364  # of the square of a standard normal number
-MEDIAN_EFFICIENCY = 0.37  # of a variance from the median of squares
 
 
 def describe_excess_scatter(log: Log, result: Result) -> str:
     """A sentence on the joint and direction with the largest excess; empty where there is none.
 
-    Residuals and replicates are compared by an F test, for each joint and direction that has both.
+    Residual scatter and the replicate scatter of the calibration in closed form are compared by an F test,
+    for each joint and direction that has both.
 
     Parameters
     ----------
@@ -29,18 +27,15 @@ def describe_excess_scatter(log: Log, result: Result) -> str:
     result : Result
         By least squares.
     """
-    found, usable = [], log.usable
+    laws = {joint: law_without_causes(fit.law) for joint, fit in result.joints.items()}
+    calibration, found = solve_calibration(log, laws, "closed-form"), []
     for joint, fit in result.joints.items():
-        rows = usable[usable["joint"] == joint]
         for direction, residual in fit.repeatability.items():
-            replicate = _replicate_scatter(fit, rows[rows["direction"] == direction])
-            if (
-                residual.source != "residuals"
-                or min(residual.df, replicate.df) < MIN_DF
-                or replicate.value <= 0
-            ):
+            replicate = calibration.joints[joint].repeatability[direction]
+            sources = (residual.source, replicate.source)
+            if sources != ("residuals", "replicates") or min(residual.df, replicate.df) < MIN_DF:
                 continue
-            ratio = residual.value / replicate.value
+            ratio = residual.value / replicate.value if replicate.value > 0 else 0.0
             chance = fdtrc(residual.df, replicate.df, ratio**2) * 2 * len(result.joints)
             if ratio > MIN_RATIO and chance < LEVEL:
                 found.append((ratio, joint, direction, residual.value, replicate.value))
@@ -48,23 +43,7 @@ def describe_excess_scatter(log: Log, result: Result) -> str:
         return ""
     _, joint, direction, residual_scatter, replicate_scatter = max(found)
     return (
-        f"The residual scatter is {format_percent(residual_scatter)}, while most replicates scatter by "
+        f"The residual scatter is {format_percent(residual_scatter)}, the replicate scatter "
         f"{format_percent(replicate_scatter)} (joint {joint}, direction {format_direction(direction)}): the "
         "law misses something; run stickslip-fit diagnose."
     )
-
-
-def _replicate_scatter(fit: JointFit, rows: pd.DataFrame) -> NoiseLevel:
-    """Standard deviation of log steps, from the median squared difference of replicates in order of time.
-
-    A median, because some replicates lie hours apart and differ by what the law misses.
-    """
-    y, _ = fit.law.response(rows)
-    columns = configuration_columns(rows)
-    keys = rows[columns].round(9)
-    groups = keys.groupby(columns, dropna=False, sort=False, observed=True).ngroup().to_numpy()
-    difference = pd.Series(y).groupby(groups).diff().dropna().to_numpy()
-    if not len(difference):
-        return NoiseLevel(np.nan, 0, "replicates")
-    variance = float(np.median(difference**2)) / NORMAL_MEDIAN / 2
-    return NoiseLevel(float(np.sqrt(variance)), int(MEDIAN_EFFICIENCY * len(difference)), "replicates")

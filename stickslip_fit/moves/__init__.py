@@ -9,6 +9,7 @@ from stickslip_fit.moves.dead_reckoning import (
     position_after,
     steps_before_recalibration,
 )
+from stickslip_fit.moves.incremental import DriveReckoning
 from stickslip_fit.moves.path import TipPaths, draw_random_paths, straight_path
 from stickslip_fit.moves.planning import (
     MovePlan,
@@ -28,6 +29,7 @@ __all__ = [
     "AccuracyMap",
     "CalibratedArm",
     "DriveCommand",
+    "DriveReckoning",
     "MovePlan",
     "MoveSegment",
     "PoseEstimate",

@@ -1,7 +1,10 @@
 """Dead reckoning: the pose after a sequence of drives, its uncertainty, and when to go back to a stop.
 
 Errors of a law's parameters are common to all drives of a joint and direction and add up; the
-repeatability is independent in each drive. A drive into a stop makes the joint's position known again.
+repeatability is independent in each drive. Each command is one drive, as one row of a log is: cut into many,
+its noise would average away, which no repeatability of whole drives promises. Where a drive is made in
+bursts, as by hand, `incremental.DriveReckoning` holds the noise for the whole drive.
+A drive into a stop makes the joint's position known again.
 The position after N steps is the root of the law's counts, by Newton's method.
 """
 
@@ -146,8 +149,9 @@ def dead_reckon(
     """The pose after a sequence of drives, with its uncertainty.
 
     Errors of a law's parameters are the same in every drive of its joint and direction and add up; the
-    repeatability is independent. A drive that reaches a stop with certainty ends there without error. Each
-    drive's history is the joint's previous one.
+    repeatability is that of one command, and independent of the others': do not cut a drive into commands
+    for its accuracy, see `DriveReckoning`. A drive that reaches a stop with certainty ends there without
+    error. Each drive's history is the joint's previous one.
 
     Parameters
     ----------

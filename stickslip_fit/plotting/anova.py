@@ -209,10 +209,10 @@ def _draw_pairs(
         places = _number_places(subset["session"], sessions)
         _draw_observations(axis, subset, places, DIRECTION_COLOURS[sign], aside, unit)
     means = rows.groupby(["session", "direction"])["step_size"].mean().unstack().reindex(columns=["+", "-"])
-    for place, name in enumerate(sessions):
-        pair = from_si(means.loc[name].to_numpy(float), unit)
-        ends = [place - FAN_HALF_WIDTH, place + FAN_HALF_WIDTH]
-        axis.plot(ends, pair, color=INK, marker="_", ms=9.0, lw=0.8)
+    pairs = from_si(means.loc[list(sessions)].to_numpy(float), unit)
+    ends = np.arange(len(sessions))[:, None] + [-FAN_HALF_WIDTH, FAN_HALF_WIDTH, np.nan]
+    heights = np.column_stack([pairs, np.full(len(sessions), np.nan)])  # NaN ends a line
+    axis.plot(ends.ravel(), heights.ravel(), color=INK, marker="_", ms=9.0, lw=0.8)
     label_sessions(axis, sessions, vertical=vertical or _is_crowded(sessions))
 
 

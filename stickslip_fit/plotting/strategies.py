@@ -42,11 +42,12 @@ MAX_NAME_LENGTH = 40
 
 
 def pareto_picture(comparison: Comparison) -> Picture:
-    """Each strategy's cost and error for each joint; the Cramer-Rao bound and the repeatability floor."""
+    """Each strategy's cost and error for each joint; the Cramer-Rao bound and the replicate scatter."""
     caption = (
         "The further down and left, the better; bars: 95 %. Solid: the least that any unbiased calibration "
-        "from as many traverses of today can reach under the law (Cramer-Rao). Dashed: repeatability. Below "
-        "a line lies what was lucky in this log; below the solid one also what looks back on other sessions."
+        "from as many traverses of today can reach under the law (Cramer-Rao). Dashed: replicate scatter, or "
+        "residual scatter for want of replicates. Below a line lies what was lucky in this log; below the "
+        "solid one also what looks back on other sessions."
     )
     title = "What accuracy costs: calibration time against held-out error"
     return make_picture("pareto", title, caption, plot_pareto(comparison))
@@ -72,7 +73,7 @@ def plot_pareto(comparison: Comparison, joints: Sequence[int] | None = None) -> 
         legend = [
             *(make_legend_entry(name, *marker) for name, marker in markers.items() if name in drawn),
             make_legend_entry("Cramer-Rao bound", INK, line="-"),
-            make_legend_entry("repeatability", GREY, line="--"),
+            make_legend_entry("replicate scatter", GREY, line="--"),
         ]
         figure, axes = make_figure(
             [2.2], len(joints), legend, top=TITLE_LINE + 0.14, bottom=0.5, across=0.42, share_y="none"

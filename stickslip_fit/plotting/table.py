@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._format import format_significant, pluralize
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes.roles import direction_labels, direction_sign
+from stickslip_fit.causes.roles import ORDER, direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import AR1
@@ -48,7 +48,6 @@ MAX_POINTS, N_COLUMNS, MAX_PANELS = 800, 4, 24
 LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35
 ENVELOPE_COLOUR = "#dcdcd8"
 Z_95 = 1.96
-TIME_LABELS = {"s": "time since the session's first row (s)", "row": "row in its session"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,11 @@ def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
     columns: dict[str, Array] = {}
     labels: dict[str, str] = {}
     if roles.get("time"):
-        label = TIME_LABELS[table.time_unit]
+        label = (
+            "row in its session"
+            if roles["time"] == ORDER
+            else f"time since the session's first row ({table.time_unit})"
+        )
         columns[label] = rows["session_seconds"].to_numpy(float)
         labels |= {"session_seconds": label, roles["time"]: label}
     for name in dict.fromkeys(filter(None, names)):

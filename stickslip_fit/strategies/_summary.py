@@ -84,7 +84,7 @@ class JointStrategies:
 
     @property
     def scatter(self) -> dict[str, float]:
-        """The repeatability of a traverse in each direction."""
+        """The replicate scatter of a traverse in each direction."""
         known = self.comparison.repeatability.items()
         return {direction: value for (of, direction), value in known if of == self.joint}
 
@@ -200,7 +200,7 @@ def _reverse_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
 NOTE = "p and verdicts allow for all pairs of strategies being compared at once (Holm); intervals do not."
 WORST_NOTE = (
     "Rms over the traverses of a configuration and direction, all sessions; the largest relative ones are "
-    "shown. Times scatter: over the repeatability of a traverse in that direction. Among many configurations "
+    "shown. Times scatter: over the replicate scatter in that direction. Among many configurations "
     "the largest comes to about 2 by chance, and to more where a calibration is itself uncertain."
 )
 MAX_WORST = 2
@@ -373,7 +373,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
 def worst_configurations(comparison: Comparison, joint: int) -> pd.DataFrame:
     """Errors by strategy, direction and configuration, the largest relative rms first.
 
-    As `Comparison.accuracy` returns them, and times_scatter: the relative rms over the repeatability.
+    As `Comparison.accuracy` returns them, and times_scatter: the relative rms over the replicate scatter.
     """
     table = _rows_of_joint(comparison.accuracy("direction", *POSITION_COLUMNS), joint)
     scatter = [comparison.repeatability[joint, str(direction)] for direction in table["direction"]]

@@ -84,7 +84,7 @@ class Comparison(Summarized):
     provenance: Provenance
 
     def plot_pareto(self) -> AxesArray:
-        """Calibration time against held-out error, with the Cramer-Rao bound and the repeatability floor.
+        """Calibration time against held-out error, with the Cramer-Rao bound and the replicate scatter.
 
         Raises
         ------

@@ -16,9 +16,8 @@ import pandas as pd
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.estimation.closed_form import MIN_DF
-from stickslip_fit.estimation.least_squares import fit_joint
-from stickslip_fit.estimation.noise import estimate_from_replicates
+from stickslip_fit.estimation.closed_form import solve_calibration
+from stickslip_fit.estimation.result import JointFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
@@ -76,9 +75,11 @@ def make_cases(
     # Plain text is selected, grouped and joined several times as fast as that of Arrow.
     texts = [name for name in rows if isinstance(rows[name].dtype, pd.StringDtype | pd.CategoricalDtype)]
     rows = rows.astype(dict.fromkeys(texts, object))
-    for joint, law in choose_laws(rows, log.machine, laws).items():
+    chosen = choose_laws(rows, log.machine, laws)
+    calibration = solve_calibration(log, chosen, "closed-form")
+    for joint, law in chosen.items():
         subset = rows[rows["joint"] == joint]
-        noise = _estimate_repeatability(law, subset, log)
+        noise = _choose_noise(law, calibration.joints[joint])
         for direction in ("+", "-"):
             own = subset[subset["direction"] == direction]
             for session in own["session"].unique():
@@ -169,17 +170,11 @@ def _evaluate_case(strategy: Strategy, case: EvaluationCase) -> tuple[pd.DataFra
     return measured, table[_ERROR_COLUMNS]
 
 
-def _estimate_repeatability(law: StepLaw, rows: pd.DataFrame, log: Log) -> dict[str, float]:
-    """Of each direction, from replicates where there are enough, else from the residuals of a fit."""
-    replicates = estimate_from_replicates(law, rows)
-    residual = fit_joint(law, rows, log.machine)[0].repeatability
-    by_direction = {
-        direction: replicates[direction] if replicates[direction].df >= MIN_DF else residual[direction]
-        for direction in rows["direction"].unique()
-    }
+def _choose_noise(law: StepLaw, calibration: JointFit) -> dict[str, float]:
+    """Scatter of a traverse in each direction; one without data takes the other's value."""
     known = {
         direction: level.value
-        for direction, level in by_direction.items()
+        for direction, level in calibration.repeatability.items()
         if level.df > 0 and level.value > 0
     }
     if not known:
@@ -187,7 +182,5 @@ def _estimate_repeatability(law: StepLaw, rows: pd.DataFrame, log: Log) -> dict[
             f"joint {law.joint}: nothing shows how well a traverse repeats, so that no difference between "
             "strategies could be judged; log some traverses twice"
         )
-    # A direction without data takes the other's value.
-    return {
-        direction: known.get(direction, float(np.mean(list(known.values())))) for direction in by_direction
-    }
+    mean = float(np.mean(list(known.values())))
+    return {direction: known.get(direction, mean) for direction in ("+", "-")}

@@ -23,7 +23,15 @@ from stickslip_fit.capture.operator import (
     TraverseReading,
     format_setting,
 )
-from stickslip_fit.capture.terminal import Keyboard, TerminalOperator, UnattendedOperator
+from stickslip_fit.capture.terminal import (
+    LEFT,
+    PAGE_DOWN,
+    SPECIAL,
+    UP,
+    Keyboard,
+    TerminalOperator,
+    UnattendedOperator,
+)
 from stickslip_fit.errors import InputError
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
@@ -271,3 +279,21 @@ def test_where_nobody_is_there_a_drive_that_keeps_failing_ends_it():
     nobody.handle_failure(WORK, "deaf")
     nobody.review(GOOD)
     assert nobody.handle_failure(WORK, "deaf").choice is OperatorChoice.GO_ON
+
+
+@POSIX
+def test_arrows_are_keys_that_nobody_can_type_into_a_note(hand):
+    with Keyboard() as keys:
+        hand("\x1b[A\x1bOD\x1b[6~\x1b[15~w")
+        assert keys.take() == UP + LEFT + PAGE_DOWN + SPECIAL + "w"
+        assert keys.take() == ""
+        hand("nlo\x1b[Aud\n\n")
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(note="loud")
+        hand("\x1b[Bq")
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.QUIT)
+
+
+def test_arrows_in_a_console_window(window):
+    with Keyboard() as keys:
+        window.typed.extend("\xe0H\x00Q\xe0;w")
+        assert keys.take() == UP + PAGE_DOWN + SPECIAL + "w"

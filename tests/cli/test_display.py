@@ -159,6 +159,6 @@ def test_fit_says_where_residuals_scatter_more_than_replicates(run, campaign, tm
     table.to_csv(tmp_path / "bent.csv", index=False)
     assert "law misses something" not in run("fit", tmp_path / "plain.csv")[1]
     first = " ".join(run("fit", tmp_path / "bent.csv")[1].split())
-    expected = r"The residual scatter is [\d.]+ %, while most replicates scatter by [\d.]+ % \(joint 3, "
+    expected = r"The residual scatter is [\d.]+ %, the replicate scatter [\d.]+ % \(joint 3, "
     assert re.match(expected, first)
     assert "the law misses something; run stickslip-fit diagnose." in first

@@ -20,7 +20,7 @@ from stickslip_fit.errors import InputError
 
 # A new output has its name added here; anything else that is a path is read.
 OUTPUT_NAMES = {"output", "json", "chart", "report", "save_law", "numbers", "tree", "chains", "csv", "latex"}
-OUTPUT_NAMES |= {"true_steps"}
+OUTPUT_NAMES |= {"true_steps", "journal", "homing_log"}
 
 
 @dataclass(frozen=True)

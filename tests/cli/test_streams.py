@@ -86,6 +86,7 @@ COMMANDS = {
     "sheet": ["sheet", "plan.toml", "-o", "k.csv", "--force"],
     "plan-move": ["plan-move", "fit.json", "--at", "0,-90,0", "--joints", "20,-60,6"],
     "dead-reckon": ["dead-reckon", "fit.json", "--at=0,-90,0", "--drive", "3+2000"],
+    "drive": ["drive", "fit.json", "--at=0,-90,6", "--script", "path.csv", "--emulate"],
     "demo": ["demo", "log.csv", "--no-browse"],
     "capture-tune": ["capture", "tune", "-o", "l.json", "--emulate", "--force"],
     "capture-listen": ["capture", "listen", "absent.wav", "--tuning", "absent.json"],
@@ -131,6 +132,7 @@ def folder(campaign, tmp_path_factory):
         (place / name).write_bytes((REFERENCE / name).read_bytes())
     short = "[sessions]\ndates = [2012-03-20]\n[[sweep]]\njoint = 3\nq2_deg = [-30]\n"
     (place / "short.toml").write_text(short)
+    (place / "path.csv").write_text("time_s,vx_um_s,vy_um_s,vz_um_s\n0,20,0,0\n1,0,0,0\n")
     ssf.calibrate(ssf.read_log(place / "log.csv")).save(place / "fit.json")
     return place
 

@@ -35,6 +35,18 @@ SCHEMA = {
     "inclusion": dict,
     "untestable": [{"cause": str, "reason": str}],
     "gain": {"metric": str, **GAIN, "noise_floor_pct": float},
+    "stage": [
+        {
+            "causes": [str], "regime": str, "p_value": float, "credible": [str], "left_out_joints": [int],
+            "changes": [{"quantity": str, "probability": float, "size_pct": SIZE}],
+            "fingerprint": [
+                {
+                    "joint": int, "direction": str, "unloaded_pct": float, "unloaded_error_pct": float,
+                    "response_pct": float, "response_error_pct": float, "friction_limited": float,
+                }
+            ],
+        }
+    ],
     "next_experiment": [
         {
             "session": str, "joint": int, "direction": str, "q1_deg": float, "q2_deg": float, "q3_mm": float,

@@ -59,6 +59,8 @@ COMMANDS = (
 EXTRAS = (
     ("capture short.toml -o rig.csv --port /dev/ttyUSB0 --tuning tuning.json", "stickslip-fit[capture]"),
     ("capture tune -o rig.json --moving a.wav --at-stop a.wav", "stickslip-fit[capture]"),
+    ("drive fit.json --at 0,-90,0 --by gamepad --emulate", "stickslip-fit[gamepad]"),
+    ("drive fit.json --at 0,-90,0 --by spacemouse --emulate", "stickslip-fit[spacemouse]"),
     ("study study.toml -o cluster --cluster tcp://localhost:1", "stickslip-fit[dask]"),
 )
 

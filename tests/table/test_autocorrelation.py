@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
@@ -129,3 +130,19 @@ def test_noise_persists_over_at_most_four_tenths_of_the_longest_record():
     np.testing.assert_array_equal(short.shorten().coefficients, short.coefficients)
     ringing = Autocorrelation(np.arange(30), None, 0.999 ** np.arange(1, 3) * [1.5, -0.52]).shorten()
     assert ringing.correlation_rows == pytest.approx(min(12, ringing.correlation_rows), rel=1e-4)
+
+
+def test_noise_that_swings_is_told_with_its_period():
+    """Sunspots recur after about 11 years without a steady phase: G. U. Yule's autoregression of 1927."""
+    from statsmodels.datasets import sunspots
+
+    spots = sunspots.load_pandas().data
+    law = ssf.Law("SUNACTIVITY ~ a", units={"YEAR": "years", "a": "1"})
+    found = ssf.diagnose_table(spots, law, time="YEAR", gain=False)
+    assert found.table.noise_period == pytest.approx(10.6, abs=0.6)
+    assert "swings with a period of about 10.6 years" in str(found.summary())
+    rng = np.random.default_rng(4)
+    white = ssf.diagnose_table(
+        pd.DataFrame({"y": rng.standard_normal(300)}), "y ~ a", time="order", gain=False
+    )
+    assert np.isnan(white.table.noise_period)

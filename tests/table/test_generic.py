@@ -113,3 +113,16 @@ def test_columns_that_cannot_be_followed_are_explained():
     assert "9 of its cells are empty" in untestable["covariate:gaps"]
     assert "the same in every row" in untestable["covariate:same"]
     assert "not of numbers" in untestable["covariate:who"]
+
+
+def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
+    """The Nile's annual flow fell by about 248 (1e8 m³) after 1898 (G. W. Cobb, Biometrika 65:243, 1978)."""
+    from statsmodels.datasets import nile
+
+    flow = nile.load_pandas().data
+    law = ssf.Law("volume ~ a", units={"volume": "1e8 m³", "a": "1e8 m³", "year": "years"})
+    found = ssf.diagnose_table(flow, law, time="year", gain=False)
+    text = "The response falls by 248 1e8 m³, 27.5 years after the first row, and stays so"
+    assert found.summary().headline[0].startswith(text)
+    by_order = ssf.diagnose_table(flow, law, time="order", gain=False).summary().headline[0]
+    assert "27.5 rows after the first row" in by_order

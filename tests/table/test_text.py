@@ -119,7 +119,7 @@ def test_causes_that_cannot_be_told_apart_say_what_would_separate_them():
     assert diagnosis.verdict == "cannot tell apart"
     text = " ".join(str(diagnosis).split())
     assert "This table cannot tell what is wrong" in text
-    assert "viscous-twin shows best at speeds far apart" in text
+    assert "for viscous-twin, at speeds far apart" in text
 
 
 def test_a_response_of_any_size_has_sensible_digits():

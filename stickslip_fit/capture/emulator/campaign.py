@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC
 
@@ -12,8 +13,15 @@ from stickslip_fit.capture.emulator.manipulator import HiddenLaws
 from stickslip_fit.capture.emulator.rig import EmulatedOperator, emulate_rig
 from stickslip_fit.capture.end_stop import SequentialDetector
 from stickslip_fit.capture.journal import JournalReplay
-from stickslip_fit.capture.operator import Operator
-from stickslip_fit.capture.protocols import AudioSource, Clock, Controller, EndStopDetector, VirtualClock
+from stickslip_fit.capture.operator import Operator, keep_operator
+from stickslip_fit.capture.protocols import (
+    AudioSource,
+    Clock,
+    Controller,
+    EndStopDetector,
+    PacedClock,
+    VirtualClock,
+)
 from stickslip_fit.capture.rigs import TUNING_CHECKS, CaptureJob, open_journal, run_campaign
 from stickslip_fit.capture.terminal import Keyboard, TerminalOperator, UnattendedOperator
 from stickslip_fit.capture.traverse import Rig
@@ -32,23 +40,29 @@ RETRACTED_JOINT = 3  # the joint that an emulated rig has at its stop when it is
 
 @dataclass(frozen=True, eq=False)
 class EmulationOptions:
-    """Properties of an emulated rig."""
+    """Properties of an emulated rig; `pace` times as fast as the real time, at once where it is None."""
 
     laws: LawValues
     dialect: str
     ideal_detector: bool
     snr_db: float
     seed: int
+    pace: float | None = None
 
 
-def capture_emulated(job: CaptureJob, emulation: EmulationOptions, unattended: bool) -> str:
-    """Capture a plan at an emulated rig; a sentence on how far it got."""
+def capture_emulated(
+    job: CaptureJob,
+    emulation: EmulationOptions,
+    unattended: bool,
+    watch: Callable[[Operator], Operator] = keep_operator,
+) -> str:
+    """Capture a plan at an emulated rig; a sentence on how far it got. `watch` as in `capture_real`."""
     with open_journal(job) as (journal, replay):
         if unattended:
-            rig, operator = _emulate(job, emulation, replay, UnattendedOperator())
+            rig, operator = _emulate(job, emulation, replay, watch(UnattendedOperator()))
             return run_campaign(job, journal, replay, rig, operator)
         with Keyboard() as keys:
-            rig, operator = _emulate(job, emulation, replay, TerminalOperator(keys))
+            rig, operator = _emulate(job, emulation, replay, watch(TerminalOperator(keys)))
             return run_campaign(job, journal, replay, rig, operator)
 
 
@@ -59,7 +73,8 @@ def _emulate(
     plan, period = job.plan, job.plan.timing.step_period
     truth = HiddenLaws(emulation.laws, job.machine, plan.noise or Noise({}), emulation.seed)
     begins = replay.last_time or plan.sessions[0].begins.replace(tzinfo=UTC)
-    rig = emulate_rig(truth, emulation.dialect, VirtualClock(begins), period)
+    own_clock = PacedClock(emulation.pace, begins) if emulation.pace else VirtualClock(begins)
+    rig = emulate_rig(truth, emulation.dialect, own_clock, period)
     controller, clock = rig.controller(operator.show), rig.clock
     rig.manipulator.set(**job.conditions)
     rig.manipulator.remember(replay.rows(), clock.today(), clock.now())

@@ -191,6 +191,7 @@ class Manipulator:
         self._motion: JointMotion | None = None
         self._steps = 0  # of the motion in progress
         self._random = np.random.default_rng([truth.seed, NOISE_STREAM])
+        self._drive: dict[tuple[int, str], float] | None = None  # deviations of the drive by hand under way
         self.step_records = deque([StepRecord(-np.inf, 0.0, 0, 0)], maxlen=MAX_STEP_RECORDS)
 
     def step(self, joint: int, steps: int, began: float, period: float) -> None:
@@ -222,13 +223,22 @@ class Manipulator:
         self._stops[joint] = (low, high)
         self._positions[f"q{joint}"] = min(max(self._positions[f"q{joint}"], low), high)
 
-    def begin_session(self, label: str) -> None:
-        """Begin a session, unless it is the current one; its clock starts with its first step."""
+    def begin_session(self, label: str, began: float | None = None) -> None:
+        """Begin a session, unless it is the current one; its clock starts at `began` or its first step, s."""
         self._end_motion()
         if label == self._session and self._session_began is not None:
             return
-        self._session, self._session_began = label, None
+        self._session, self._session_began = label, began
         self._history = {joint: JointHistory(steps=last.steps) for joint, last in self._history.items()}
+
+    def begin_drive(self) -> None:
+        """From now on all motions of a joint are bursts of one drive, until the joint meets a stop.
+
+        The deviation of a joint and direction is drawn once and held. Without this, each motion has its own:
+        cut into bursts, a drive's noise would average away.
+        """
+        self._end_motion()
+        self._drive = {}
 
     def remember(self, rows: pd.DataFrame, today: datetime, now: float) -> None:
         """Take over the wear and the session time of drives that were made before.
@@ -291,11 +301,19 @@ class Manipulator:
                 "steps_before": [last.steps],
             }
         )
+        deviation = self._draw_deviation(joint, direction)
+        self._motion = begin_motion(self.truth, row, deviation, self._random.random(3))
+        return self._motion
+
+    def _draw_deviation(self, joint: int, direction: str) -> float:
+        if self._drive is not None and (joint, direction) in self._drive:
+            return self._drive[joint, direction]
         noise = self.truth.noise
         deviation = float(draw_noise(noise.kind, 1, self._random)[0])
         deviation *= noise.repeatability.get((joint, direction), 0.0)
-        self._motion = begin_motion(self.truth, row, deviation, self._random.random(3))
-        return self._motion
+        if self._drive is not None:
+            self._drive[joint, direction] = deviation
+        return deviation
 
     def _end_motion(self) -> None:
         """Update the joint's position and history."""
@@ -311,8 +329,13 @@ class Manipulator:
 
     def _settle(self) -> None:
         """Update the position of the moving joint."""
-        if self._motion is not None:
-            self._positions[f"q{self._motion.joint}"] = self._motion.position(self._steps)
+        motion = self._motion
+        if motion is None:
+            return
+        self._positions[f"q{motion.joint}"] = motion.position(self._steps)
+        if self._drive is not None and self._steps >= motion.steps_to_stop:
+            # At a stop the joint's next drive begins.
+            self._drive = {group: of for group, of in self._drive.items() if group[0] != motion.joint}
 
     def _within_stops(self, name: str, value: float) -> float:
         if not name.startswith("q"):

@@ -1,0 +1,213 @@
+"""A drive in the terminal: joints, tip, certainty, limits, advice and the arm from two sides.
+
+`TerminalScreen` redraws at a terminal and leaves it clean; elsewhere it prints a plain line now and then.
+`ScreenThread` shows in a thread of its own whatever can stall, and says since when it has.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import typer
+
+from stickslip_fit._format import format_value, pluralize
+from stickslip_fit.drive.state import DriveState, Screen
+from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import JOINTS, PRISMATIC, from_si
+
+LINE_INTERVAL = 1.0  # s between two lines where there is no terminal
+CHI_95 = 2.7955  # 95 % of normal errors in three dimensions lie within so many semi-axes
+PICTURE_HEIGHT = 14
+Picture = Callable[[DriveState, int, int], list[str]]
+"""From a state, width and height to the lines of a picture."""
+
+
+class TerminalScreen:
+    """Shows a drive on the standard output.
+
+    Parameters
+    ----------
+    help_lines : tuple of str
+        Which keys do what.
+    picture : callable, optional
+        Draws the arm.
+    """
+
+    def __init__(self, help_lines: tuple[str, ...] = (), picture: Picture | None = None) -> None:
+        self.help_lines = help_lines
+        self.picture = picture
+        self._drawn = 0
+        self._line_at = -LINE_INTERVAL
+        self._message = ""
+
+    def show(self, state: DriveState) -> None:
+        """See `Screen.show`."""
+        if sys.stdout.isatty():
+            self._draw(state)
+            return
+        if state.time - self._line_at >= LINE_INTERVAL or state.message != self._message:
+            self._line_at, self._message = state.time, state.message
+            typer.echo(format_line(state))
+
+    def close(self) -> None:
+        """Leave the terminal as it was, below what was drawn."""
+        if self._drawn:
+            typer.echo("\x1b[?25h", nl=False)
+            self._drawn = 0
+
+    def _draw(self, state: DriveState) -> None:
+        width, height = shutil.get_terminal_size()
+        lines = format_state(state)
+        room = height - len(lines) - len(self.help_lines) - 2
+        if self.picture is not None and room >= 5:
+            lines += self.picture(state, width - 1, min(room, PICTURE_HEIGHT))
+        lines = [line[: width - 1] for line in [*lines, *self.help_lines]][: height - 1]
+        begin = f"\x1b[{self._drawn}A\r" if self._drawn else "\x1b[?25l"
+        typer.echo(begin + "\n".join(f"{line}\x1b[K" for line in lines) + "\n\x1b[J", nl=False)
+        self._drawn = len(lines)
+
+
+class Screens:
+    """Several screens as one."""
+
+    def __init__(self, screens: tuple[Screen, ...]) -> None:
+        self.screens = screens
+
+    def show(self, state: DriveState) -> None:
+        """See `Screen.show`."""
+        for screen in self.screens:
+            screen.show(state)
+
+
+class ScreenThread:
+    """A `Screen` in a thread of its own, so that a terminal that stands still does not hold up the joints."""
+
+    def __init__(self, screen: Screen, now: Callable[[], float]) -> None:
+        self.screen = screen
+        self._now = now
+        self._latest: DriveState | None = None
+        self._busy_since: float | None = None
+        self._failure = ""
+        self._ended = False
+        self._wake = threading.Condition()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def show(self, state: DriveState) -> None:
+        """See `Screen.show`."""
+        with self._wake:
+            self._latest = state
+            if self._busy_since is None:
+                self._busy_since = self._now()
+            self._wake.notify()
+
+    def age(self) -> float:
+        """Seconds for which the screen has not shown what it was given; infinite once it has failed."""
+        with self._wake:
+            if self._failure:
+                return float("inf")
+            return 0.0 if self._busy_since is None else self._now() - self._busy_since
+
+    def close(self, seconds: float = 1.0) -> None:
+        """End the thread; wait that long for it to show the last state."""
+        with self._wake:
+            self._ended = True
+            self._wake.notify()
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                while self._latest is None and not self._ended:
+                    self._wake.wait()
+                if self._latest is None:
+                    return
+                state, self._latest = self._latest, None
+            try:
+                self.screen.show(state)
+            except Exception as error:  # of a terminal that was closed: the loop is to know, and to stop
+                with self._wake:
+                    self._failure = str(error) or type(error).__name__
+                return
+            with self._wake:
+                self._busy_since = None if self._latest is None else self._now()
+
+
+def format_state(state: DriveState) -> list[str]:
+    """The state of a drive in a few lines."""
+    tip = ", ".join(f"{from_si(x, 'mm'):.4f}" for x in state.tip)
+    axes = " × ".join(f"{from_si(length, 'µm'):.1f}" for length in semi_axes(state.tip_covariance))
+    share = state.tip_radius / state.tolerance
+    velocity, wanted = (
+        ", ".join(f"{from_si(x, 'µm'):+.1f}" for x in of)
+        for of in (state.tip_velocity, state.wanted_velocity)
+    )
+    joints = [_format_joint(state, joint) for joint in JOINTS]
+    return [
+        f"{state.time:8.1f} s  {state.status}",
+        f"tip     ({tip}) mm",
+        f"        within {_micrometres(state.tip_radius)} of {_micrometres(state.tolerance)} (95 %) "
+        f"{_bar(share)}",
+        f"        95 % ellipsoid, semi-axes {axes} µm",
+        f"speed   ({velocity}) µm/s of ({wanted}) wanted",
+        *joints,
+        f"advice  {format_advice(state)}",
+        f"limits  {'; '.join(state.limits) or 'none'}",
+        f"        {state.message}",
+    ]
+
+
+def format_line(state: DriveState) -> str:
+    """The state of a drive in one line."""
+    tip = ", ".join(f"{from_si(x, 'mm'):.4f}" for x in state.tip)
+    parts = [
+        f"{state.time:.1f} s",
+        state.status,
+        f"tip ({tip}) mm",
+        f"within {_micrometres(state.tip_radius)}",
+    ]
+    if state.advice is not None:
+        parts.append(format_advice(state))
+    return "  ".join([*parts, *state.limits, *([state.message] if state.message else [])])
+
+
+def format_advice(state: DriveState) -> str:
+    """What the advice says, in words."""
+    advice = state.advice
+    if advice is None:
+        return "none: the tip is known well enough"
+    stop = f"joint {advice.joint} to its stop in {advice.direction} ({advice.steps_to_stop:,} steps away)"
+    if state.tip_radius >= state.tolerance:
+        return f"go back now: {stop}"
+    return f"go back within {pluralize(advice.steps_left, 'step')}: {stop}"
+
+
+def semi_axes(covariance: np.ndarray) -> np.ndarray:
+    """Semi-axes of the ellipsoid that holds 95 % of errors with a covariance, (3, 3) -> (3,), longest first.
+
+    Examples
+    --------
+    >>> semi_axes(np.diag([1.0, 4.0, 0.0])).round(2)
+    array([5.59, 2.8 , 0.  ])
+    """
+    return CHI_95 * np.sqrt(np.clip(np.linalg.eigvalsh(covariance)[::-1], 0.0, None))
+
+
+def _format_joint(state: DriveState, joint: int) -> str:
+    unit, fine = ("mm", "µm") if joint == PRISMATIC else ("deg", "mrad")
+    error = format_value(Z_95 * float(state.q_error[joint - 1]), fine, 2)
+    position = f"{from_si(float(state.q[joint - 1]), unit):.4f} {unit}"
+    return f"joint {joint} {position} ± {error}, {state.steps[joint - 1]:+,} steps"
+
+
+def _micrometres(value: float) -> str:
+    return format_value(value, "µm", 1)
+
+
+def _bar(share: float) -> str:
+    full = min(round(20 * share), 20)
+    return f"[{'#' * full}{'.' * (20 - full)}]"
