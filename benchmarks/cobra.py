@@ -121,12 +121,12 @@ def predict_spline(
 
 def spline_error(diagnosis: Diagnosis) -> float:
     """Rms error of the spline on the rows that the diagnosis holds out, from the same training rows."""
-    problem, seed = diagnosis.selection.problem, diagnosis.seed
+    problem = diagnosis.selection.problem
     rows, rng = problem.rows, np.random.default_rng(0)
     y = np.log((rows["stop"] - rows["start"]).abs().to_numpy(float)) - problem.responses
     errors = [
         y[split.held_out] - predict_spline(rows, y, split.train, split.held_out, rng)
-        for split in hold_out_configurations(diagnosis.selection, np.random.default_rng([seed, 0]))
+        for split in hold_out_configurations(diagnosis.selection)
     ]
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 

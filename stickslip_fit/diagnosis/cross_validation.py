@@ -102,6 +102,9 @@ def deal_kinds(
 ) -> list[Split]:
     """Deal the rows, all of one kind together, to folds in random order, each to the smallest that takes it.
 
+    Folds are as large as if all took what is dealt to them, so that one that refuses a kind changes nothing
+    for the next kinds: a replicate of a log has nearly the same folds, whatever else is found in it.
+
     Parameters
     ----------
     kinds : array of int, shape (n,)
@@ -117,10 +120,11 @@ def deal_kinds(
         rows = members[kind]
         for fold in np.argsort(sizes, kind="stable").tolist():
             if try_add(fold, rows):
-                fold_of[rows], sizes[fold] = fold, sizes[fold] + len(rows)
+                fold_of[rows] = fold
                 break
+        sizes[np.argmin(sizes)] += len(rows)
     splits = []
-    for used in np.flatnonzero(sizes):
+    for used in np.unique(fold_of[fold_of >= 0]):
         train = np.flatnonzero(fold_of != used)
         splits.append(Split(train, train, np.flatnonzero(fold_of == used)))
     return splits

@@ -152,6 +152,26 @@ def _refit(selection: Selection) -> _Refit:
     return _Refit(np.clip(values, lower, upper), covariance)
 
 
+def expected_covariance(selection: Selection) -> Array:
+    """Covariance of the parameters in the fit of a selection under the noise as it is expected now, (q, q).
+
+    The fit weighs rows by an estimate of their noise; the information that it would have if that were true,
+    A, and the variance that its normal equations have, B, give inv(A) B inv(A) (H. White, Econometrica
+    48:817, 1980). A prior counts as an observation in both.
+    """
+    if not selection.law_causes:
+        return np.zeros((0, 0))
+    problem = selection.problem
+    linearized, expected = problem.linearize(), expect_noise(problem, selection.linearized)
+    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
+    prior = 1.0 / selection.fit.prior_sd**2
+    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
+    slopes, prior = slopes / size, np.diag(prior / size**2)
+    inverse = np.linalg.pinv(slopes.T @ slopes + prior, rcond=RANK_TOL, hermitian=True)
+    noisy = slopes * (expected.scale / problem.scale)[:, None]
+    return np.asarray(inverse @ (noisy.T @ noisy + prior) @ inverse / np.outer(size, size))
+
+
 def expect_noise(
     problem: DiagnosisProblem, linearized: LinearizedFit, left: StructureRemoved | None = None
 ) -> DiagnosisProblem:

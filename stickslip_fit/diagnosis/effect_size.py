@@ -15,7 +15,13 @@ from scipy.special import betaincinv
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PeriodicTerm
-from stickslip_fit.diagnosis.effect_interval import QUANTILES_95, Z_95, detection_threshold, estimate_effect
+from stickslip_fit.diagnosis.effect_interval import (
+    QUANTILES_95,
+    Z_95,
+    detection_threshold,
+    estimate_effect,
+    expected_covariance,
+)
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import acts_on
@@ -37,22 +43,30 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
     linearized, slices = selection.problem.linearize(), iter(selection.slices)
+    covariance = expected_covariance(selection)
     findings = []
     for selected in selection.selected:
         if selected.cause == problem.outlier_cause:
             findings.append(_size_outliers(selection, problem, selected))
         elif selected.cause == UNKNOWN:
             finding = size_unknown(selection, selected, alpha)
-            findings.append(finding if selected.version is None else _with_law(finding, selection, selected))
+            if selected.version is not None:
+                finding = _with_law(finding, selection, selected, covariance)
+            findings.append(finding)
         else:
-            findings.append(_size_cause(selection, linearized, selected, next(slices), alpha))
+            findings.append(_size_cause(selection, linearized, selected, next(slices), covariance, alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
 
 
 def _size_cause(
-    selection: Selection, linearized: LinearizedFit, selected: SelectedCause, place: slice, alpha: float
+    selection: Selection,
+    linearized: LinearizedFit,
+    selected: SelectedCause,
+    place: slice,
+    covariance: Array,
+    alpha: float,
 ) -> Finding:
-    values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
+    values = selection.fit.values[place]
     effect = estimate_effect(selection, linearized, selected, place)
     size = effect.interval(detection_threshold(selected, linearized.df, alpha))
     strength = size.estimate * effect.strength / effect.rms
@@ -70,7 +84,7 @@ def _size_cause(
         selected.p_value,
         joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
         size,
-        _size_parameters(selected.version, selected.cause, values, covariance),
+        _size_parameters(selected.version, selected.cause, values, covariance[place, place]),
         together_with=selected.together_with,
     )
 
@@ -100,14 +114,14 @@ def _size_parameters(
     )
 
 
-def _with_law(finding: Finding, selection: Selection, selected: SelectedCause) -> Finding:
+def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, covariance: Array) -> Finding:
     """A finding of unknown structure with the term or smooth function that extends the law."""
     version, place = selected.version, selection.slices[-1]  # it is the last of the causes
     formula = getattr(version, "formula", "")
     carrier = " and ".join(version.carriers) if formula else finding.carrier
     carrier = str(version) if isinstance(version, PeriodicTerm) else carrier
-    values, covariance = selection.fit.values[place], selection.fit.covariance[place, place]
-    parameters = _size_parameters(version, UNKNOWN, values, covariance) if formula else ()
+    values = selection.fit.values[place]
+    parameters = _size_parameters(version, UNKNOWN, values, covariance[place, place]) if formula else ()
     return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)
 
 

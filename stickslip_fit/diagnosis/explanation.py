@@ -15,7 +15,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
 
 
-def explain_structure(selection: Selection, finding: Finding, seed: int) -> pd.DataFrame:
+def explain_structure(selection: Selection, finding: Finding) -> pd.DataFrame:
     """Each known cause alone in place of the unknown structure of a log, largest share first.
 
     Effects are linear in their sizes, which are estimated from the other folds; folds hold out whole
@@ -27,8 +27,6 @@ def explain_structure(selection: Selection, finding: Finding, seed: int) -> pd.D
         With unknown structure.
     finding : Finding
         Of the unknown structure.
-    seed : int
-        Of the folds.
 
     Returns
     -------
@@ -46,7 +44,7 @@ def explain_structure(selection: Selection, finding: Finding, seed: int) -> pd.D
         [linearized.residual[:, None], *(one.directions for one in shapes.values())], axis=1
     )
     errors: list[Array] = []
-    for split in hold_out_configurations(selection, np.random.default_rng([seed, 0])):
+    for split in hold_out_configurations(selection):
         train = prepare_calibration(linearized.basis, split.train, split.train).subtract(columns)
         held_out = prepare_calibration(linearized.basis, split.calibration, split.held_out).subtract(columns)
         scale = problem.scale[split.held_out]

@@ -44,7 +44,8 @@ class Gain:
     noise_floor : float
         The error of the true law: repeatability and rounding.
     low, high : float
-        95 % interval of `baseline` less `extended` for a replicate of the campaign.
+        95 % interval of `baseline` less `extended` as the diagnosis of a replicate of the campaign measures
+        them: the same traverses with fresh noise.
     by_session : DataFrame
         session, baseline, extended, traverses (of a table: rows).
     held_out : str

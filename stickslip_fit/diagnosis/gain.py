@@ -50,7 +50,7 @@ from stickslip_fit.diagnosis.selection import (
 from stickslip_fit.machine import Machine
 
 MIN_SQUARE = 1e-300
-N_REPLICATE_SPLITS = 4  # random splits into folds of a simulated replicate
+FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
 
@@ -90,20 +90,14 @@ def measure_gain(
     def report(step: str, first: float, last: float) -> SplitProgress:
         return lambda done, number: progress(step, first + (last - first) * done / number)
 
-    # Only the interval of a law extended by causes needs splits of replicates.
-    n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
     looks = prepare_looks(selection, alpha) if selection.law_causes else None
     confirm = partial(confirm_held_out_errors, looks) if looks is not None else None
-    folds, *others = (
-        hold_out_configurations(selection, np.random.default_rng([seed, k])) for k in range(1 + n_others)
-    )
+    folds = hold_out_configurations(selection)
     sessions = hold_out_sessions(problem, machine) if machine is not None else []
     gain = new_session = None
     if folds:
         report_split = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
-        gain, own = estimate(
-            selection, findings, folds, others=others, confirm=confirm, progress=report_split
-        )
+        gain, own = estimate(selection, findings, folds, confirm=confirm, progress=report_split)
     if sessions:
         report_split = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
         new_session, _ = estimate(selection, findings, sessions, confirm=confirm, progress=report_split)
@@ -116,7 +110,6 @@ def estimate_gain(
     splits: Sequence[Split],
     selector: Selector,
     *,
-    others: Sequence[Sequence[Split]] = (),
     alpha: float,
     seed: int = 0,
     workers: int = -1,
@@ -137,8 +130,6 @@ def estimate_gain(
         Of the rows of `selection.problem`; at least one.
     selector : callable
         From a problem and a generator to a selection.
-    others : sequence of sequence of Split, optional
-        Possible splits of a replicate; without it the same splits.
     alpha, seed : float, int
         Of the diagnosis.
     workers : int, optional
@@ -166,7 +157,7 @@ def estimate_gain(
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
         campaign = _linearize_campaign(selection, [finding.cause for finding in extending], alpha)
         campaign = replace(campaign, recolour=recolour)
-        limits = simulate_gain_interval(campaign, splits, others or (splits,), rms, rng)
+        limits = simulate_gain_interval(campaign, splits, rms, rng)
     else:
         errors, limits = _baseline_errors(selection, splits, recolour)[None], np.zeros((2, 1))
     steps = np.cumsum([0, *(finding.version is not None for finding in findings)])
@@ -241,7 +232,7 @@ def _root_mean_squares(squares: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     return table.assign(traverses=grouped.size().to_numpy())
 
 
-def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> list[Split]:
+def hold_out_configurations(selection: Selection) -> list[Split]:
     """Hold out configurations, keeping the selected causes determined."""
     linearized, values = selection.problem.linearize(), selection.fit.values
     changes = [
@@ -249,7 +240,8 @@ def hold_out_configurations(selection: Selection, rng: np.random.Generator) -> l
         for selected, place in zip(selection.law_causes, selection.slices, strict=True)
     ]
     effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
-    return make_folds(linearized, number_session_configurations(selection.problem.rows), rng, effects)
+    kinds, rng = number_session_configurations(selection.problem.rows), np.random.default_rng(FOLD_SEED)
+    return make_folds(linearized, kinds, rng, effects)
 
 
 def number_session_configurations(rows: pd.DataFrame) -> IntArray:

@@ -1,8 +1,8 @@
 """95 % interval of the gain that a repeated campaign would show, by approximate Bayesian computation.
 
 Effect strengths are drawn from a range around their estimates. For each draw two campaigns are
-simulated, linearized at the fit, each with its noise, its splits and a selection that may miss a cause
-or choose another one. Among the draws whose first campaign resembles the log, the second campaigns give
+simulated, linearized at the fit, each with its noise and a selection that may miss a cause or choose
+another one. Among the draws whose first campaign resembles the log, the second campaigns give
 the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
 """
 
@@ -286,7 +286,6 @@ class _SimulatedReplicates:
 def simulate_gain_interval(
     campaign: LinearizedCampaign,
     splits: Sequence[Split],
-    others: Sequence[Sequence[Split]],
     observed: Array,
     rng: np.random.Generator,
     n_draws: int = N_DRAWS,
@@ -297,9 +296,7 @@ def simulate_gain_interval(
     ----------
     campaign : LinearizedCampaign
     splits : sequence of Split
-        Of this campaign.
-    others : sequence of sequence of Split
-        Possible ones of a replicate.
+        Of this campaign and of a replicate.
     observed : array, shape (k + 1,)
         Held-out rms error of the baseline, with the first cause, with the first two, and so on.
     rng : Generator
@@ -311,19 +308,8 @@ def simulate_gain_interval(
         Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
     lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
-    prepared = _prepare_splits(campaign, splits)
-    pairs = [
-        _simulate_replicate_pairs(
-            campaign,
-            prepared,
-            prepared if other is splits else _prepare_splits(campaign, other),
-            lengths,
-            n_draws // len(others),
-            rng,
-        )
-        for other in others
-    ]
-    first, second = (_concatenate(replicates) for replicates in zip(*pairs, strict=True))
+    prepared = [prepare_split(campaign.basis, split, campaign.recolour) for split in splits]
+    first, second = _simulate_replicate_pairs(campaign, prepared, lengths, n_draws, rng)
     steps = [(k, k + 1) for k in range(len(observed) - 1)] + [(0, len(observed) - 1)]
     limits = []
     for step in steps:
@@ -345,12 +331,11 @@ def _concatenate(parts: Sequence[_SimulatedReplicates]) -> _SimulatedReplicates:
 def _simulate_replicate_pairs(
     campaign: LinearizedCampaign,
     splits: Sequence[SplitOperators],
-    others: Sequence[SplitOperators],
     lengths: Array,
     n_draws: int,
     rng: np.random.Generator,
 ) -> tuple[_SimulatedReplicates, _SimulatedReplicates]:
-    """Two replicates of each draw in which a cause is detected, each with its splits."""
+    """Two replicates of each draw in which a cause is detected."""
     n, k = campaign.effects.shape
     width = STRENGTH_RANGE / np.maximum(lengths, 1e-9)
     pairs, size = [], max(MAX_ELEMENTS // n, 1)
@@ -360,8 +345,8 @@ def _simulate_replicate_pairs(
         signal = campaign.effects @ factors.T
         pairs.append(
             [
-                _simulate_replicates(campaign, its_splits, signal + _draw_noise(campaign, number, rng), rng)
-                for its_splits in (splits, others)
+                _simulate_replicates(campaign, splits, signal + _draw_noise(campaign, number, rng), rng)
+                for _ in range(2)
             ]
         )
     first, second = (_concatenate(replicates) for replicates in zip(*pairs, strict=True))
@@ -457,10 +442,6 @@ class SplitOperators:
 
     training: CalibrationOperator
     prediction: CalibrationOperator
-
-
-def _prepare_splits(campaign: LinearizedCampaign, splits: Sequence[Split]) -> list[SplitOperators]:
-    return [prepare_split(campaign.basis, split, campaign.recolour) for split in splits]
 
 
 def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:

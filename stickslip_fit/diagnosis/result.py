@@ -197,7 +197,7 @@ class Diagnosis(Summarized):
         self.require_log()
         for finding in self.findings:
             if finding.cause == UNKNOWN:
-                return explain_structure(self.selection, finding, self.seed)
+                return explain_structure(self.selection, finding)
         return pd.DataFrame({"cause": pd.Series(dtype=str), "share": [], "error": [], "gain": []})
 
     def extended_law(self, *, command: str = "") -> Result | TableFit:

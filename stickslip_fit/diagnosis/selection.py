@@ -150,7 +150,8 @@ def select_causes(
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
         if selected:
             revised = revise_causes(extension[0], chosen)
-            if [one.cause for one in revised] != [one.cause for one in chosen]:
+            # In another version a cause of the same name has other parameters.
+            if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
                 extension = extend_problem(extension[0], revised)
             chosen = revised
         last = assess(extension, chosen)

@@ -30,7 +30,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     select_from_training,
 )
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
-from stickslip_fit.diagnosis.gain import N_REPLICATE_SPLITS, estimate_gain, select_in_fold
+from stickslip_fit.diagnosis.gain import FOLD_SEED, estimate_gain, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -71,11 +71,7 @@ def measure_table_gain(
     order = list(dict.fromkeys(problem.rows["session"].astype(object)))
 
     def estimate(kinds: IntArray, held_out: str) -> tuple[Gain, tuple[Finding, ...]] | None:
-        n_others = N_REPLICATE_SPLITS if selection.law_causes else 0
-        folds, *others = (
-            hold_out_kinds(selection, linearized, kinds, np.random.default_rng([seed, k]))
-            for k in range(1 + n_others)
-        )
+        folds = hold_out_kinds(selection, linearized, kinds)
         if not folds:
             return None
         gain, own = estimate_gain(
@@ -83,7 +79,6 @@ def measure_table_gain(
             findings,
             folds,
             partial(select_in_fold, alpha=alpha),
-            others=[other for other in others if other],
             alpha=alpha,
             seed=seed,
             workers=workers,
@@ -136,9 +131,7 @@ def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[Int
     return kinds, f"blocks of about {pluralize(length, 'consecutive row')}"
 
 
-def hold_out_kinds(
-    selection: Selection, linearized: LinearizedFit, kinds: IntArray, rng: np.random.Generator
-) -> list[Split]:
+def hold_out_kinds(selection: Selection, linearized: LinearizedFit, kinds: IntArray) -> list[Split]:
     """Hold out every kind of row once, except those without which something is not determined.
 
     `linearized` is the baseline. Parameters may belong to a session or to the whole table, so that the
@@ -157,7 +150,7 @@ def hold_out_kinds(
         held[fold] = together
         return True
 
-    return deal_kinds(kinds, number, try_add, rng)
+    return deal_kinds(kinds, number, try_add, np.random.default_rng(FOLD_SEED))
 
 
 def _effects(selection: Selection, linearized: LinearizedFit) -> Array:

@@ -1,10 +1,11 @@
 """How large unknown structure is: what extends the law for it, and what that leaves.
 
 A smooth function or a short expression only comes near an effect that nobody has described. So the
-posterior distribution of the rms has two parts: the fit of what stands in the law, and what the unstructured
+posterior distribution of the rms has three parts: the fit of what stands in the law; what the unstructured
 alternatives find in the residuals of that, a mixture over all of them, their strengths, and nothing at all,
-by their evidence. The AR(1) coefficient is estimated by simulation, since projecting out the calibration
-parameters reduces the correlation of residuals.
+by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). The AR(1)
+coefficient is estimated by simulation, since projecting out the calibration parameters reduces the
+correlation of residuals.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from stickslip_fit.diagnosis.effect_interval import (
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
@@ -137,6 +139,9 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
+    if law is not None and (lack := LackOfFit.of(linearized, law.strength)):
+        squares = lack.draw_squares(len(rms), np.random.default_rng(1))
+        rms = np.sqrt(rms**2 + squares / len(shape) * _rms(problem.scale) ** 2)
     low, middle, high = (float(limit) for limit in np.quantile(rms, QUANTILES_95))
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
     if middle / error > MAX_CONDITIONAL_STRENGTH:

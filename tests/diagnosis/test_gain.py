@@ -13,11 +13,13 @@ from scipy.stats import norm
 
 from stickslip_fit.causes import Wear, library
 from stickslip_fit.diagnosis import gain
+from stickslip_fit.diagnosis import selection as selection_module
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.cross_validation import (
     Split,
     compute_held_out_errors,
+    deal_kinds,
     hold_out_sessions,
     make_folds,
 )
@@ -73,7 +75,7 @@ def waves(study):
 
 
 def splits_of(selection):
-    return hold_out_configurations(selection, np.random.default_rng(0))
+    return hold_out_configurations(selection)
 
 
 def measured(problem, workers=1, selector=SELECT, alpha=ALPHA):
@@ -111,6 +113,36 @@ def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_st
             for split in splits:
                 left = subset & np.isin(part.rows, split.train)
                 assert np.linalg.matrix_rank(slopes[left], 1e-6) == known
+
+
+def test_a_kind_that_no_fold_takes_leaves_the_folds_of_the_others_as_they_are():
+    """So that a replicate, in which a little else is found, has the same folds."""
+    kinds = np.repeat(np.arange(60), np.tile([1, 2, 3], 20))
+    whole, without = (
+        deal_kinds(kinds, 10, lambda fold, rows, refused=refused: kinds[rows[0]] not in refused, _rng())
+        for refused in ([], [7, 30])
+    )
+    left_out = np.flatnonzero(np.isin(kinds, [7, 30]))
+    for one, other in zip(whole, without, strict=True):
+        np.testing.assert_array_equal(np.setdiff1d(one.held_out, left_out), other.held_out)
+    assert np.ptp([len(split.held_out) for split in whole]) <= 3
+
+
+def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(problem, monkeypatch):
+    """It kept the fit of the version before, with as many parameters as that has."""
+    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    other, _ = next(iter(Wear().trials(own_problem.rows)))
+
+    def revise(problem, causes):
+        """The first one with two parameters where it had one."""
+        return [replace(causes[0], version=other, start=np.array(other.start_values)), *causes[1:]]
+
+    monkeypatch.setattr(selection_module, "revise_causes", revise)
+    found = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    numbers = [len(one.version.parameters) for one in found.law_causes]
+    assert len(numbers) >= 2
+    assert sum(numbers) == len(found.fit.values) == len(found.fit.prior_sd)
+    assert found.law_causes[0].version == other
 
 
 def test_causes_stay_known_in_what_is_left(problem):

@@ -142,7 +142,7 @@ def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == ["drift"]
     looks = prepare_looks(selection, ALPHA)
-    split = hold_out_configurations(selection, np.random.default_rng(0))[0]
+    split = hold_out_configurations(selection)[0]
     confirmed = confirm_held_out_errors(looks, split, findings)
     repeated = compute_held_out_errors(
         selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)

@@ -63,7 +63,7 @@ def cases(kind: str, logs: int, strengths: tuple[float, ...] = STRENGTHS, first:
             yield Case(kind, DESIGNS[number % 3], NOISES[(number // 3) % 3], strength, seed)
 
 
-def make(case: Case) -> Hidden | None:
+def make(case: Case, replicate: int = 0) -> Hidden | None:
     """The log of a case; None where its effect cannot be as strong."""
     rng = np.random.default_rng([case.seed, int(10 * case.strength), len(case.kind)])
     names: tuple[str, ...] = ()
@@ -77,7 +77,9 @@ def make(case: Case) -> Hidden | None:
         names = tuple(map(str, rng.choice(able, number, replace=False)))
     decoys = DECOYS if case.kind == "nothing" else ()
     try:
-        return hide(case.design, names, case.strength or None, case.noise, decoys, case.seed)
+        return hide(
+            case.design, names, case.strength or None, case.noise, decoys, case.seed, replicate=replicate
+        )
     except UnreachableError:
         return None
 

@@ -21,8 +21,7 @@ def held_out_rms(frame, splits, *, extended):
 
 def splits_of(diagnosis, kinds):
     selection = diagnosis.selection
-    rng = np.random.default_rng([diagnosis.seed, 0])
-    folds = hold_out_kinds(selection, selection.problem.linearize(), kinds, rng)
+    folds = hold_out_kinds(selection, selection.problem.linearize(), kinds)
     return [(split.train, split.held_out) for split in folds]
 
 

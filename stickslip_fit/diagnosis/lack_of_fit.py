@@ -1,0 +1,100 @@
+"""How much a law may still lack, in no form that the alternatives have: what replicates tell from noise.
+
+A term or smooth function for unknown structure only comes near it. What is left varies between
+configurations, sessions and directions; noise varies within them, too. So the residuals have two sums of
+squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and N. R. Draper,
+Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a law that lacks
+nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses grows with the
+effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+from scipy.special import softmax
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.alternatives import number_configurations
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+
+SHARES = np.array([0.125, 0.25, 0.5])  # of the norm of an effect, that a law which comes near it lacks
+MIN_REPLICATES = 8  # degrees of freedom within cells; with fewer, noise and lack of fit cannot be told apart
+GAUSSIAN_KURTOSIS = 3.0
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """Squared residuals of a law between cells of replicates and within them, in units of the noise.
+
+    Attributes
+    ----------
+    between, within : float
+        Sums of squares.
+    df_between, df_within : int
+        Their degrees of freedom.
+    kurtosis : float
+        Of the residuals; 3 or more.
+    strength : float
+        Norm of the effect that is in the law.
+
+    Examples
+    --------
+    Without a difference the law probably lacks nothing; where cells differ, it does.
+
+    >>> alike, different = (LackOfFit(squares, 100, 200, 100, 3.0, 25.0) for squares in (200, 300))
+    >>> alike.probabilities.round(2), different.probabilities.round(2)
+    (array([0.66, 0.21, 0.13, 0.  ]), array([0.16, 0.09, 0.31, 0.44]))
+    """
+
+    between: float
+    within: float
+    df_between: int
+    df_within: int
+    kurtosis: float
+    strength: float
+
+    @classmethod
+    def of(cls, linearized: LinearizedFit, strength: float) -> LackOfFit | None:
+        """Of a log's law, with what extends it; None without enough replicates, and of other tables."""
+        rows, residual = linearized.rows, linearized.residual
+        if linearized.noise_filter is not None or not all(
+            hasattr(one.law, "joint") for one in linearized.parts
+        ):
+            return None
+        session, _ = pd.factorize(rows["session"].astype(object))
+        keys = np.column_stack([session, number_configurations(rows), linearized.direction_sign])
+        _, cell = np.unique(keys, axis=0, return_inverse=True)
+        size, cell = np.bincount(cell.ravel()), cell.ravel()
+        df_within, df_between = len(rows) - len(size), linearized.df - len(rows) + len(size)
+        if df_within < MIN_REPLICATES or df_between < 1:
+            return None
+        within = float(np.sum((residual - (np.bincount(cell, residual) / size)[cell]) ** 2))
+        kurtosis = float(np.mean(residual**4) / np.mean(residual**2) ** 2)
+        total = float(residual @ residual)
+        return cls(total - within, within, df_between, df_within, max(kurtosis, GAUSSIAN_KURTOSIS), strength)
+
+    @property
+    def signal(self) -> Array:
+        """Variance between cells over that of the noise: none, and with each of `SHARES`."""
+        return np.append(0.0, (self.strength * SHARES) ** 2) / self.df_between
+
+    @cached_property
+    def probabilities(self) -> Array:
+        """Posterior of each; in heavy tails squares say less, by the ratio of their variances."""
+        df = self.df_between + self.df_within
+        left = self.between / (1.0 + self.signal) + self.within
+        log_evidence = -0.5 * (self.df_between * np.log1p(self.signal) + df * np.log(left))
+        log_evidence *= (GAUSSIAN_KURTOSIS - 1.0) / (self.kurtosis - 1.0)
+        prior = np.append(0.5, np.full(len(SHARES), 0.5 / len(SHARES)))
+        return np.asarray(softmax(log_evidence + np.log(prior)))
+
+    def draw_squares(self, number: int, rng: np.random.Generator) -> Array:
+        """Draws of the squared norm of what the law lacks, in units of the noise, shape (number,)."""
+        kept = self.signal / (1.0 + self.signal)
+        variance = (self.between * (1.0 - kept) + self.within) / (self.df_between + self.df_within)
+        squares = kept**2 * self.between / variance + kept * self.df_between
+        return squares[rng.choice(len(squares), number, p=self.probabilities)]

@@ -1,0 +1,70 @@
+"""Standard errors of a cause's parameters: those of the fit that was made, under the noise that there is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from stickslip_fit.diagnosis import diagnose, effect_interval
+from stickslip_fit.diagnosis.effect_interval import expected_covariance
+from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.finding import shown_size
+from tests.hidden.gain_study import read as read_hidden
+from tests.hidden.generate import UnreachableError, hide
+from tests.hidden.study import DESIGNS, NOISES
+
+SIZES = {"thermal-warm-up": "A", "drift": "k", "end-stop-latency": "L"}
+
+
+def design_matrix(selection):
+    """Slopes of every response with each block's own parameters, and with the causes'; shape (n, p + q)."""
+    problem, q, blocks = selection.problem, len(selection.fit.values), []
+    shared = np.zeros((len(problem), q))
+    for part in selection.fit.parts:
+        slopes = part.law.jacobian(problem.rows.iloc[part.rows], part.values)
+        shared[part.rows] = slopes[:, -q:]
+        for block in np.unique(part.block):
+            columns = np.zeros((len(problem), slopes.shape[1] - q))
+            columns[part.rows[part.block == block]] = slopes[part.block == block, :-q]
+            blocks.append(columns / np.abs(columns).max(axis=0))
+    return np.concatenate([*blocks, shared], axis=1)
+
+
+def test_errors_are_those_of_weighted_least_squares_under_other_noise(named, monkeypatch):
+    """Rows weighted as in the fit, noise twice as large in a third of them."""
+    selection = named.selection
+    problem, q = selection.problem, len(selection.fit.values)
+    times = np.where(np.random.default_rng(1).random(len(problem)) < 1 / 3, 2.0, 1.0)
+    noisy = replace(problem, noise_ratio=times * problem.noise_ratio)
+    monkeypatch.setattr(effect_interval, "expect_noise", lambda *_: noisy)
+    estimator = np.linalg.pinv(design_matrix(selection) / problem.scale[:, None])[-q:] / problem.scale
+    by_hand = estimator * noisy.scale @ (estimator * noisy.scale).T
+    assert expected_covariance(selection) == pytest.approx(by_hand, rel=1e-6)
+    (finding,) = size_findings(selection, problem, named.alpha)
+    half = [(one.size.high - one.size.low) / 2 for one in finding.parameters]
+    assert half == pytest.approx(1.959964 * np.sqrt(np.diag(by_hand)), rel=1e-4)
+
+
+@pytest.mark.nightly
+def test_intervals_of_parameters_hold_their_truth():
+    """Of single causes at strength 12 in each noise, where one of those below is named."""
+    inside = []
+    for seed in range(300):
+        cause = list(SIZES)[seed % 3]
+        case = DESIGNS[seed % 2], (cause,), 12.0, NOISES[seed // 6 % 3]
+        try:
+            hidden = hide(*case, seed=seed, forms={cause: "table"})
+        except UnreachableError:
+            continue
+        found = diagnose(read_hidden(hidden), seed=seed, gain=False).findings
+        if not found or found[0].cause != cause:
+            continue
+        truth = {one["name"]: one["value"] for one in hidden.truth["effects"][0]["parameters"]}
+        (parameter,) = (one for one in found[0].parameters if one.name == SIZES[cause])
+        size = shown_size(parameter)
+        inside.append(size.low <= truth[SIZES[cause]] <= size.high)
+    assert len(inside) > 200
+    assert binom.ppf(0.001, len(inside), 0.93) <= sum(inside) <= binom.ppf(0.999, len(inside), 0.97)
