@@ -306,6 +306,8 @@ def problem_from_log(
     if MISFIRE not in outlier_causes:  # no law counts steps until a stop is heard
         missing.pop(MISFIRE, None)
         candidates = tuple(cause for cause in candidates if cause.name != MISFIRE)
+    laws_of_log = [part.law for part in parts]
+    candidates = tuple(cause.for_laws(laws_of_log) for cause in candidates)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.causes import Humidity, Wear
-from stickslip_fit.causes.friction import FrictionEffect
+from stickslip_fit.causes.friction import StageEffect
 from stickslip_fit.laws import published_law
 from stickslip_fit.laws.physical import FRICTION_LIMITED, PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.machine import load_machine
@@ -69,4 +69,4 @@ def test_its_derivatives_are_those_of_the_counts(ratio):
 def test_under_the_published_law_it_multiplies_the_step():
     law = published_law(3, rows_of(3), MACHINE)
     assert Humidity().under(law) == Humidity()
-    assert isinstance(Humidity().under(PhysicalPrismatic()), FrictionEffect)
+    assert isinstance(Humidity().under(PhysicalPrismatic()), StageEffect)
