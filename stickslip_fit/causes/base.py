@@ -121,6 +121,10 @@ class Cause(ABC):
         """
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """Values that lie between those of `trials`, about some of shape (q,); shape (m, q), none as a rule."""
+        return np.empty((0, len(values)))
+
     @property
     def start_values(self) -> tuple[float, ...]:
         """Where a fit starts that follows trials in combination: without effect, unless it is level there."""

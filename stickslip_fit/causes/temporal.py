@@ -29,6 +29,7 @@ from stickslip_fit.causes.parameters import (
     changes_since,
     is_since,
     moment_parameter,
+    moments_about,
 )
 from stickslip_fit.laws import State, StepLaw
 
@@ -163,6 +164,11 @@ class SessionJump(FactorCause):
             for session, moments in candidate_moments(rows)
             if self.session in ("", session)
         ]
+
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """See `Cause.finer_trials`: other moments."""
+        moments = moments_about(rows, self.session, values[1])
+        return np.column_stack([np.full(len(moments), values[0]), moments])
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`."""

@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis.extension import (
 )
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
+    compute_finer_effects,
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import assess_support
@@ -202,16 +203,20 @@ def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -
 
 
 def _reestimate_noise(
-    problem: DiagnosisProblem, effects: Sequence[FiniteEffects] | None = None
+    problem: DiagnosisProblem, effects: list[FiniteEffects] | None = None
 ) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
     """The problem with re-estimated noise, its fit, and its residuals without structure.
 
     The residuals are in units of the largest noise that their configuration may have. `effects` are as of
-    `assess_residuals`.
+    `assess_residuals`; those of finer trials are added.
     """
     for _ in range(2):
         linearized = problem.linearize()
         misfit = compute_evidence(linearized, problem, effects=effects)
+        if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
+            # A row at a sudden change would be an outlier by the nearest candidate moment.
+            effects += finer
+            misfit = compute_evidence(linearized, problem, effects=effects)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         noise = problem.estimate_noise(linearized, left)
         problem = problem.with_noise(noise)

@@ -18,7 +18,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._optimize import Groups, Minimum
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
 from stickslip_fit.laws import Rows, StepLaw
-from stickslip_fit.laws.physical import FRICTION_LIMITED, physical_law_with
+from stickslip_fit.laws.physical import FRICTION_LIMITED, Physical, physical_law_with
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior
@@ -28,6 +28,8 @@ UNLIKELY = 0.147  # likelihood ratio at the ends of an interval of 95 %
 NEGLIGIBLE = 1e-3  # of the largest density
 FLAT = 0.7  # likelihood ratio of neighbours between which nothing is looked for
 MAX_ITERATIONS = 60
+MAX_OTHERS, MAX_CHANGES = 4, 2  # lambdas beside the best, and directions in which their fits differ
+MIN_CHANGE = 1e-3  # of the responses of all traverses together
 START_SLOPE = 0.2  # share of the step size that a full load takes
 
 
@@ -67,6 +69,13 @@ class RatioProfile:
         if self.likelihood[-1] > UNLIKELY:
             return FRICTION_LIMITED
         return float(self.ratios[np.argmax(self.likelihood)])
+
+    @property
+    def others(self) -> tuple[float, ...]:
+        """A few lambdas besides the best that are not very unlikely, the least and the greatest among them."""
+        inside = self.ratios[(self.likelihood > NEGLIGIBLE) & (self.ratios != self.best)]
+        at = np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MAX_OTHERS)).round().astype(int))
+        return tuple(map(float, inside[at]))
 
     @property
     def noise(self) -> float:
@@ -123,7 +132,47 @@ def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     """
     profiles = profile_ratio(joint, pd.DataFrame(rows), machine) if len(rows) else {}
     ratios = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
-    return physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+    law = physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+    up, down = (profiles[way].others if way in profiles else () for way in "+-")
+    law.plausible = up, down
+    return law
+
+
+def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tuple[IntArray, Array]]:
+    """What the choice of lambda leaves open in the responses of a log.
+
+    Parameters
+    ----------
+    law : object
+        A physical law with `plausible`; nothing is open of another.
+    rows : DataFrame
+        Traverses of its joint, from which lambda was chosen.
+    machine : Machine
+
+    Returns
+    -------
+    list of (array of int, shape (m,); array, shape (m, k))
+        For each direction its rows, and by how much the responses of a fit with each of the other plausible
+        lambdas differ from those of the fit with the law's own.
+    """
+    if not isinstance(law, Physical) or not any(law.plausible):
+        return []
+    search = _RatioSearch(law.joint, rows, machine)
+    changes = []
+    for sign, ratio, others in zip("+-", law.ratios, law.plausible, strict=True):
+        own = np.flatnonzero((rows["direction"] == sign).to_numpy())
+        if not (len(own) and others):
+            continue
+        for each in (ratio, *others):
+            if each not in search.found:
+                search.evaluate(each)
+        residuals = [search.residuals[ratio][own] - search.residuals[each][own] for each in others]
+        known = [change for change in residuals if np.all(np.isfinite(change))]
+        left, singular, _ = np.linalg.svd(np.array([*known, 0.0 * own]).T, full_matrices=False)
+        kept = (singular > MIN_CHANGE)[:MAX_CHANGES]
+        if kept.any():
+            changes.append((own, (left * singular)[:, :MAX_CHANGES][:, kept]))
+    return changes
 
 
 def profile_ratio(
@@ -162,6 +211,7 @@ class _RatioSearch:
         self.joint, self.rows, self.machine = joint, rows, machine
         self.found: dict[float, dict[str, tuple[float, ...]]] = {}
         self.minima: dict[float, Array] = {}
+        self.residuals: dict[float, Array] = {}
 
     def evaluate(self, ratio: float) -> None:
         """Sum of squares, mean r and its error of each direction at a lambda."""
@@ -200,7 +250,7 @@ class _RatioSearch:
             other = problem.minimize(weight, start, MAX_ITERATIONS)
             old, new = (problem.groups.sums(each.residual**2) for each in (minimum, other))
             minimum = _either(new < old, other, minimum, problem.groups)
-        self.minima[ratio] = minimum.values
+        self.minima[ratio], self.residuals[ratio] = minimum.values, minimum.residual
         return minimum
 
     def wanted(self) -> list[float]:

@@ -90,9 +90,16 @@ def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: 
 
 
 class Physical(StepLaw):
-    """A slider driven by Coulomb friction; `ratios` is lambda in `+` and in `-`."""
+    """A slider driven by Coulomb friction; `ratios` is lambda in `+` and in `-`.
+
+    Attributes
+    ----------
+    plausible : tuple of tuple of float
+        In `+` and in `-`, other lambdas that the log from which they were chosen does not rule out.
+    """
 
     ratios: Ratios
+    plausible: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
     @property
     def has_kinks(self) -> bool:  # type: ignore[override]
