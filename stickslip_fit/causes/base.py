@@ -122,7 +122,7 @@ class Cause(ABC):
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
     def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
-        """Values that lie between those of `trials`, about some of shape (q,); shape (m, q), none as a rule."""
+        """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
         return np.empty((0, len(values)))
 
     @property
@@ -159,7 +159,7 @@ class Cause(ABC):
         return extend(law, self)
 
     def for_laws(self, laws: Iterable[StepLaw]) -> Cause:
-        """The cause with all forms that it may have under the laws of a log; itself unless they allow more."""
+        """The cause with all forms that it may have under a log's laws; itself unless they allow more."""
         return self
 
     def under(self, law: StepLaw) -> Cause:

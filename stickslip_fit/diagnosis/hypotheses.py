@@ -30,7 +30,6 @@ from stickslip_fit.diagnosis.linearized import (
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
-MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
@@ -467,32 +466,18 @@ def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> 
     for cause in causes:
         for version, trials in cause.trials(linearized.rows):
             where = sessions[version.session] if version.session else linearized
-            changes = _scale_stalled(where, version, trials)
-            failed = find_failed(changes)
-            changes[:, failed] = 0.0
-            effects.append(FiniteEffects(cause.name, version, trials, changes, failed))
+            effects.append(compute_version_effects(where, cause.name, version, trials))
     return effects
 
 
-def compute_finer_effects(linearized: LinearizedFit, misfit: Any) -> list[FiniteEffects]:
-    """The effects of trials between those that a test found likely, of causes that choose among trials."""
-    found = []
-    for cause, evidence in misfit.log_evidence_by_cause.items():
-        if evidence < MIN_FINER:
-            continue
-        best = misfit.best_hypothesis(cause)
-        finer = getattr(best.version, "finer_trials", None)
-        if finer is None or best.values is None:
-            continue
-        trials = finer(linearized.rows, best.values)
-        trials = trials[np.any(trials != best.values, axis=1)]
-        if len(trials):
-            where = split_sessions(linearized)[best.version.session] if best.version.session else linearized
-            changes = _scale_stalled(where, best.version, trials)
-            failed = find_failed(changes)
-            changes[:, failed] = 0.0
-            found.append(FiniteEffects(cause, best.version, trials, changes, failed))
-    return found
+def compute_version_effects(
+    linearized: LinearizedFit | SessionFit, cause: str, version: Any, trials: Array
+) -> FiniteEffects:
+    """What a version of a cause changes at trials, shape (m, q), in the rows in which it acts."""
+    changes = _scale_stalled(linearized, version, trials)
+    failed = find_failed(changes)
+    changes[:, failed] = 0.0
+    return FiniteEffects(cause, version, trials, changes, failed)
 
 
 @dataclass(frozen=True, eq=False)

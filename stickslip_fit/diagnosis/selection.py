@@ -31,13 +31,13 @@ from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     assess_residuals,
     compute_evidence,
+    compute_finer_effects,
     extend_problem,
     law_causes,
     make_selected,
 )
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
-    compute_finer_effects,
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import assess_support

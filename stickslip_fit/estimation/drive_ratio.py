@@ -72,7 +72,7 @@ class RatioProfile:
 
     @property
     def others(self) -> tuple[float, ...]:
-        """A few lambdas besides the best that are not very unlikely, the least and the greatest among them."""
+        """A few lambdas besides the best that are not very unlikely, the least and the greatest included."""
         inside = self.ratios[(self.likelihood > NEGLIGIBLE) & (self.ratios != self.best)]
         at = np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MAX_OTHERS)).round().astype(int))
         return tuple(map(float, inside[at]))
