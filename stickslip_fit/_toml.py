@@ -216,11 +216,20 @@ def fault(advice: str, issues: Sequence[InputIssue] = ()) -> PydanticCustomError
     return PydanticCustomError(FAULT, "{advice}", {"advice": advice, "issues": issues})
 
 
-def chosen_by(key: str, models: Mapping[Any, type[TomlTable]], other: type[TomlTable]) -> WrapValidator:
-    """For a table whose keys depend on the value of one; `other` for values without a model."""
+def chosen_by(
+    key: str | Callable[[Mapping[str, Any]], Any],
+    models: Mapping[Any, type[TomlTable]],
+    other: type[TomlTable],
+) -> WrapValidator:
+    """For a table whose keys depend on the value of one, or on what a function makes of it.
+
+    `other` is for values without a model.
+    """
 
     def read(written: Any, inner: Any, info: ValidationInfo) -> Any:
-        value = written.get(key) if isinstance(written, dict) else None
+        value = None
+        if isinstance(written, dict):
+            value = key(written) if callable(key) else written.get(key)
         model = models.get(value, other) if type(value) in (int, str) else other
         return model.model_validate(written, context=info.context)
 

@@ -8,7 +8,7 @@ at exactly one of these stages; `ExtendedLaw` is a published law with causes in 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from typing import Any, ClassVar, Literal
@@ -121,6 +121,10 @@ class Cause(ABC):
         """
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
+        return np.empty((0, len(values)))
+
     @property
     def start_values(self) -> tuple[float, ...]:
         """Where a fit starts that follows trials in combination: without effect, unless it is level there."""
@@ -153,6 +157,10 @@ class Cause(ABC):
     def extend(self, law: StepLaw) -> ExtendedLaw:
         """`law` with this cause in it."""
         return extend(law, self)
+
+    def for_laws(self, laws: Iterable[StepLaw]) -> Cause:
+        """The cause with all forms that it may have under a log's laws; itself unless they allow more."""
+        return self
 
     def under(self, law: StepLaw) -> Cause:
         """The cause as it acts under a law; itself unless the law knows what the cause changes."""

@@ -15,7 +15,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
-from stickslip_fit.causes.friction import friction_effect
+from stickslip_fit.causes.friction import stage_effect
 from stickslip_fit.causes.parameters import CauseParameter, Sizes, fill_empty, missing_column
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -143,7 +143,7 @@ class Humidity(ColumnCause):
 
     def under(self, law: StepLaw) -> Cause:
         """See `Cause.under`: it changes friction."""
-        return friction_effect(self, law)
+        return stage_effect(self, law)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from stickslip_fit.causes.parameters import (
     is_since,
     missing_column,
     moment_parameter,
+    moments_about,
 )
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.machine import Machine
@@ -240,6 +241,13 @@ class PayloadChange(StateCause):
         if self.session == "" and missing_column(rows, "payload") is None:
             versions += super().trials(rows)
         return versions
+
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """See `Cause.finer_trials`: other moments."""
+        if self.session == "":
+            return super().finer_trials(rows, values)
+        moments = moments_about(rows, self.session, values[1])
+        return np.column_stack([np.full(len(moments), values[0]), moments])
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""

@@ -201,6 +201,17 @@ def candidate_moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
     return times
 
 
+def moments_about(rows: pd.DataFrame, session: str, moment: float) -> Array:
+    """All times halfway between traverses of a session that are as near as the next candidates."""
+    subset = rows[rows["session"].astype(object) == session]
+    candidates = dict(candidate_moments(rows)).get(session, np.empty(0))
+    seconds = np.unique(subset["session_seconds"].to_numpy(float))
+    between = ((seconds[1:] + seconds[:-1]) / 2)[MIN_TRAVERSES - 1 : 1 - MIN_TRAVERSES]
+    spacing = int(np.ceil(len(between) / max(len(candidates), 1)))
+    place = int(np.searchsorted(between, moment))
+    return between[max(place - spacing, 0) : place + spacing + 1]
+
+
 def moment_parameter(session: str) -> CauseParameter:
     """The parameter for the time of a lasting change in a session."""
     meaning = "when, from the session's first traverse"

@@ -158,7 +158,7 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
             f"the saved law has a cause {name!r}, which is not in the library; pass it in `causes`"
         )
     cause: Any = known[name]
-    return replace(cause, **{field.name: bound[field.name] for field in fields(cause)})
+    return replace(cause, **{field.name: bound[field.name] for field in fields(cause) if field.name in bound})
 
 
 def _to_tuples(value: Any) -> Any:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import log, log10
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
-from stickslip_fit.causes.friction import friction_effect
+from stickslip_fit.causes.friction import (
+    FRICTION,
+    RAMP_TIME,
+    STEP,
+    VOLTAGE,
+    distinct_quantities,
+    stage_effect,
+)
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -21,6 +29,7 @@ from stickslip_fit.causes.parameters import (
     changes_since,
     is_since,
     moment_parameter,
+    moments_about,
 )
 from stickslip_fit.laws import State, StepLaw
 
@@ -90,9 +99,21 @@ class Drift(FactorCause):
 
 @dataclass(frozen=True)
 class SessionJump(FactorCause):
-    """gamma times 1 + A from one moment of one session on."""
+    """gamma times 1 + A from one moment of one session on.
+
+    Attributes
+    ----------
+    session : str
+        In which it happens; empty for any.
+    form : {"step", "friction", "voltage", "ramp time", ""}
+        What is multiplied under a physical law, see `causes.friction`; empty for any.
+    tried : tuple of str
+        The forms that an empty one stands for.
+    """
 
     session: str = ""
+    form: str = STEP
+    tried: tuple[str, ...] = ()
 
     name = "session-jump"
     phrase = "something jumped within a session"
@@ -101,27 +122,53 @@ class SessionJump(FactorCause):
         "sliding surfaces from one traverse to the next, and it stays changed until the session's end."
     )
     shows_best = "the configurations of before the jump once more, after it"
-    sentence = "Steps {A:grow|shrink} by {A} {moment} into session {session}, and stay so"
     remedy = "calibrating anew after it"
     columns = ("session", "session_seconds")
     null_values = (0.0, 0.0)
     scale = (0.01, 600.0)
+    forms = (STEP, FRICTION, VOLTAGE, RAMP_TIME)
+
+    @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        subject = "Steps {A:grow|shrink}" if self.form in ("", STEP) else f"The {self.form} {{A:grows|falls}}"
+        return subject + " by {A} {moment} into session {session}, and stay so"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
+        what = "step size" if self.form in ("", STEP) else self.form
         return (
-            CauseParameter("A", "%", "change of the step size", session=self.session),
+            CauseParameter("A", "%", f"change of the {what}", session=self.session),
             moment_parameter(self.session),
         )
+
+    def for_laws(self, laws: Iterable[StepLaw]) -> Self:
+        """See `Cause.for_laws`: of what laws know, anything may jump."""
+        if self.form != STEP or len(tried := distinct_quantities(laws)) == 1:
+            return self
+        return replace(self, form="", tried=tried)
+
+    def under(self, law: StepLaw) -> Cause:
+        """See `Cause.under`: it changes a quantity of the stage."""
+        return stage_effect(self, law, self.form or STEP)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
         return [
-            (replace(self, session=session), np.column_stack([np.full(len(moments), 0.01), moments]))
+            (
+                replace(self, session=session, form=form, tried=()),
+                np.column_stack([np.full(len(moments), 0.01), moments]),
+            )
+            for form in self.tried or (self.form,)
             for session, moments in candidate_moments(rows)
             if self.session in ("", session)
         ]
+
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """See `Cause.finer_trials`: other moments."""
+        moments = moments_about(rows, self.session, values[1])
+        return np.column_stack([np.full(len(moments), values[0]), moments])
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`."""
@@ -172,7 +219,7 @@ class Wear(FactorCause):
 
     def under(self, law: StepLaw) -> Cause:
         """See `Cause.under`: it changes friction."""
-        return friction_effect(self, law)
+        return stage_effect(self, law)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""

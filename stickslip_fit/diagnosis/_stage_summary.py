@@ -61,6 +61,11 @@ def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
     told = describe_changes(changes, intervals=intervals)
     regime = f" ({reading.regime} steps)" if reading.regime else ""
     text = f"As a change of the stage, {causes} would be, where it acts most: {told}{regime}."
+    if len(reading.causes) > 1:
+        text = (
+            f"One change of the stage explains {causes} together, so that there is one fault to look for: "
+            f"where it acts most, {told}{regime}."
+        )
     if intervals and {change.quantity for change in changes} == {"friction", "mass"}:
         return f"{text} Counts cannot tell friction from mass."
     if intervals and len(changes) > 1:

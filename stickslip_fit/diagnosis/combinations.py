@@ -23,8 +23,8 @@ from stickslip_fit.diagnosis.extension import (
     fit_causes,
     make_selected,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis
-from stickslip_fit.diagnosis.linearized import ExtendedFit
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
@@ -253,7 +253,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
     for cause in likeliest:
-        one = make_selected(misfit, form_cause_set(misfit, cause))
+        trial = make_selected(misfit, form_cause_set(misfit, cause))
+        one = _refine(trial, before)
         try:
             fit = fit_causes(problem, [*selected, one])
             after = problem.linearize_extended(fit)
@@ -268,18 +269,30 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         if left > 0 and not has_more_forms and not hasattr(one.version, "with_amplitude"):
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.
             evidence[cause] = min(evidence[cause], max(-0.5 * before.df * float(np.log(left)), 0.0))
-        if gain > 0:
-            evidence[cause] += gain
+        evidence[cause] += gain
+        if gain > 0 or one is not trial:
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
         if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
-            extensions[cause] = trial, fit, _ = extend_problem(problem, [*selected, one])
-            likelihoods[cause] = penalised_likelihood(trial, fit)
+            extensions[cause] = extended, fit, _ = extend_problem(problem, [*selected, one])
+            likelihoods[cause] = penalised_likelihood(extended, fit)
     if likelihoods:
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
     return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
+
+
+def _refine(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
+    """A cause whose start values are the best of its finer trials, if it has any."""
+    finer = getattr(one.version, "finer_trials", None)
+    if finer is None or not len(one.start) or not len(trials := finer(before.rows, one.start)):
+        return one
+    effects = compute_effects(before, one.version, trials)
+    length = np.sqrt(np.sum(effects**2, axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        explained = np.where(length > EFFECT_TOL, before.residual @ effects / length, 0.0)
+    return replace(one, start=trials[int(np.argmax(explained))])
 
 
 def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:

@@ -20,6 +20,8 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_changes,
     compute_effects,
     compute_finite_effects,
+    compute_version_effects,
+    split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, drop_single_rows
@@ -32,6 +34,7 @@ OUTLIER_ALPHA_SHARE = 0.25
 # twice as often (`benchmarks/README.md`).
 SELECTION_FACTOR = 2
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
+MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
 
 
@@ -136,6 +139,23 @@ def compute_evidence(
 ) -> Misfit:
     """As `assess_residuals`, without a p-value."""
     return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
+
+
+def compute_finer_effects(linearized: LinearizedFit, misfit: Misfit) -> list[FiniteEffects]:
+    """The effects of trials between those that a test found likely, of causes that choose among trials."""
+    found = []
+    for cause, evidence in misfit.log_evidence_by_cause.items():
+        best = misfit.best_hypothesis(cause)
+        finer = getattr(best.version, "finer_trials", None)
+        if evidence < MIN_FINER or finer is None or best.values is None:
+            continue
+        trials = finer(linearized.rows, best.values)
+        trials = trials[np.any(trials != best.values, axis=1)]
+        if len(trials):
+            session = best.version.session
+            where = split_sessions(linearized)[session] if session else linearized
+            found.append(compute_version_effects(where, cause, best.version, trials))
+    return found
 
 
 def fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> ExtendedFit:

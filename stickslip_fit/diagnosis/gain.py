@@ -195,7 +195,7 @@ def _collect_errors(
 
 def _baseline_errors(selection: Selection, splits: Sequence[Split], recolour: Recolouring) -> Array:
     """By linear algebra: where nothing extends the law, the selection need not be repeated."""
-    linearized = selection.problem.linearize()
+    linearized = selection.problem.with_laws_as_chosen.linearize()
     residual = linearized.residual[:, None]
     errors = [
         prepare_calibration(linearized.basis, split.calibration, split.held_out, recolour).subtract(residual)[
@@ -261,7 +261,7 @@ def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: f
 
 def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: float) -> LinearizedCampaign:
     """The fit with its causes, linearized, for simulated replicates; `causes` give the order."""
-    linearized, fit = selection.problem.linearize(), selection.fit
+    linearized, fit = selection.problem.with_laws_as_chosen.linearize(), selection.fit
     by_name = {
         selected.cause: (selected, place)
         for selected, place in reversed([*zip(selection.law_causes, selection.slices, strict=True)])

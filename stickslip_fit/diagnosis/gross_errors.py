@@ -18,12 +18,11 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.influence import OUTLYING_SD
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection, predict_departures, select_outliers
+from stickslip_fit.diagnosis.selection import Selection, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
 from stickslip_fit.diagnosis.unevenness import Residuals, estimate_unevenness, group_rows
 
@@ -148,16 +147,6 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
         df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled
     )
     return replace(smaller, repeatability=np.sqrt(variance))
-
-
-def restore_rows(selection: Selection, problem: DiagnosisProblem, aside: IntArray) -> IntArray:
-    """Which of the rows that were set aside the law with the named causes explains after all."""
-    if not selection.law_causes or not len(aside):
-        return aside[:0]
-    departure = predict_departures(selection, problem, aside)
-    smaller = selection.problem
-    sd = np.sqrt(smaller.repeatability[problem.noise_group[aside]] ** 2 + problem.rounding[aside])
-    return aside[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
 
 
 def with_gross_errors(selection: Selection, n: int, aside: IntArray, p_value: float) -> Selection:

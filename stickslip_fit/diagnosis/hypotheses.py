@@ -466,11 +466,18 @@ def compute_finite_effects(linearized: LinearizedFit, causes: Iterable[Any]) -> 
     for cause in causes:
         for version, trials in cause.trials(linearized.rows):
             where = sessions[version.session] if version.session else linearized
-            changes = _scale_stalled(where, version, trials)
-            failed = find_failed(changes)
-            changes[:, failed] = 0.0
-            effects.append(FiniteEffects(cause.name, version, trials, changes, failed))
+            effects.append(compute_version_effects(where, cause.name, version, trials))
     return effects
+
+
+def compute_version_effects(
+    linearized: LinearizedFit | SessionFit, cause: str, version: Any, trials: Array
+) -> FiniteEffects:
+    """What a version of a cause changes at trials, shape (m, q), in the rows in which it acts."""
+    changes = _scale_stalled(linearized, version, trials)
+    failed = find_failed(changes)
+    changes[:, failed] = 0.0
+    return FiniteEffects(cause, version, trials, changes, failed)
 
 
 @dataclass(frozen=True, eq=False)

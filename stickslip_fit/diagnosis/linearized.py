@@ -24,6 +24,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
 from stickslip_fit.estimation._optimize import Groups
 
+RowChanges = tuple[IntArray, Array]
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
 OFFSET_TOL = 3e-3  # standard errors before the last step
@@ -148,7 +149,9 @@ class LinearizedFit:
     @property
     def allows_opposite(self) -> bool:
         """Whether effects of opposite sign by direction are as large as the same without, once projected."""
-        return self.separates_directions and not self.shared_basis.shape[1]
+        forward = self.direction_sign > 0
+        in_both = np.any(self.shared_basis[forward], axis=0) & np.any(self.shared_basis[~forward], axis=0)
+        return self.separates_directions and not in_both.any()
 
     @cached_property
     def _basis_transposed(self) -> csr_array:
@@ -195,6 +198,7 @@ def linearize_fit(
     absorbed: Array | None = None,
     noise_filter: csr_array | None = None,
     prior_sd: Array | None = None,
+    uncertain: Sequence[RowChanges] = (),
 ) -> LinearizedFit:
     """Linearize laws about their fitted values.
 
@@ -216,6 +220,9 @@ def linearize_fit(
     prior_sd : array, shape (q,), optional
         Of the last q shared parameters, see `ExtendedFit`: directions about which the data say less than the
         prior are not projected out.
+    uncertain : sequence of (array of int, array of shape (m, k)), optional
+        Changes of the responses of some rows that a law's own choice leaves open, to project out; no row is
+        in two of them.
     """
     n = len(rows)
     residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
@@ -230,6 +237,13 @@ def linearize_fit(
             for places in split_positions(part.block)
         ]
     basis = _stack_blocks(n, blocks)
+    for places, changes in uncertain:
+        open_changes = np.zeros((n, changes.shape[1]))
+        open_changes[places] = whiten(changes, scale[places], select_filter(noise_filter, places))
+        # One after the other, so that none of them reaches beyond its own rows.
+        basis = csr_array(
+            hstack([basis, csr_array(_orthonormalize(open_changes - basis @ (basis.T @ open_changes)))])
+        )
     if prior_sd is not None and np.isfinite(prior_sd).any():
         common = _keep_determined(common, basis, prior_sd)
     common = common if absorbed is None else np.concatenate([common, absorbed], axis=1)

@@ -40,7 +40,6 @@ from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.gross_errors import (
     find_gross_errors,
-    restore_rows,
     set_aside,
     with_gross_errors,
 )
@@ -48,7 +47,13 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
-from stickslip_fit.diagnosis.selection import Selection, empty_selection, select_causes, settle_noise
+from stickslip_fit.diagnosis.selection import (
+    Selection,
+    empty_selection,
+    explain_outliers,
+    select_causes,
+    settle_noise,
+)
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.diagnosis.stage_change import read_stage
 from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable
@@ -152,7 +157,7 @@ def diagnose_problem(
             kept = np.delete(kept, found.outliers)
             next_aside = np.union1d(aside, kept[found.influential])
             p_value = min(p_value, found.p_value)
-        elif len(back := restore_rows(found, problem, aside)):
+        elif len(back := explain_outliers(found, problem, aside)):
             next_aside = np.setdiff1d(aside, back)
         else:
             break

@@ -23,6 +23,7 @@ from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
     LinearizedFit,
+    RowChanges,
     fit_extended,
     linearize_fit,
     whiten,
@@ -31,6 +32,7 @@ from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
 from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation.drive_ratio import ratio_changes
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import Laws, choose_laws
 from stickslip_fit.logs import Log
@@ -87,6 +89,8 @@ class DiagnosisProblem:
         What the rows have in common whose noise is more than twice as large as others'.
     skewness : Skewness or None
         Of the noise, in units of its standard deviation; None where it is not clear.
+    uncertain : tuple of (array of int, array)
+        Changes of the responses that the choice of a law leaves open, see `linearize_fit`.
     """
 
     rows: pd.DataFrame
@@ -108,6 +112,7 @@ class DiagnosisProblem:
     spacing: Array | None = None
     uneven: tuple[str, ...] = ()
     skewness: Skewness | None = None
+    uncertain: tuple[RowChanges, ...] = ()
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -136,7 +141,13 @@ class DiagnosisProblem:
             self.scale,
             shared=self.n_shared,
             noise_filter=self.noise_filter,
+            uncertain=self.uncertain,
         )
+
+    @property
+    def with_laws_as_chosen(self) -> DiagnosisProblem:
+        """The problem of one who takes the laws as they were chosen, as a calibration does."""
+        return replace(self, uncertain=())
 
     def linearize_extended(self, fit: ExtendedFit, absorbed: Array | None = None) -> LinearizedFit:
         """A fit of the extended laws, linearized; `absorbed` as of `linearize_fit`."""
@@ -149,6 +160,7 @@ class DiagnosisProblem:
             absorbed=absorbed,
             noise_filter=self.noise_filter,
             prior_sd=fit.prior_sd,
+            uncertain=self.uncertain,
         )
 
     def log_likelihood(self, fit: ExtendedFit) -> float:
@@ -254,6 +266,9 @@ class DiagnosisProblem:
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
             spacing=None if self.spacing is None else self.spacing[kept],
+            uncertain=tuple(
+                (place[rows][place[rows] >= 0], changes[place[rows] >= 0]) for rows, changes in self.uncertain
+            ),
             rows=self.rows.iloc[kept].reset_index(drop=True),
             parts=tuple(parts),
             **{
@@ -285,7 +300,7 @@ def problem_from_log(
     candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
     reasons = {cause.name: explain_missing(cause, rows, log.machine) for cause in candidates}
     missing = {name: why for name, why in reasons.items() if why is not None}
-    parts, repeatability = [], []
+    parts, repeatability, uncertain = [], [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)
     backwards = (rows["direction"] == "-").to_numpy()
@@ -296,6 +311,9 @@ def problem_from_log(
         responses[places], rounding[places] = fit.law.response(rows.iloc[places])
         drive[places] = 2 * number + backwards[places]
         parts.append(LawBlock(fit.law, places, block, fit.values[block]))
+        uncertain += [
+            (places[own], changes) for own, changes in ratio_changes(law, rows.iloc[places], log.machine)
+        ]
         repeatability += [fit.repeatability[direction].value for direction in "+-"]
     steps = rows["steps"].to_numpy(float)
     spacing = find_count_spacing(
@@ -306,6 +324,8 @@ def problem_from_log(
     if MISFIRE not in outlier_causes:  # no law counts steps until a stop is heard
         missing.pop(MISFIRE, None)
         candidates = tuple(cause for cause in candidates if cause.name != MISFIRE)
+    laws_of_log = [part.law for part in parts]
+    candidates = tuple(cause.for_laws(laws_of_log) for cause in candidates)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
@@ -320,6 +340,7 @@ def problem_from_log(
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
         spacing=spacing / steps if spacing.any() else None,
+        uncertain=tuple(uncertain),
         outlier_cause=min(outlier_causes, default=MISFIRE),
         n_refits=N_REFITS,
     )

@@ -31,6 +31,7 @@ from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     assess_residuals,
     compute_evidence,
+    compute_finer_effects,
     extend_problem,
     law_causes,
     make_selected,
@@ -39,7 +40,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_finite_effects,
 )
-from stickslip_fit.diagnosis.influence import assess_support
+from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, remove_structure
 from stickslip_fit.diagnosis.noise import find_outliers
@@ -101,20 +102,26 @@ class Selection:
 
 
 def select_causes(
-    problem: DiagnosisProblem, alpha: float, n_bootstrap: int, rng: np.random.Generator
+    problem: DiagnosisProblem,
+    alpha: float,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    trusted: IntArray | None = None,
 ) -> Selection:
     """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
-    `n_bootstrap` is the number of samples of noise alone for each test.
+    `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
+    outliers.
     """
+    every, trusted = problem, np.zeros(0, dtype=np.intp) if trusted is None else trusted
     effects = compute_finite_effects(problem.linearize(), problem.causes)
     problem, linearized, residual = _reestimate_noise(problem, effects)
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE)
     outliers = np.zeros(0, dtype=np.intp)
     misfires: list[SelectedCause] = []
-    if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(test.rows):
-        outliers = test.rows
+    if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(np.setdiff1d(test.rows, trusted)):
+        outliers = np.setdiff1d(test.rows, trusted)
         problem = problem.without_rows(outliers).with_autocorrelation()
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
@@ -170,7 +177,25 @@ def select_causes(
             problem, fit, linearized = extend_problem(problem, selected)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
+    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
+    # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
+    # that the law with its cause explains.
+    if len(explained := explain_outliers(selection, every, outliers)):
+        return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
+    return selection
+
+
+def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:
+    """Which of the rows that took no part in a selection its law explains after all.
+
+    `outliers` are positions in `problem`; a law without causes explains none.
+    """
+    if not selection.law_causes or not len(outliers):
+        return outliers[:0]
+    departure = predict_departures(selection, problem, outliers)
+    smaller = selection.problem
+    sd = np.sqrt(smaller.repeatability[problem.noise_group[outliers]] ** 2 + problem.rounding[outliers])
+    return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
 
 
 def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:
@@ -203,16 +228,20 @@ def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -
 
 
 def _reestimate_noise(
-    problem: DiagnosisProblem, effects: Sequence[FiniteEffects] | None = None
+    problem: DiagnosisProblem, effects: list[FiniteEffects] | None = None
 ) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
     """The problem with re-estimated noise, its fit, and its residuals without structure.
 
     The residuals are in units of the largest noise that their configuration may have. `effects` are as of
-    `assess_residuals`.
+    `assess_residuals`; those of finer trials are added.
     """
     for _ in range(2):
         linearized = problem.linearize()
         misfit = compute_evidence(linearized, problem, effects=effects)
+        if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
+            # A row at a sudden change would be an outlier by the nearest candidate moment.
+            effects += finer
+            misfit = compute_evidence(linearized, problem, effects=effects)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         noise = problem.estimate_noise(linearized, left)
         problem = problem.with_noise(noise)

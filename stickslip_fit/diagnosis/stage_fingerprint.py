@@ -7,7 +7,7 @@ fitted to what is left. Its effect on every count is exact, that of the law's ow
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,9 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
-from stickslip_fit.estimation.drive_ratio import start_at
+from stickslip_fit.estimation.drive_ratio import laws_by_width, stack_ratios, start_at
 from stickslip_fit.laws import FRICTION_LIMITED
-from stickslip_fit.laws.physical import Physical, physical_law_with
+from stickslip_fit.laws.physical import Physical
 from stickslip_fit.machine import Machine
 
 FREE = "free"
@@ -115,9 +115,8 @@ def fit_changes(
     before: dict[float, LinearizedFit] = {}
 
     def linearize(ratios: Iterable[float]) -> None:
-        for ratio in ratios:
-            law = physical_law_with(joint, rows, machine, (ratio, ratio))
-            before[ratio] = _linearize(law, rows, response - effect, scale, ratio)
+        for laws in laws_by_width(joint, rows, machine, ratios):
+            before.update(_linearize(laws, rows, response - effect, scale))
 
     linearize(COARSE)
     for _ in range(REFINEMENTS):
@@ -149,13 +148,21 @@ def _fit_all(at: LinearizedFit, ratio: float, response: Array, course: Array) ->
 
 
 def _linearize(
-    law: Physical, rows: pd.DataFrame, response: Array, scale: Array, ratio: float
-) -> LinearizedFit:
-    problem = replace(single_problem(law, rows, DEFAULT_OPTIONS), y=response)
-    minimum = problem.minimize(1.0 / scale**2, start_at(problem, ratio), MAX_ITERATIONS)
-    block = problem.groups.of_row
-    part = LawBlock(law, np.arange(len(rows)), block, minimum.values[block])
-    return linearize_fit(rows, [part], response, scale)
+    laws: Sequence[Physical], rows: pd.DataFrame, response: Array, scale: Array
+) -> dict[float, LinearizedFit]:
+    """By lambda; the laws have the same parameters."""
+    ratios = [law.ratios[0] for law in laws]
+    problem = replace(single_problem(laws[0], rows, DEFAULT_OPTIONS), y=response)
+    starts = np.concatenate([start_at(problem, ratio) for ratio in ratios])
+    weight = np.tile(1.0 / scale**2, len(laws))
+    minimum = stack_ratios(problem, laws[0], np.array(ratios)).minimize(weight, starts, MAX_ITERATIONS)
+    block, values = problem.groups.of_row, minimum.values.reshape(len(laws), *problem.start.shape)
+    parts = [
+        LawBlock(law, np.arange(len(rows)), block, own[block]) for law, own in zip(laws, values, strict=True)
+    ]
+    return {
+        ratio: linearize_fit(rows, [part], response, scale) for ratio, part in zip(ratios, parts, strict=True)
+    }
 
 
 def _middles_beside_best(fits: Mapping[float, LinearizedFit]) -> list[float]:

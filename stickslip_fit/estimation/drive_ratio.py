@@ -7,7 +7,7 @@ No count depends on lambda above the largest 1 + r of the log: then there is a l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,10 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._optimize import Groups, Minimum
-from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Problem, single_problem
 from stickslip_fit.laws import Rows, StepLaw
-from stickslip_fit.laws.physical import FRICTION_LIMITED, physical_law_with
+from stickslip_fit.laws.base import Model
+from stickslip_fit.laws.physical import FRICTION_LIMITED, Physical, physical_law_with
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior
@@ -27,7 +28,9 @@ REFINEMENTS = 2
 UNLIKELY = 0.147  # likelihood ratio at the ends of an interval of 95 %
 NEGLIGIBLE = 1e-3  # of the largest density
 FLAT = 0.7  # likelihood ratio of neighbours between which nothing is looked for
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 40
+MAX_OTHERS, MAX_CHANGES = 4, 2  # lambdas beside the best, and directions in which their fits differ
+MIN_CHANGE = 1e-3  # of the responses of all traverses together
 START_SLOPE = 0.2  # share of the step size that a full load takes
 
 
@@ -67,6 +70,13 @@ class RatioProfile:
         if self.likelihood[-1] > UNLIKELY:
             return FRICTION_LIMITED
         return float(self.ratios[np.argmax(self.likelihood)])
+
+    @property
+    def others(self) -> tuple[float, ...]:
+        """A few lambdas besides the best that are not very unlikely, the least and the greatest included."""
+        inside = self.ratios[(self.likelihood > NEGLIGIBLE) & (self.ratios != self.best)]
+        at = np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MAX_OTHERS)).round().astype(int))
+        return tuple(map(float, inside[at]))
 
     @property
     def noise(self) -> float:
@@ -123,7 +133,45 @@ def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     """
     profiles = profile_ratio(joint, pd.DataFrame(rows), machine) if len(rows) else {}
     ratios = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
-    return physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+    law = physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+    up, down = (profiles[way].others if way in profiles else () for way in "+-")
+    law.plausible = up, down
+    return law
+
+
+def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tuple[IntArray, Array]]:
+    """What the choice of lambda leaves open in the responses of a log.
+
+    Parameters
+    ----------
+    law : object
+        A physical law with `plausible`; nothing is open of another.
+    rows : DataFrame
+        Traverses of its joint, from which lambda was chosen.
+    machine : Machine
+
+    Returns
+    -------
+    list of (array of int, shape (m,); array, shape (m, k))
+        For each direction its rows, and by how much the responses of a fit with each of the other plausible
+        lambdas differ from those of the fit with the law's own.
+    """
+    if not isinstance(law, Physical) or not any(law.plausible):
+        return []
+    search = _RatioSearch(law.joint, rows, machine)
+    changes = []
+    for sign, ratio, others in zip("+-", law.ratios, law.plausible, strict=True):
+        own = np.flatnonzero((rows["direction"] == sign).to_numpy())
+        if not (len(own) and others):
+            continue
+        search.evaluate((ratio, *others))
+        residuals = [search.residuals[ratio][own] - search.residuals[each][own] for each in others]
+        known = [change for change in residuals if np.all(np.isfinite(change))]
+        left, singular, _ = np.linalg.svd(np.array([*known, 0.0 * own]).T, full_matrices=False)
+        kept = (singular > MIN_CHANGE)[:MAX_CHANGES]
+        if kept.any():
+            changes.append((own, (left * singular)[:, :MAX_CHANGES][:, kept]))
+    return changes
 
 
 def profile_ratio(
@@ -147,61 +195,72 @@ def profile_ratio(
         How often to halve the intervals that matter.
     """
     search = _RatioSearch(joint, rows, machine)
-    for ratio in sorted({*ratios, FRICTION_LIMITED}):
-        search.evaluate(ratio)
+    search.evaluate({*ratios, FRICTION_LIMITED})
     for _ in range(refinements):
-        for ratio in search.wanted():
-            search.evaluate(ratio)
+        search.evaluate(search.wanted())
     return search.profiles()
 
 
 class _RatioSearch:
-    """Fits at one lambda after the other, the same in both directions, which share nothing."""
+    """Fits at many lambdas, each the same in both directions, which share nothing."""
 
     def __init__(self, joint: int, rows: pd.DataFrame, machine: Machine) -> None:
         self.joint, self.rows, self.machine = joint, rows, machine
         self.found: dict[float, dict[str, tuple[float, ...]]] = {}
         self.minima: dict[float, Array] = {}
+        self.residuals: dict[float, Array] = {}
 
-    def evaluate(self, ratio: float) -> None:
-        """Sum of squares, mean r and its error of each direction at a lambda."""
-        law = physical_law_with(self.joint, self.rows, self.machine, (ratio, ratio))
-        problem = single_problem(law, self.rows, DEFAULT_OPTIONS)
-        minimum = self._minimize(problem, ratio)
-        squares = problem.groups.sums(minimum.residual**2)
-        size = np.bincount(problem.groups.of_row, minlength=len(problem.groups))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.linalg.pinv(
-                minimum.curvature * problem.scales[:, :, None] * problem.scales[:, None, :]
+    def evaluate(self, ratios: Iterable[float]) -> None:
+        """Sum of squares, mean r and its error of each direction at lambdas that are not known yet."""
+        for laws in laws_by_width(self.joint, self.rows, self.machine, set(ratios) - set(self.found)):
+            self._evaluate(single_problem(laws[0], self.rows, DEFAULT_OPTIONS), laws)
+
+    def _evaluate(self, problem: JointProblem, laws: list[Physical]) -> None:
+        """Of each group the better of two searches: from usual values, and from the nearest lambda's."""
+        law, n, g = laws[0], len(problem.y), len(problem.groups)
+        ratios = [law.ratios[0] for law in laws]
+        every = stack_ratios(problem, law, np.array(ratios))
+        minimum = every.minimize(
+            np.ones(len(every.y)),
+            np.concatenate([start_at(problem, ratio) for ratio in ratios]),
+            MAX_ITERATIONS,
+        )
+        known = {
+            ratio: values for ratio, values in self.minima.items() if values.shape == problem.start.shape
+        }
+        known |= {ratio: minimum.values[k * g : (k + 1) * g] for k, ratio in enumerate(ratios)}
+        if len(known) > 1:
+            starts = np.concatenate([_from_nearest(known, law, ratio) for ratio in ratios])
+            other = every.minimize(np.ones(len(every.y)), starts, MAX_ITERATIONS)
+            old, new = (every.groups.sums(each.residual**2) for each in (minimum, other))
+            minimum = _either(new < old, other, minimum, every.groups)
+        for k, ratio in enumerate(ratios):
+            own = slice(k * g, (k + 1) * g)
+            self.minima[ratio] = minimum.values[own]
+            self.residuals[ratio] = minimum.residual[k * n : (k + 1) * n]
+            self.found[ratio] = self._summarize(
+                problem, minimum.values[own], minimum.curvature[own], minimum.rank[own], self.residuals[ratio]
             )
-        self.found[ratio] = {}
+
+    def _summarize(
+        self, problem: JointProblem, values: Array, curvature: Array, rank: IntArray, residual: Array
+    ) -> dict[str, tuple[float, ...]]:
+        squares, size = problem.groups.sums(residual**2), problem.groups.sizes
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.linalg.pinv(curvature * problem.scales[:, :, None] * problem.scales[:, None, :])
+        found: dict[str, tuple[float, ...]] = {}
         for way in dict.fromkeys(problem.directions):
             own = problem.directions == way
-            free = int(max(size[own].sum() - minimum.rank[own].sum(), 1))
+            free = int(max(size[own].sum() - rank[own].sum(), 1))
             total = float(squares[own].sum())
             variance = inverse[own, -1, -1] * total / free
             known = variance > 0
             weight = np.where(known, 1.0 / np.where(known, variance, 1.0), 0.0)
-            values = minimum.values[own, -1]
-            mean = float(weight @ values / weight.sum()) if known.any() else float(np.mean(values))
+            shares = values[own, -1]
+            mean = float(weight @ shares / weight.sum()) if known.any() else float(np.mean(shares))
             error = float(weight.sum() ** -0.5) if known.any() else np.inf
-            self.found[ratio][str(way)] = (total, mean, error, free)
-
-    def _minimize(self, problem: JointProblem, ratio: float) -> Minimum:
-        """Of each group the better of two searches: from usual values, and from the nearest lambda's."""
-        weight = np.ones(len(problem.y))
-        minimum = problem.minimize(weight, start_at(problem, ratio), MAX_ITERATIONS)
-        alike = [other for other, values in self.minima.items() if values.shape == problem.start.shape]
-        if alike:
-            nearest = min(alike, key=lambda other: abs(np.log(other / ratio)))
-            start = self.minima[nearest].copy()
-            shares = _shares(problem.law)
-            start[:, shares] *= min(nearest, 2.0) / min(ratio, 2.0)
-            other = problem.minimize(weight, start, MAX_ITERATIONS)
-            old, new = (problem.groups.sums(each.residual**2) for each in (minimum, other))
-            minimum = _either(new < old, other, minimum, problem.groups)
-        self.minima[ratio] = minimum.values
-        return minimum
+            found[str(way)] = (total, mean, error, free)
+        return found
 
     def wanted(self) -> list[float]:
         """Middles of the intervals next to what is likely in either direction."""
@@ -224,6 +283,55 @@ class _RatioSearch:
             posterior = probability / probability.sum()
             found[way] = RatioProfile(ratios, posterior, share, error, squares, free.astype(np.intp))
         return found
+
+
+def laws_by_width(
+    joint: int, rows: pd.DataFrame, machine: Machine, ratios: Iterable[float]
+) -> list[list[Physical]]:
+    """The laws of these lambdas, the same in both directions, in rising order; alike in their parameters."""
+    by_width: dict[int, list[Physical]] = {}
+    for ratio in sorted(ratios):
+        law = physical_law_with(joint, rows, machine, (ratio, ratio))
+        by_width.setdefault(len(law.parameters), []).append(law)
+    return list(by_width.values())
+
+
+def stack_ratios(problem: JointProblem, law: Physical, ratios: Array) -> Problem:
+    """The problem of one lambda after the other, all at once: a large fit is faster than many small ones."""
+    n, k = len(problem.y), len(ratios)
+    place, ratio = np.tile(np.arange(n), k), np.repeat(ratios, n)
+    number = np.repeat(np.arange(k), n) * len(problem.groups)
+    groups = Groups(
+        pd.concat([problem.groups.table] * k, ignore_index=True), np.tile(problem.groups.of_row, k) + number
+    )
+
+    def model_of(some: IntArray) -> Model:
+        count, own = law.ratio_counter(problem.rows.iloc[place[some]]), ratio[some]
+
+        def predict(values: Array) -> tuple[Array, Array]:
+            counts, slopes = count(values, own)
+            with np.errstate(invalid="ignore"):
+                return np.log(counts), slopes / counts[:, None]
+
+        return predict
+
+    tables = {name: np.tile(getattr(problem, name), (k, 1)) for name in ("start", "scales", "lower", "upper")}
+    return Problem(
+        groups=groups,
+        sharing=problem.sharing,
+        y=np.tile(problem.y, k),
+        model=model_of(np.arange(n * k)),
+        subset=model_of,
+        **tables,
+    )
+
+
+def _from_nearest(known: Mapping[float, Array], law: StepLaw, ratio: float) -> Array:
+    """The values of the nearest other lambda, with the response to load that they have there."""
+    nearest = min((other for other in known if other != ratio), key=lambda other: abs(np.log(other / ratio)))
+    start = known[nearest].copy()
+    start[:, _shares(law)] *= min(nearest, 2.0) / min(ratio, 2.0)
+    return start
 
 
 def start_at(problem: JointProblem, ratio: float) -> Array:

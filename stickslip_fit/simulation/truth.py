@@ -27,6 +27,13 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
+from stickslip_fit.laws.physical import (
+    Physical,
+    PhysicalBase,
+    PhysicalElbow,
+    PhysicalPrismatic,
+    Ratios,
+)
 from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -283,16 +290,37 @@ class LawTable(TomlTable, extra="ignore"):
         return self.joint, self.direction, self.session or None
 
 
-def _of_joint(joint: int) -> type[LawTable]:
+def _of_joint(name: str, joint: int, law: type[StepLaw]) -> type[LawTable]:
     fields: dict[str, Any] = {"joint": Annotated[Literal[joint], JOINT]}
-    for each in LAWS[joint].parameters:
+    for each in law.parameters:
         quantity = Quantity((each.unit,), (each.lower, each.upper))
-        fields[_parameter_stem(each)] = (Annotated[float, quantity], Field(description=each.meaning))
-    return create_model(f"LawOfJoint{joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields)
+        default = 0.0 if each.name in NO_EFFECT else ...
+        fields[_parameter_stem(each)] = (
+            Annotated[float, quantity],
+            Field(default=default, description=each.meaning),
+        )
+    if issubclass(law, Physical):
+        meaning = "foot's over friction's acceleration, D / (af T1²); one number for a direction"
+        fields[LAMBDA] = (Annotated[float, Quantity(("1",), LAMBDA_LIMITS)], Field(description=meaning))
+    return create_model(f"{name}{joint}", __base__=LawTable, __cls_kwargs__={"extra": "forbid"}, **fields)
 
 
+LAMBDA, LAMBDA_LIMITS = "lambda", (0.01, 100.0)
+NO_EFFECT = {"inertia"}  # parameters that may be left out
 LAWS: dict[int, type[StepLaw]] = {1: Base, 2: Elbow, 3: Prismatic}
-AnyLaw = Annotated[LawTable, chosen_by("joint", {joint: _of_joint(joint) for joint in LAWS}, LawTable)]
+PHYSICAL_LAWS: dict[int, type[Physical]] = {1: PhysicalBase, 2: PhysicalElbow, 3: PhysicalPrismatic}
+LAW_TABLES: dict[int | str, type[LawTable]] = {
+    **{joint: _of_joint("LawOfJoint", joint, law) for joint, law in LAWS.items()},
+    **{f"{LAMBDA} {joint}": _of_joint("PhysicalLaw", joint, law) for joint, law in PHYSICAL_LAWS.items()},
+}
+
+
+def _table_kind(written: Mapping[str, Any]) -> int | str | None:
+    joint = written.get("joint")
+    return f"{LAMBDA} {joint}" if LAMBDA in written else joint
+
+
+AnyLaw = Annotated[LawTable, chosen_by(_table_kind, LAW_TABLES, LawTable)]
 
 
 class LawFile(TomlTable):
@@ -311,8 +339,32 @@ class LawFile(TomlTable):
         entries = [law.entry() for law in self.law]
         again = [number for number, entry in enumerate(entries) if entry in entries[:number]]
         self.refuse(*((advice, ("law", number, "direction")) for number in again))
+        self.refuse(*self._lambda_misfits())
         self.refuse(*self._stage_misfits())
         return self
+
+    def _lambda_misfits(self) -> Iterator[Misfit]:
+        physical, ratios = dict[int, bool](), dict[Group, float]()
+        for number, law in enumerate(self.law):
+            ratio = getattr(law, LAMBDA, None)
+            if physical.setdefault(law.joint, ratio is not None) != (ratio is not None):
+                other = "without" if ratio is not None else "with"
+                advice = f"an earlier [[law]] of joint {law.joint} is {other} lambda; write all of them alike"
+                yield advice, ("law", number, LAMBDA if ratio is not None else "joint")
+            elif ratio is not None and ratios.setdefault((law.joint, law.direction), ratio) != ratio:
+                advice = "an earlier [[law]] of this joint and direction has another lambda; it is one number"
+                yield advice, ("law", number, LAMBDA)
+
+    def ratios(self) -> dict[int, Ratios]:
+        """By joint of physical laws, lambda in `+` and in `-`; a direction without one has the other's."""
+        given: dict[int, dict[str, float]] = {}
+        for law in self.law:
+            if (ratio := getattr(law, LAMBDA, None)) is not None:
+                given.setdefault(law.joint, {})[law.direction] = ratio
+        return {
+            joint: (own.get("+", own.get("-", 0.0)), own.get("-", own.get("+", 0.0)))
+            for joint, own in given.items()
+        }
 
     def _stage_misfits(self) -> Iterator[Misfit]:
         with_law, taken = {law.joint for law in self.law}, set[Group]()
@@ -336,8 +388,9 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     Parameters
     ----------
     path : path
-        A TOML file with the keys of `LawFile`. A [[law]] with a session gives that session's own parameters;
-        the stage files that it names are read too.
+        A TOML file with the keys of `LawFile`. A [[law]] with lambda is a physical one, whose parameters
+        are those of `laws.physical`. A [[law]] with a session gives that session's own parameters; the stage
+        files that it names are read too.
 
     Raises
     ------
@@ -346,6 +399,8 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     """
     read = read_toml(path, LawFile, "law file")
     laws: dict[int, StepLaw] = {law.joint: law for law in (Base(machine), Elbow(machine), Prismatic())}
+    laws |= {joint: _physical_law(joint, machine, ratios) for joint, ratios in read.ratios().items()}
+    parameters = {joint: law.parameters for joint, law in laws.items()}
     laws |= _stage_laws(read.stage, Path(path), machine)
     causes, sizes = causes_of(read.cause)
     if causes:
@@ -353,7 +408,7 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
     values: dict[tuple[int, str, str | None], Array] = {}
     day_to_day: dict[Group, float] = {}
     for law in read.law:
-        own = [getattr(law, _parameter_stem(each)) for each in LAWS[law.joint].parameters]
+        own = [getattr(law, _parameter_stem(each)) for each in parameters[law.joint]]
         values[law.entry()] = np.array([*own, *sizes])
         if not law.session:
             day_to_day[law.joint, str(law.direction)] = law.day_to_day
@@ -361,6 +416,12 @@ def read_law_values(path: str | Path, machine: Machine) -> LawValues:
         values |= {(stage.joint, direction, None): sizes for direction in stage.directions}
         day_to_day |= {(stage.joint, direction): stage.day_to_day for direction in stage.directions}
     return LawValues(laws, values, day_to_day, tuple(table.column() for table in read.column))
+
+
+def _physical_law(joint: int, machine: Machine, ratios: Ratios) -> Physical:
+    if joint == PhysicalPrismatic.joint:
+        return PhysicalPrismatic(ratios)
+    return PhysicalElbow(machine, ratios) if joint == PhysicalElbow.joint else PhysicalBase(machine, ratios)
 
 
 def _stage_laws(tables: Sequence[StageTable], path: Path, machine: Machine) -> dict[int, StageLaw]:

@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.causes import Humidity, Wear
-from stickslip_fit.causes.friction import FrictionEffect
+from stickslip_fit.causes import Humidity, PayloadChange, SessionJump, Wear
+from stickslip_fit.causes.friction import StageEffect
+from stickslip_fit.causes.parameters import candidate_moments
 from stickslip_fit.laws import published_law
 from stickslip_fit.laws.physical import FRICTION_LIMITED, PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.machine import load_machine
@@ -69,4 +70,52 @@ def test_its_derivatives_are_those_of_the_counts(ratio):
 def test_under_the_published_law_it_multiplies_the_step():
     law = published_law(3, rows_of(3), MACHINE)
     assert Humidity().under(law) == Humidity()
-    assert isinstance(Humidity().under(PhysicalPrismatic()), FrictionEffect)
+    assert isinstance(Humidity().under(PhysicalPrismatic()), StageEffect)
+
+
+# What each quantity of the stage times 1 + CHANGE makes of a_f T1^2, r and lambda.
+QUANTITIES = {"friction": (1, -1, -1), "voltage": (0, 0, 1), "ramp time": (2, 0, -2)}
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize(("ratio", "accuracy"), [(FRICTION_LIMITED, 1e-9), (0.4, 4e-4)])
+def test_a_jump_is_one_of_a_quantity_of_the_stage(quantity, ratio, accuracy):
+    """Against the physical law of a stage in which that quantity is 8 % larger."""
+    unit_power, share_power, ratio_power = QUANTITIES[quantity]
+    rows = rows_of(3).assign(session="a", session_seconds=[0.0, 10.0, 20.0, 30.0])
+    law = PhysicalPrismatic((ratio, ratio))
+    later = ratio * (1 + CHANGE) ** ratio_power
+    after = PhysicalPrismatic((later, later))
+    values = values_of(law)
+    unit = values[0] / min(ratio, 1.0) * (1 + CHANGE) ** unit_power
+    changed = np.array([unit * min(later, 1.0), values[1], values[2] * (1 + CHANGE) ** share_power])
+    before, expected = law.predict(rows, values), after.predict(rows, changed)
+    jump = SessionJump(session="a", form=quantity)
+    extended = jump.extend(law).predict(rows, np.append(values, [CHANGE, 15.0]))
+    assert extended[:2] == pytest.approx(before[:2], abs=1e-12)
+    assert extended[2:] == pytest.approx(expected[2:], abs=accuracy)
+    if (quantity, ratio) != ("voltage", FRICTION_LIMITED):
+        assert np.abs(expected[2:] - before[2:]).max() > 5 * accuracy
+    trial = jump.changes(law, rows, np.tile(values, (4, 1)), np.array([[CHANGE, 15.0]]))
+    assert trial[:, 0] == pytest.approx(extended - before, abs=1e-9)
+
+
+def test_forms_are_tried_where_a_law_tells_them_apart():
+    published = published_law(3, rows_of(3), MACHINE)
+    assert SessionJump().for_laws([published]) == SessionJump()
+    limited, other = PhysicalPrismatic((10.0, 10.0)), PhysicalPrismatic((0.4, 0.4))
+    assert SessionJump().for_laws([limited]).tried == ("step", "friction")
+    assert SessionJump().for_laws([other]).tried == ("step", "friction", "voltage")
+    assert SessionJump().for_laws([limited, other]).tried == ("step", "friction", "voltage", "ramp time")
+
+
+def test_finer_trials_have_every_moment_between_candidates():
+    """Of 160 traverses every other moment is a candidate; about one of them, none is left out."""
+    seconds = np.arange(160) * 100.0
+    rows = pd.DataFrame({"session": "a", "session_seconds": seconds})
+    coarse = candidate_moments(rows)[0][1]
+    assert np.diff(coarse).min() == 200.0
+    for cause in (SessionJump(session="a"), PayloadChange(session="a")):
+        finer = cause.finer_trials(rows, np.array([0.05, coarse[30]]))
+        assert finer[:, 1].tolist() == (coarse[30] + np.array([-200.0, -100.0, 0.0, 100.0, 200.0])).tolist()
+        assert np.all(finer[:, 0] == 0.05)

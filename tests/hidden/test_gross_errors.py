@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
-from stickslip_fit.diagnosis.gross_errors import find_gross_errors, restore_rows, set_aside
+from stickslip_fit.diagnosis.gross_errors import find_gross_errors, set_aside
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.diagnosis.selection import select_causes
+from stickslip_fit.diagnosis.selection import explain_outliers, select_causes
 from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
 from tests.hidden.gross import make_gross, spoil
@@ -120,7 +120,7 @@ def test_rows_that_a_named_cause_explains_come_back(load):
     aside = np.arange(3)
     found = select_causes(set_aside(problem, aside), 0.01, 399, np.random.default_rng(0))
     assert "thermal-warm-up" in (found.selected[0].cause, *found.selected[0].cause_set.rivals)
-    assert restore_rows(found, problem, aside).tolist() == [0, 1]
+    assert explain_outliers(found, problem, aside).tolist() == [0, 1]
 
 
 def test_a_very_strong_effect_is_no_gross_error(load):
