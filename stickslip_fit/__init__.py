@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from stickslip_fit.causes.law_file import LawsAndCauses, read_law_file
     from stickslip_fit.changes import Changes, detect_changes
     from stickslip_fit.diagnosis import Diagnosis, diagnose, diagnose_table, fit_table, next_experiment
+    from stickslip_fit.drive.rehearsal import DriveTrace, rehearse_drive
     from stickslip_fit.errors import InputError
     from stickslip_fit.estimation import (
         Result,
@@ -63,6 +64,7 @@ _HOMES = {
     "causes.law_file": ("LawsAndCauses", "read_law_file"),
     "changes": ("Changes", "detect_changes"),
     "diagnosis": ("Diagnosis", "diagnose", "diagnose_table", "fit_table", "next_experiment"),
+    "drive.rehearsal": ("DriveTrace", "rehearse_drive"),
     "errors": ("InputError",),
     "estimation": ("Result", "TableFit", "held_out_errors", "load_result", "load_table_fit", "physical_law"),
     "law_comparison": ("LawComparison", "compare_laws"),

@@ -40,6 +40,7 @@ MODULES = {
         "stickslip_fit.drive.state",
         "stickslip_fit.drive.loop",
         "stickslip_fit.drive.record",
+        "stickslip_fit.drive.rehearsal",
     ),
     "reporting": ("stickslip_fit.reporting",),
     "units": ("stickslip_fit.units", "stickslip_fit.errors"),

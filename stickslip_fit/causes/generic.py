@@ -252,14 +252,8 @@ class SuddenChange(GenericCause):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         label = None if self.session == ONE_SESSION else self.session
-        moment = CauseParameter(
-            "moment",
-            TableUnit(self.time_unit),
-            "when, from the first row on",
-            lower=0.0,
-            session=label,
-            sudden=True,
-        )
+        when = ("moment", TableUnit(self.time_unit), "when, from the first row on")
+        moment = CauseParameter(*when, lower=0.0, session=label, sudden=True)
         return CauseParameter("A", TableUnit(self.unit), "change of the response", session=label), moment
 
     @property

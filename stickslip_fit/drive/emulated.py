@@ -13,8 +13,8 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.capture.emulator.manipulator import HiddenLaws
-from stickslip_fit.capture.emulator.rig import emulate_rig
-from stickslip_fit.capture.protocols import RealClock, VirtualClock
+from stickslip_fit.capture.emulator.rig import EmulatedRig, emulate_rig
+from stickslip_fit.capture.protocols import STEP_PERIOD, Clock, RealClock, VirtualClock
 from stickslip_fit.drive.session import (
     DriveJob,
     DriveRig,
@@ -27,7 +27,7 @@ from stickslip_fit.drive.session import (
 )
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.logs.schema import CONDITIONS
-from stickslip_fit.moves import CalibratedArm
+from stickslip_fit.moves import CalibratedArm, DriveReckoning
 from stickslip_fit.moves.incremental import GROUPS
 from stickslip_fit.simulation import LawValues
 from stickslip_fit.units import JOINTS
@@ -38,25 +38,47 @@ def drive_emulated(job: DriveJob, truth: LawValues | None, dialect: str, seed: i
     with ExitStack() as opened:
         inputs = opened.enter_context(open_input(job))
         record, drive = opened.enter_context(open_record(job))
-        rng = np.random.default_rng(seed)
-        groups = [group for group in GROUPS if group[0] in job.arm.result.joints]
-        noise = Noise({group: job.arm.law(*group)[3] for group in groups})
-        hidden = HiddenLaws(truth or draw_laws(job.arm, rng), job.arm.machine, noise, seed)
         clock = RealClock() if job.script is None else VirtualClock()
-        rig = emulate_rig(hidden, dialect, clock, job.step_period)
-        manipulator, arm = rig.manipulator, job.arm
-        positions = {f"q{joint}": drive.q[joint - 1] for joint in JOINTS}
-        conditions = {name: value for name, value in arm.conditions.items() if name in CONDITIONS}
-        manipulator.set(theta=arm.theta, psi=arm.psi, **positions, **conditions)
-        began = clock.now() - record.seconds - float(arm.conditions.get("session_seconds", 0.0))
-        manipulator.begin_session(arm.session, began)
-        manipulator.begin_drive()
+        settings = (seed, dialect, job.step_period, record.seconds)
+        rig = emulate_drive(drive, truth, clock, *settings)
         controller = rig.controller(lambda message: None)
         timing = timing_of(dialect, job.step_period)
         drive_rig = DriveRig(controller, clock, timing, rig.ideal_detector())
         state = run_drive(job, drive_rig, record, drive, inputs)
-        true = np.array([rig.manipulator.position(joint) for joint in JOINTS])
-        return f"{summarize_drive(state, job)}\n{summarize_truth(state, true, job)}"
+        return f"{summarize_drive(state, job)}\n{summarize_truth(state, true_joints(rig), job)}"
+
+
+def emulate_drive(
+    drive: DriveReckoning,
+    truth: LawValues | None,
+    clock: Clock,
+    seed: int = 0,
+    dialect: str = "new",
+    step_period: float = STEP_PERIOD,
+    seconds: float = 0.0,
+) -> EmulatedRig:
+    """An emulated rig whose joints stand where a drive takes them to be, so many seconds after it began.
+
+    Without a `truth` its laws are those of `draw_laws`.
+    """
+    arm, rng = drive.arm, np.random.default_rng(seed)
+    groups = [group for group in GROUPS if group[0] in arm.result.joints]
+    noise = Noise({group: arm.law(*group)[3] for group in groups})
+    hidden = HiddenLaws(truth or draw_laws(arm, rng), arm.machine, noise, seed)
+    rig = emulate_rig(hidden, dialect, clock, step_period)
+    manipulator = rig.manipulator
+    positions = {f"q{joint}": drive.q[joint - 1] for joint in JOINTS}
+    conditions = {name: value for name, value in arm.conditions.items() if name in CONDITIONS}
+    manipulator.set(theta=arm.theta, psi=arm.psi, **positions, **conditions)
+    began = clock.now() - seconds - float(arm.conditions.get("session_seconds", 0.0))
+    manipulator.begin_session(arm.session, began)
+    manipulator.begin_drive()
+    return rig
+
+
+def true_joints(rig: EmulatedRig) -> Array:
+    """The joints' true positions, rad, rad, m."""
+    return np.array([rig.manipulator.position(joint) for joint in JOINTS])
 
 
 def draw_laws(arm: CalibratedArm, rng: np.random.Generator) -> LawValues:

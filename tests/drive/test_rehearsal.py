@@ -1,0 +1,57 @@
+"""A drive rehearsed: the table is the loop's and the manipulator's own, and 95 % means 95 %."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.errors import InputError
+
+START = [0.2, -1.2, 0.004]
+LOOP = [(0, 40, 0, 0), (4, 0, 40, 0), (8, 0, 0, 40), (12, 0, 0, 0)]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return ssf.fit(ssf.read_log("data/reference/campaign.csv"))
+
+
+def test_the_tip_goes_where_the_script_says(fitted):
+    """Within a step of a rotary joint along each axis."""
+    trace = ssf.rehearse_drive(fitted, START, LOOP)
+    table = trace.table
+    moved = table[["x_mm", "y_mm", "z_mm"]].iloc[-1] - table[["x_mm", "y_mm", "z_mm"]].iloc[0]
+    assert moved.to_numpy() == pytest.approx([0.16] * 3, abs=0.006)
+    assert table["time_s"].iloc[-1] == pytest.approx(12.0, abs=0.2)
+    assert (np.diff(table["radius_um"]) > -1e-3).all()
+    assert table["error_um"].iloc[-1] < 2 * table["radius_um"].iloc[-1]
+
+
+def test_the_radius_holds_most_of_other_truths(fitted):
+    short = [(0, 0, 0, 60), (3, 0, 0, 0)]
+    ends = [ssf.rehearse_drive(fitted, START, short, seed=seed).table.iloc[-1] for seed in range(20)]
+    inside = sum(end["error_um"] < end["radius_um"] for end in ends)
+    assert inside >= 16  # of 20 at 95 %, 15 or fewer has a chance of 3e-4
+    assert len({end["error_um"] for end in ends}) == 20
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ([(0, 1, 2), (1, 0, 0)], "time_s, vx_um_s"),
+        ([(0, 1, 2, 3)], "two rows"),
+        ([(1, 1, 2, 3), (0, 0, 0, 0)], "increase"),
+        ([(0, np.nan, 2, 3), (1, 0, 0, 0)], "two rows"),
+    ],
+)
+def test_a_faulty_script_is_refused(fitted, script, said):
+    with pytest.raises(InputError, match=said):
+        ssf.rehearse_drive(fitted, START, script)
+
+
+def test_the_figure_has_the_moment_of_the_first_advice(fitted):
+    trace = ssf.rehearse_drive(fitted, START, LOOP, tolerance=1e-6)
+    first = trace.table["time_s"][trace.table["advice"] != ""].iloc[0]
+    axis = np.ravel(trace.plot())[0]
+    assert any(np.allclose(line.get_xdata(), first) for line in axis.lines)
