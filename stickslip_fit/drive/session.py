@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from stickslip_fit._format import format_value, join_words
+from stickslip_fit._format import format_number, format_value, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.capture.audio import Microphone
 from stickslip_fit.capture.devices import open_controller
@@ -42,7 +42,6 @@ from stickslip_fit.drive.sticks import StickDevice, open_gamepad, open_spacemous
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.machine import Machine, forward
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
-from stickslip_fit.units import from_si
 
 STICKS = {"gamepad": open_gamepad, "spacemouse": open_spacemouse}
 STICK_HELP = "tip along x and y by the (left) stick, z by the right one; start, or the second button, ends"
@@ -249,7 +248,7 @@ def summarize_truth(state: DriveState, positions: Array, job: DriveJob) -> str:
 
 def format_tip(tip: Array) -> str:
     """A tip position for people, to a tenth of a micrometre."""
-    return "({}) mm".format(", ".join(f"{from_si(float(x), 'mm'):.4f}" for x in tip))
+    return "({}) mm".format(", ".join(format_number(float(x), "mm", 4) for x in tip))
 
 
 def _micrometres(value: float) -> str:
