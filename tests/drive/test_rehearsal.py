@@ -29,11 +29,11 @@ def test_the_tip_goes_where_the_script_says(fitted):
 
 
 def test_the_radius_holds_most_of_other_truths(fitted):
-    short = [(0, 0, 0, 60), (3, 0, 0, 0)]
-    ends = [ssf.rehearse_drive(fitted, START, short, seed=seed).table.iloc[-1] for seed in range(20)]
+    short = [(0, 0, 0, 60), (2, 0, 0, 0)]
+    ends = [ssf.rehearse_drive(fitted, START, short, seed=seed).table.iloc[-1] for seed in range(12)]
     inside = sum(end["error_um"] < end["radius_um"] for end in ends)
-    assert inside >= 16  # of 20 at 95 %, 15 or fewer has a chance of 3e-4
-    assert len({end["error_um"] for end in ends}) == 20
+    assert inside >= 9  # of 12 at 95 %, 8 or fewer has a chance of 2e-3; the seeds are fixed
+    assert len({end["error_um"] for end in ends}) == 12
 
 
 @pytest.mark.parametrize(
