@@ -283,7 +283,7 @@ def test_the_page_shows_the_state_and_its_advice(steered, loop):
     assert steered.inner_text("#exceeded") == (": exceeded" if shown.tip_radius > 10e-6 else "")
     assert steered.inner_text("#tolerance") == "10.0\N{NO-BREAK SPACE}µm"
     position = steered.inner_text("#position2")
-    assert position.endswith(" deg")
+    assert position.endswith(" µrad")
     assert float(position.split(" ")[0].replace("−", "-")) == pytest.approx(np.degrees(shown.q[1]), abs=0.01)
     # In the picture the tip is where the arm's kinematics say, 20 mm as long as the bar.
     spot, base, bar = (
