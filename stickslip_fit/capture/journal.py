@@ -224,10 +224,10 @@ def _open_file(path: Path, flags: int) -> int:
         return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)  # Windows would change line ends
     except FileExistsError:
         raise InputError(
-            InputIssue("was begun by an earlier capture; go on with --resume, or name another log", str(path))
+            InputIssue("was begun earlier; go on with --resume, or name another file", str(path))
         ) from None
     except FileNotFoundError:
-        message = "is not there; leave --resume out to begin a capture, and check the folder"
+        message = "is not there; leave --resume out to begin anew, and check the folder"
         raise InputError(InputIssue(message, str(path))) from None
     except OSError as error:
         raise InputError(InputIssue(f"cannot be opened for writing ({error.strerror})", str(path))) from None
@@ -243,7 +243,7 @@ def _lock_file(handle: int, path: Path) -> None:
         else:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        message = "is being written by another capture; wait for it to end, or name another log"
+        message = "is being written by another program; wait for it to end, or name another file"
         raise InputError(InputIssue(message, str(path))) from None
 
 

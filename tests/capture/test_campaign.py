@@ -413,7 +413,7 @@ def test_a_file_beside_the_log_that_is_no_journal_is_left_alone(short):
 
 
 def test_two_captures_at_once_are_refused(short):
-    with begin_journal(short.log)[0], pytest.raises(InputError, match="being written by another capture"):
+    with begin_journal(short.log)[0], pytest.raises(InputError, match="being written by another program"):
         short.run(again=True)
 
 

@@ -99,9 +99,9 @@ def test_a_line_taken_out_or_put_elsewhere_is_noticed(tmp_path):
 def test_two_captures_cannot_write_one_journal(tmp_path):
     path = tmp_path / "journal"
     with create_journal(path):
-        with pytest.raises(InputError, match="begun by an earlier capture"):
+        with pytest.raises(InputError, match="was begun earlier"):
             create_journal(path)
-        with pytest.raises(InputError, match="being written by another capture"):
+        with pytest.raises(InputError, match="being written by another program"):
             continue_journal(path, lambda event: None)
     continue_journal(path, lambda event: None).close()
 

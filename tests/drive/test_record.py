@@ -61,7 +61,7 @@ def test_after_a_rest_nothing_is_in_doubt(arm, journal):
     record, again = resume_record(journal, arm)
     record.close()
     assert again.snapshot() == drive.snapshot()
-    with pytest.raises(InputError, match="was begun by an earlier"):
+    with pytest.raises(InputError, match="was begun earlier"):
         begin_record(journal, drive)
 
 
