@@ -40,7 +40,7 @@ from stickslip_fit.units import JOINTS
 
 TICK = 0.010  # s
 SHOW_INTERVAL = 0.1  # s
-MAX_SCREEN_AGE = 1.0  # s without a sign of life of the screen, after which nothing moves
+MAX_SCREEN_AGE = 0.2  # s without a sign of life of the screen, of two that it is due; then nothing moves
 AT_REST = (0.0, 0.0, 0.0)
 RATE_TOL = 1e-9
 
