@@ -325,7 +325,6 @@ def problem_from_log(
         missing.pop(MISFIRE, None)
         candidates = tuple(cause for cause in candidates if cause.name != MISFIRE)
     laws_of_log = [part.law for part in parts]
-    candidates = tuple(cause.for_laws(laws_of_log) for cause in candidates)
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
@@ -335,7 +334,11 @@ def problem_from_log(
         rounding=rounding,
         noise_group=drive,
         repeatability=np.where(known, sd, sd[known].mean() if known.any() else DEFAULT_REPEATABILITY),
-        causes=tuple(cause.bind(rows, log.machine) for cause in candidates if cause.name not in missing),
+        causes=tuple(
+            cause.bind(rows, log.machine).for_laws(laws_of_log)
+            for cause in candidates
+            if cause.name not in missing
+        ),
         alternatives=build_unstructured_alternatives,
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),

@@ -11,6 +11,7 @@ import pytest
 import stickslip_fit as ssf
 from stickslip_fit import InputError, Law
 from stickslip_fit.causes import Drift, ThermalWarmUp, ThetaOffset, restore_formula_cause
+from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.laws import Elbow, Prismatic
 from stickslip_fit.machine import published_load
 from tests.docs.commands import ROOT
@@ -305,3 +306,11 @@ def test_a_cause_is_found_whatever_size_is_said_to_matter(size):
     assert finding.cause == "cross"
     size = finding.parameters[0].size
     assert size.low < 0.05 < size.high
+
+
+def test_a_formula_is_a_candidate_of_a_diagnosis_beside_the_librarys():
+    log = ssf.read_log("tests/golden/log.csv")
+    cable = ssf.Cause("cable", "* (1 + k*sin(theta))", "k in %", phrase="a cable pulls as the base turns")
+    problem, missing = problem_from_log(log, causes=(*ssf.causes.library(), cable))
+    assert "cable" in {cause.name for cause in problem.causes}
+    assert "cable" not in missing
