@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from time import process_time
 
 import numpy as np
+from scipy.special import chdtri
 
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.capture.protocols import STEP_PERIOD, VirtualClock
@@ -39,7 +40,7 @@ SECONDS = 20.0
 SPEEDS = (5e-6, 60e-6)  # m/s
 LEGS = (2.0, 6.0)  # s between changes of direction
 ONE_STEP = 4.75e-6  # m: a rotary step at 50 mm
-CHI_SQUARED_95 = 7.8147  # three degrees of freedom
+CHI_SQUARED_95 = float(chdtri(3, 0.05))
 REPEATABILITY = 0.0027
 WARM_UP = ("thermal-warm-up", (0.03, 1200.0))  # 3 % with a time constant of 20 min
 MARGIN = (0.35, 0.05, 1.5e-3)  # rad, rad, m between a start and the ends of the range

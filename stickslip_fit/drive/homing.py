@@ -212,5 +212,5 @@ class _Observer:
 
 
 def _plus_minus(joint: int, error: float) -> str:
-    unit = "µm" if joint == PRISMATIC else "mrad"
-    return f"± {format_value(Z_95 * error, unit, 2)}"
+    unit, decimals = ("µm", 2) if joint == PRISMATIC else ("µrad", 0)
+    return f"± {format_value(Z_95 * error, unit, decimals)}"

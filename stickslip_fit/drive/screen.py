@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 import typer
+from scipy.special import chdtri
 
 from stickslip_fit._format import format_direction, format_number, format_value, pluralize
 from stickslip_fit.drive.state import DriveState, Screen
@@ -21,7 +22,8 @@ from stickslip_fit.moves.arm import Z_95
 from stickslip_fit.units import JOINTS, PRISMATIC, from_si
 
 LINE_INTERVAL = 1.0  # s between two lines where there is no terminal
-CHI_95 = 2.7955  # 95 % of normal errors in three dimensions lie within so many semi-axes
+# 95 % of normal errors in three dimensions lie within so many standard deviations along each axis.
+CHI_95 = float(np.sqrt(chdtri(3, 0.05)))
 PICTURE_HEIGHT = 14
 NO_ADVICE = "none: the tip is known well enough"
 Picture = Callable[[DriveState, int, int], list[str]]
