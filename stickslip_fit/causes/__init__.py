@@ -56,7 +56,7 @@ from stickslip_fit.causes.base import (
 )
 from stickslip_fit.causes.environment import *  # noqa: F403
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
-from stickslip_fit.causes.generic import GenericCause, generic_causes
+from stickslip_fit.causes.generic import GenericCause
 from stickslip_fit.causes.geometry import *  # noqa: F403
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
@@ -65,6 +65,7 @@ from stickslip_fit.causes.profile import *  # noqa: F403
 from stickslip_fit.causes.registry import FAMILIES, covariates, describe, explain_missing, library, restore
 from stickslip_fit.causes.roles import TableRoles, prepare_rows
 from stickslip_fit.causes.table_cause import ExtendedTableLaw, TableCause
+from stickslip_fit.causes.table_library import generic_causes
 from stickslip_fit.causes.temporal import *  # noqa: F403
 
 __all__ = [

@@ -11,21 +11,17 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.parameters import (
-    CauseParameter,
-    Sizes,
-    candidate_moments,
-)
-from stickslip_fit.causes.roles import ONE_SESSION, TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.parameters import CauseParameter, Sizes, candidate_moments
+from stickslip_fit.causes.roles import ONE_SESSION, direction_sign
 from stickslip_fit.causes.table_cause import Effect, TableCause
 from stickslip_fit.laws import Rows
+from stickslip_fit.laws.table import count_rows
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import TableUnit
 
@@ -34,10 +30,8 @@ TRIAL_SHARE = 0.1  # of the response's standard deviation, in trials
 COVARIATE_ORDER, POSITION_ORDER = 3, 6  # of polynomials
 FINE_ORDER = 8  # of a polynomial over a column, where the simple one does not do
 MAX_MOMENTS = 2000  # of a sudden change, each tried; with more rows some are left out
-MAX_SESSIONS = 50  # that may each have an offset of their own
 # Of the longest session; what takes longer is a drift.
 TIME_CONSTANT_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.35])
-MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
 
 Term = Callable[[Array], tuple[Array, Array]]
 """Values of a cause's parameters, (n, q), to what is added, (n,), and its derivatives, (n, q)."""
@@ -101,12 +95,18 @@ class GenericCause(TableCause):
         opposite = ", oppositely in the two directions" if self.direction else ""
         return {**super().quantities(sizes), "opposite": opposite}
 
+    def sign(self, rows: Rows) -> Array:
+        """-1 in the backward direction where the effect has the opposite sign in either, else 1; (n,)."""
+        if not self.direction:
+            return np.ones(count_rows(rows))
+        return direction_sign(rows, self.direction, self.labels)
+
     def signed_term(self, rows: Rows) -> Term:
         """What is added to the response of these rows."""
         term = self.term(rows)
         if not self.direction:
             return term
-        sign = direction_sign(rows, self.direction, self.labels)
+        sign = self.sign(rows)
 
         def signed(values: Array) -> tuple[Array, Array]:
             added, slopes = term(values)
@@ -280,7 +280,7 @@ class SuddenChange(GenericCause):
     def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
         """See `GenericCause`: all moments at once."""
         inside = np.asarray(rows["session"], dtype=object) == self.session
-        sign = direction_sign(rows, self.direction, self.labels) if self.direction else np.ones(len(values))
+        sign = self.sign(rows)
         seconds = np.asarray(rows["session_seconds"], float)
         return trials[:, 0] * (inside * sign)[:, None] * (seconds[:, None] >= trials[:, 1])
 
@@ -376,53 +376,6 @@ class PositionDependence(ColumnDependence):
     def remedy(self) -> str:  # type: ignore[override]
         """See `GenericCause`."""
         return "staying in one part of the range"
-
-
-@dataclass(frozen=True, kw_only=True)
-class PeriodicPosition(GenericCause):
-    """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
-
-    column: str = ""
-    low: float = 0.0
-    period: float = 1.0
-
-    base_name = "periodic-in-position"
-    base_phrase = "the response is periodic in the position"
-    physics = (
-        "Cogging of a motor, the pitch of a lead screw or a belt's teeth, an encoder's interpolation: each "
-        "repeats after the same way."
-    )
-    shows_best = "one slow sweep over many periods, there and back"
-    sentence = "The response is periodic in the position {column}, with a period of {period:.4g}{opposite}"
-    combine_trials = True
-
-    @property
-    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
-        return (self.column,)
-
-    @property
-    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
-        unit = TableUnit(self.unit)
-        return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
-
-    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
-        return {**super().quantities(sizes), "column": self.column, "period": self.period}
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
-        """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
-        position = rows[self.column].to_numpy(float)
-        extent = float(np.ptp(position))
-        finest = min(len(np.unique(position)) / MIN_VALUES_PER_PERIOD, MAX_PERIODS / 2)
-        periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
-        return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
-
-    def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
-        phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
-        return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -527,69 +480,3 @@ class OutlyingValues(GenericCause):
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`: nothing is added."""
         return linear_term(np.zeros((len(rows), 2)))
-
-
-def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[GenericCause, ...]:
-    """Every generic cause for which a table has the columns.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Of `prepare_rows`.
-    law : TableLaw
-    roles : TableRoles
-    """
-    y = law.response(rows)[0]
-    unit, size = str(law.response_unit), TRIAL_SHARE * (float(np.std(y)) or 1.0)
-    both: list[GenericCause] = []
-    if roles.time:
-        longest = float(rows["session_seconds"].max()) or 1.0
-        for kind in (SteadyDrift, WarmUp):
-            both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
-        both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
-    for column in covariate_columns(rows, law, roles):
-        both.append(ColumnDependence(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
-    if roles.position and rows[roles.position].nunique() > 1:
-        place = _range(rows[roles.position], POSITION_ORDER)
-        both.append(PositionDependence(unit=unit, size=size, **place))
-        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=place["low"]))
-    causes = list(both)
-    sessions = tuple(map(str, rows["session"].unique()))
-    if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
-        causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
-    if roles.direction:
-        labels = direction_labels(rows[roles.direction])
-        opposite = partial(replace, direction=roles.direction, labels=labels)
-        causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
-        causes += [opposite(cause) for cause in both]
-    return (*causes, OutlyingValues(unit=unit, size=size))
-
-
-def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:
-    """What a polynomial over a column needs; its order is less than the number of the column's values."""
-    low, high = float(cells.min()), float(cells.max())
-    return {"column": str(cells.name), "low": low, "high": high, "order": min(order, cells.nunique() - 1)}
-
-
-def covariate_columns(rows: pd.DataFrame, law: Any, roles: TableRoles) -> list[str]:
-    """Columns of finite numbers that neither the law nor a role uses, and that vary within sessions."""
-    used = {*law.columns, *roles.columns.values(), "session", "session_seconds", "joint"}
-    columns = [str(name) for name in rows.columns if name not in used]
-    return [name for name in columns if explain_unusable(rows, law, name) is None]
-
-
-def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
-    """Why the response cannot be seen to follow a column, None where it can."""
-    cells = rows[name]
-    if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
-        return "it is not of numbers"
-    values = cells.to_numpy(dtype=float, na_value=np.nan)
-    if not np.isfinite(values).all():
-        return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
-    if np.ptp(values) == 0:
-        return "it is the same in every row"
-    by_session = pd.Series(values).groupby(rows["session"].to_numpy())
-    own = len(law.parameters) > law.n_shared
-    if own and not (by_session.max() > by_session.min()).any():
-        return "it is the same within every session, and each session has parameters of its own"
-    return None

@@ -1,8 +1,8 @@
 """TableRoles: which columns of a table are its session, time, position, direction and group.
 
 `prepare_rows` checks what the roles and a law need of a table, and returns its rows as causes see them: in
-order of time within each session, with the columns ``session`` (text) and ``session_seconds`` (time since
-the session's first row; NaN where the order of the rows means nothing).
+order of time within each session, with the columns ``session`` (text), ``session_seconds`` (time since the
+session's first row; NaN where the order of the rows means nothing), and `ROW_NUMBER`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 ORDER = "order"
 ONE_SESSION = "all"  # label of the rows of a table without sessions
 BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
+ROW_NUMBER = "stickslip-fit: row"  # column of each row's place in the table, from 0
 MAX_LISTED = 3  # faulty cells of a column, and columns of a table
 OWN_COLUMNS = {
     "session": "the session of each row",
@@ -115,7 +116,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
         raise InputError([*issues, *time_issues])
     session = frame[roles.session].astype(str) if roles.session else pd.Series(ONE_SESSION, frame.index)
     order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
-    rows = frame.assign(session=session.astype(object), session_seconds=seconds, joint=1)
+    own = {"session": session.astype(object), "session_seconds": seconds, "joint": 1}
+    rows = frame.assign(**own, **{ROW_NUMBER: np.arange(len(frame))})
     rows = rows.iloc[order].reset_index(drop=True)
     if roles.time == ORDER:
         rows["session_seconds"] = rows.groupby("session", sort=False).cumcount().astype(float)

@@ -24,6 +24,8 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.causes.roles import ROW_NUMBER
+from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis._summary import (
     describe_untestable,
     list_untestable,
@@ -41,6 +43,13 @@ from stickslip_fit.units import Interval
 MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 FEW_VALUES = 50  # independent ones
+MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
+SUSPECT_SD, MAX_SUSPECTS, MIN_KEPT = (
+    5.0,
+    3,
+    0.1,
+)  # of a row; rows; least share of a residual that a fit leaves
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 CARRIER_PHRASES = {
     "time": "changes slowly with time, in each session in its own way",
@@ -101,7 +110,12 @@ def format_size(value: float, table: TableInfo) -> str:
 def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     """Sentences: what is wrong, what to do about it, what else is wrong, and how much the table tells."""
     if not diagnosis.findings:
-        sentences = [_describe_no_misfit(diagnosis, table), describe_untestable(diagnosis)]
+        sentences = [
+            _describe_no_misfit(diagnosis, table),
+            *_describe_nearest(diagnosis, table),
+            *_describe_suspects(diagnosis, table),
+            describe_untestable(diagnosis),
+        ]
     else:
         first, *others = diagnosis.findings
         sentences = [
@@ -152,9 +166,50 @@ def _describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
     )
 
 
+def _describe_nearest(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
+    """What came closest to an alarm, as a sentence; none where nothing came near."""
+    misfit = diagnosis.selection.first_misfit
+    if not misfit.log_evidence_by_cause or misfit.p_value > MAX_NEAR_P_VALUE:
+        return []
+    cause = max(misfit.log_evidence_by_cause, key=lambda name: misfit.log_evidence_by_cause[name])
+    if cause != UNKNOWN:
+        what = name_cause(cause, diagnosis)
+    else:
+        carrier = misfit.best_hypothesis(UNKNOWN).cause.removeprefix(f"{UNKNOWN}:")
+        what = f"{table.response} {describe_table_carrier(carrier)} beyond the law"
+    return [
+        f"Closest to an alarm, which needs p < {diagnosis.alpha:g}: {what}. More rows, or replicates of "
+        "these, would show whether it is there."
+    ]
+
+
+def _describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
+    """The rows that are far off beside the others, as a sentence; none where there are none."""
+    selection = diagnosis.selection
+    if not np.isfinite(diagnosis.repeatability):
+        return []
+    linearized = selection.problem.linearize()
+    size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
+    size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
+    far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
+    far = far[np.abs(size[far]) > SUSPECT_SD]
+    if not len(far):
+        return []
+    left = linearized.unwhiten(linearized.residual)
+    numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
+    named = join_words([f"row {numbers[row]} ({_signed(float(left[row]))})" for row in far])
+    largest = format_significant(float(np.abs(size[far]).max()), 2)
+    return [
+        f"Check {named}: up to {largest} standard deviations off, by the scatter of the others. Noise with "
+        f"heavy tails leaves such a value of {table.response} now and then, so that nothing is set aside."
+    ]
+
+
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:
     """What a named cause does, without a full stop."""
     if finding.traverses is not None:
+        if len(finding.traverses) == 1:
+            return f"1 value of {table.response} does not belong to the rest, by {_largest(finding, table)}"
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     if getattr(finding.version, "sentence", ""):
@@ -187,7 +242,8 @@ def describe_table_carrier(carrier: str) -> str:
         return f"comes and goes with a {carrier}"
     if carrier.startswith("memory"):
         return "carries over from one row to the next"
-    return CARRIER_PHRASES.get(carrier, f"follows {carrier}")
+    name = "what the law predicts" if carrier == PREDICTION else carrier
+    return CARRIER_PHRASES.get(carrier, f"follows {name}")
 
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) -> str:
@@ -201,6 +257,8 @@ def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) 
 
 
 def _describe_shape(finding: Finding, table: TableInfo) -> str:
+    if finding.version is not None:
+        return _describe_proposal(finding, table)
     text = (
         f"What the law leaves of {table.response}, {format_size(finding.effect.estimate, table)} rms, "
         f"{describe_table_carrier(finding.carrier)}, and has the shape of no cause that was searched"
@@ -210,6 +268,18 @@ def _describe_shape(finding: Finding, table: TableInfo) -> str:
     if not finding.closest or finding.share < MIN_SHARE:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
+
+
+def _describe_proposal(finding: Finding, table: TableInfo) -> str:
+    """What is put into the law for structure without a name, without a full stop."""
+    size = format_size(finding.effect.estimate, table)
+    follows = f"{table.response} {describe_table_carrier(finding.carrier)} by {size} rms beyond the law"
+    text = f"{follows}, as no cause that was searched does"
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
+    if finding.term:
+        return f"{text}; a term is proposed: {', '.join([finding.term, *sizes])}"
+    wave = "wave" if finding.carrier.startswith("period") else "smooth function of it"
+    return f"{text}; a {wave} is proposed"
 
 
 def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
@@ -223,7 +293,9 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
                 "or a cause; until it has a name, count on errors of "
                 f"{format_size(diagnosis.misfit, table)}, where the noise is {noise}."
             )
-        return f"They are left out; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
+        alone = sum(len(one.traverses) for one in diagnosis.findings if one.traverses is not None) == 1
+        left_out = "It is left out" if alone else "They are left out"
+        return f"{left_out}; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
     what = f"The law extended by {join_words([name_finding(finding) for finding in named])}"
     if gain is None:
         left = f"leaves {format_size(rms_after(diagnosis), table)} rms, instead of "
@@ -258,7 +330,9 @@ def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
 
 def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
     if finding.cause == UNKNOWN:
-        return f"Besides that: {lower_first(_describe_shape(finding, table))}."
+        shape = _describe_shape(finding, table)
+        # That of a proposal begins with the name of the response.
+        return f"Besides that: {shape if finding.version is not None else lower_first(shape)}."
     rivals = f"; or it is {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
     company = describe_company(finding)
     return f"Besides that: {lower_first(describe_table_effect(finding, table))}{rivals}{company}."
@@ -327,8 +401,12 @@ def _outliers_table(finding: Finding, table: TableInfo) -> Table:
     named = [table.roles[role] for role in ("session", "time") if table.roles.get(role) in outliers]
     columns = (Column("row", text=True), *words(*named), Column("residual", table.unit))
     rows = tuple(
-        (str(number + 1), *(_cell(row[name]) for name in named), _signed(float(row["departure"])))
-        for number, (_, row) in zip(largest.index, largest.iterrows(), strict=True)
+        (
+            str(row[ROW_NUMBER] + 1),
+            *(_cell(row[name]) for name in named),
+            _signed(float(row["departure"])),
+        )
+        for _, row in largest.iterrows()
     )
     of_all = f"The {MAX_OUTLIERS} largest of {pluralize(len(outliers), 'value')}; rows" * (
         len(largest) < len(outliers)

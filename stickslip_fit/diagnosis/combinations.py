@@ -245,7 +245,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
     extensions: dict[str, Extension] = {}
     failed: list[str] = []
-    least = max(MIN_REFIT_SHARE * max(evidence.values()), MIN_REFIT_LOG_BAYES_FACTOR)
+    least = max(MIN_REFIT_SHARE * max(evidence.values(), default=0.0), MIN_REFIT_LOG_BAYES_FACTOR)
     known = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least]
     known.sort(key=lambda cause: -evidence[cause])
     likeliest = known[: problem.n_refits]

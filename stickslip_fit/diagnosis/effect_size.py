@@ -14,7 +14,9 @@ from scipy.special import betaincinv
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes.levels import LevelDependence
 from stickslip_fit.causes.proposed import PeriodicTerm
+from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.effect_interval import (
     QUANTILES_95,
     Z_95,
@@ -95,7 +97,7 @@ def _size_parameters(
     """A cause's parameters with intervals; of a smooth function its rms, not its coefficients."""
     if hasattr(version, "summarize"):
         return tuple(version.summarize(values, covariance))
-    if cause.startswith(COVARIATE_PREFIX):
+    if cause.startswith(COVARIATE_PREFIX) and not isinstance(version, LevelDependence):
         return ()
     sudden = [getattr(parameter, "sudden", False) for parameter in version.parameters]
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -119,7 +121,7 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     version, place = selected.version, selection.slices[-1]  # it is the last of the causes
     formula = getattr(version, "formula", "")
     carrier = " and ".join(version.carriers) if formula else finding.carrier
-    carrier = str(version) if isinstance(version, PeriodicTerm) else carrier
+    carrier = str(version) if isinstance(version, PeriodicTerm | PeriodicTableTerm) else carrier
     values = selection.fit.values[place]
     parameters = _size_parameters(version, UNKNOWN, values, covariance[place, place]) if formula else ()
     return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)

@@ -77,13 +77,22 @@ def _find_begins(rows: pd.DataFrame, roles: TableRoles) -> dict[str, float]:
 def _whitened_jacobian(
     problem: DiagnosisProblem, part: LawBlock, session: IntArray, n_sessions: int, n_own: int
 ) -> Array:
-    """Derivatives of every response by each session's own parameters, then by the shared ones, (n, q)."""
+    """Derivatives of every response by each session's own parameters, then by the shared ones, (n + m, q).
+
+    The last m rows are the prior distributions of coefficients that have one.
+    """
     n, slopes = len(problem), np.zeros((len(problem), part.values.shape[1]))
     slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)
     own = np.zeros((n, n_sessions, n_own))
     own[part.rows, session] = slopes[part.rows, :n_own]
     columns = np.concatenate([own.reshape(n, -1), slopes[:, n_own:]], axis=1)
-    return whiten(columns, problem.scale, problem.noise_filter)
+    measured = whiten(columns, problem.scale, problem.noise_filter)
+    # What is known of a coefficient beforehand counts as one more row.
+    prior = np.array([getattr(one, "prior_sd", np.inf) for one in part.law.parameters[n_own:]])
+    known = np.flatnonzero(np.isfinite(prior))
+    rows = np.zeros((len(known), columns.shape[1]))
+    rows[np.arange(len(known)), columns.shape[1] - len(prior) + known] = 1.0 / prior[known]
+    return np.concatenate([measured, rows])
 
 
 def _find_on_bound(part: LawBlock, values: Array, n_own: int) -> BoolArray:

@@ -33,7 +33,7 @@ SUSPECT_Z, NO_WEIGHT = 10.0, 1e-6  # in the fit of the whole campaign; weight in
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 PRIOR_DF = 4.0  # of the usual noise, for that of one block
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
-MAX_SHARE = 0.05  # of the rows; more are an effect
+MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
 NEIGHBOURS = 2  # traverses before and after in time
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
 
@@ -70,7 +70,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     p_values = np.ones(len(problem))
     p_values[rows] = compute_p_values(_deviation_from_others(problem, parts, ratio, rows))
     rows = rows[p_values[rows] < level]
-    if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), 1.0):
+    if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), MAX_ANYWAY):
         return nothing
     return Outliers(rows, float(p_values[rows].min()))
 

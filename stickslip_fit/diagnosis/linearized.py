@@ -379,6 +379,8 @@ def fit_extended(
         if noise_filter is None
         else (whitened_model, whitened(y), np.append(np.ones(n), weight))
     )
+    if not any(hasattr(part.law, "joint") for part in parts):
+        scales = _equal_lengths(data[0](first[blocks.of_row])[1], data[2], blocks, scales)
     minimum = solve_block_arrow(*data, blocks, sharing, first, scales, tolerance=0.0, **options)
     fitted = tuple(
         replace(part, law=law, values=minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
@@ -390,6 +392,15 @@ def fit_extended(
     covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
     converged = bool(minimum.converged.all())
     return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged, prior_sd)
+
+
+def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array) -> Array:
+    """Scales with which every column is as long, in each block: the units of a table have nothing in common.
+
+    What the rows say nothing of keeps its scale.
+    """
+    squares = np.stack([blocks.sums(weight * column**2) for column in slopes.T], axis=1)
+    return np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), scales)
 
 
 def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:

@@ -325,6 +325,10 @@ def compute_misfit(
     Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
     `quantization`, is simulated as such.
     """
+    if not hypotheses:
+        return Misfit(
+            linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), p_value_factor, linearized.basis
+        )
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
     weight = weigh_hypotheses(hypotheses, causes)

@@ -56,7 +56,7 @@ from stickslip_fit.diagnosis.selection import (
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.diagnosis.stage_change import read_stage
-from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable
+from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable, is_log
 from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
@@ -209,6 +209,10 @@ def _search_notes(problem: DiagnosisProblem, misfit: Misfit) -> tuple[str, ...]:
 
 
 NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"
+NO_COLUMN = (
+    "no column beside the response could explain it; name the time, or time='order' where rows stand in the "
+    "order of measurement"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,13 +239,13 @@ def _search(
     else:
         unable = find_untestable(problem, linearized)
         if next(iter(problem.alternatives(linearized)), None) is None:
-            unable[UNKNOWN] = NO_ALTERNATIVE
+            unable[UNKNOWN] = NO_ALTERNATIVE if is_log(linearized) else NO_COLUMN
     untestable = {**missing, **unable}
     testable = replace(
         problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
     )
     if UNKNOWN in untestable and not any(cause.name != problem.outlier_cause for cause in testable.causes):
-        too_small = too_small or NO_ALTERNATIVE
+        too_small = too_small or untestable[UNKNOWN]
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )

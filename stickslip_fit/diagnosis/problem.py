@@ -18,6 +18,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, explain_missing, library
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives, number_configurations
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
+from stickslip_fit.diagnosis.expressions import Dictionary, build_log_dictionary
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
@@ -65,6 +66,8 @@ class DiagnosisProblem:
         `largest_plausible`, `extend` and `changes` as a `Cause` has them.
     alternatives : callable
         From a LinearizedFit to the unstructured alternatives, which stand for ``unknown``.
+    expressions : callable
+        From a LinearizedFit to the short expressions that may describe them.
     configuration : array of int, shape (n,)
         Configuration of each row; the noise may depend on it.
     noise_ratio : array, shape (n,)
@@ -101,6 +104,7 @@ class DiagnosisProblem:
     repeatability: Array
     causes: tuple[Any, ...]
     alternatives: Callable[[LinearizedFit], Iterable[Hypothesis | AR1]]
+    expressions: Callable[[LinearizedFit], Dictionary | None]
     configuration: IntArray
     noise_ratio: Array
     n_shared: int = 0
@@ -340,6 +344,7 @@ def problem_from_log(
             if cause.name not in missing
         ),
         alternatives=build_unstructured_alternatives,
+        expressions=build_log_dictionary,
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
         spacing=spacing / steps if spacing.any() else None,

@@ -172,7 +172,7 @@ def select_causes(
         problem, fit, linearized = extension
     selected = name_combinations(selected, combinations)
     if selected and selected[-1].cause == UNKNOWN:
-        selected = propose_term(linearized, selected, rng)
+        selected = propose_term(linearized, selected, problem.expressions, rng)
         if selected[-1].version is not None:
             problem, fit, linearized = extend_problem(problem, selected)
     everything = (*misfires, *selected)

@@ -1,7 +1,7 @@
 """diagnose_table: the diagnosis of any table under any law. `pipeline` has the mathematics.
 
 The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law
-fitted to each session, the user's causes beside the generic ones (`causes.generic`), and unstructured
+fitted to each session, the user's causes beside the generic ones (`causes.table_library`), and unstructured
 alternatives (`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is
 estimated and removed (`autocorrelation`).
 """
@@ -22,20 +22,25 @@ import pandas as pd
 from stickslip_fit._input import format_path, read_file
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes import generic
-from stickslip_fit.causes.roles import TableRoles, prepare_rows
+from stickslip_fit.causes import table_library
+from stickslip_fit.causes.generic import SessionOffset
+from stickslip_fit.causes.periodic import PeriodicTime
+from stickslip_fit.causes.proposed import N_HARMONICS
+from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
+from stickslip_fit.diagnosis.alternatives import choose_periods
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
-from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
+from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
+from stickslip_fit.diagnosis.periodicity import count_harmonics, find_period
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import (
+    MIN_CYCLES,
     TableAlternatives,
     leading_directions,
-    numeric_columns,
     response_columns,
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
@@ -213,9 +218,12 @@ def problem_from_table(
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
     sample = number_samples(seconds, session) if roles.time else None
-    built = generic.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
+    built = (
+        table_library.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
+    )
     candidates = _bind_causes((*causes, *built), bound, rows)
-    columns = numeric_columns(rows, bound, roles, generic.covariate_columns(rows, bound, roles))
+    covariates = table_library.covariate_columns(rows, bound, roles)
+    alternatives = TableAlternatives.of(rows, bound, roles, covariates, sample is not None)
     problem = DiagnosisProblem(
         rows=rows,
         parts=(part,),
@@ -224,7 +232,8 @@ def problem_from_table(
         noise_group=np.zeros(len(rows), dtype=np.intp),
         repeatability=np.array([max(repeatability, least_sd)]),
         causes=candidates,
-        alternatives=TableAlternatives(columns, roles, sample is not None),
+        alternatives=alternatives,
+        expressions=alternatives.expressions,
         configuration=group,
         noise_ratio=np.ones(len(rows)),
         n_shared=bound.n_shared,
@@ -233,11 +242,18 @@ def problem_from_table(
         least_sd=least_sd,
     )
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
-    return (problem if sample is None else with_samples(problem, sample)), missing
+    if sample is None:
+        return problem, missing
+    return with_samples(problem, sample, roles.time_unit if generic_causes is None else None), missing
 
 
-def with_samples(problem: DiagnosisProblem, sample: IntArray) -> DiagnosisProblem:
-    """The problem with rows that are samples of a signal, numbered as by `number_samples`."""
+def with_samples(
+    problem: DiagnosisProblem, sample: IntArray, time_unit: str | None = None
+) -> DiagnosisProblem:
+    """The problem with rows that are samples of a signal, numbered as by `number_samples`.
+
+    With a unit of the time a strict period is one more candidate.
+    """
     linearized = problem.linearize()
     effects: dict[str, list[Array]] = {}
     for one in compute_finite_effects(linearized, problem.causes):
@@ -247,7 +263,30 @@ def with_samples(problem: DiagnosisProblem, sample: IntArray) -> DiagnosisProble
     columns = [np.concatenate(own, axis=1) for own in effects.values()]
     directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
     scaled = directions * np.sqrt(len(problem)) * float(problem.repeatability[0])
-    return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
+    wave = None if time_unit is None else _find_wave(problem, linearized, directions, sample, time_unit)
+    if wave is None:
+        return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
+    waves = float(problem.repeatability[0]) * wave.functions(problem.rows)
+    noise = Autocorrelation(sample, np.concatenate([scaled, waves], axis=1))
+    return replace(problem, autocorrelation=noise, causes=(*problem.causes, wave))
+
+
+def _find_wave(
+    problem: DiagnosisProblem, linearized: LinearizedFit, effects: Array, sample: IntArray, time_unit: str
+) -> PeriodicTime | None:
+    """The strict period of a signal of one session as a candidate cause; None where it has none."""
+    if problem.rows["session"].nunique() > 1:
+        return None
+    seconds = problem.rows["session_seconds"].to_numpy(float)
+    periods = choose_periods(seconds, np.zeros(len(seconds), dtype=np.intp))
+    periods = periods[periods < seconds.max() / MIN_CYCLES]
+    period = find_period(linearized, effects, sample, seconds, periods)
+    if not np.isfinite(period):
+        return None
+    harmonics = count_harmonics(period, float(np.median(np.diff(seconds))), N_HARMONICS)
+    size = table_library.TRIAL_SHARE * float(np.std(problem.responses))
+    unit = str(problem.parts[0].law.response_unit)
+    return PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)
 
 
 def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles: TableRoles) -> TableInfo:
@@ -382,9 +421,10 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:
         missing["offset-by-direction"] = NO_DIRECTION
-    if law.n_shared and (sessions := rows["session"].nunique()) > generic.MAX_SESSIONS:
-        missing[generic.SessionOffset.base_name] = (
-            f"the table has {sessions:,} sessions, and at most {generic.MAX_SESSIONS} can have an offset each"
+    if law.n_shared and (sessions := rows["session"].nunique()) > table_library.MAX_SESSIONS:
+        missing[SessionOffset.base_name] = (
+            f"the table has {sessions:,} sessions, and at most {table_library.MAX_SESSIONS} can have an "
+            "offset each"
         )
     used = {
         *law.columns,
@@ -393,9 +433,10 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         "session",
         "session_seconds",
         "joint",
+        ROW_NUMBER,
     }
     for name in map(str, rows.columns):
-        why = None if name in used else generic.explain_unusable(rows, law, name)
+        why = None if name in used else table_library.explain_unusable(rows, law, name)
         if why is not None:
             missing[COVARIATE_PREFIX + name] = why
     return missing

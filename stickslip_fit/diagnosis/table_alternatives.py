@@ -3,14 +3,15 @@
 Smooth in every column that the law or a candidate uses, in every two of them at low order, in the predicted
 response, each also oppositely in the two directions; by group where rows repeat; smooth or periodic in time.
 In a sampled signal a slow wave of one session cannot be told from its noise, which the autocorrelation
-describes, so that only what comes back in every session counts there.
+describes, so that only what comes back in every session counts there. `TableAlternatives.expressions` are
+the short expressions that may take the place of such a function in the law.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import astuple, dataclass, replace
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,21 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
+from stickslip_fit.causes.smooth import LENGTHS, prior_sds
+from stickslip_fit.causes.table_terms import (
+    PREDICTION,
+    ColumnFunction,
+    PeriodicTableTerm,
+    ProposedTableTerm,
+    SmoothTableTerm,
+)
 from stickslip_fit.diagnosis.alternatives import (
     AR1_COEFFICIENTS,
     MAX_ELEMENTS,
-    N_WAVES,
     choose_periods,
     smooth_in_time,
 )
+from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
     Hypothesis,
@@ -36,9 +45,10 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.logs.history import previous_rows
 
 DIRECTION_TOL = 1e-3  # of the largest singular value
-PAIR_WAVES, MAX_PAIR_COLUMNS = 3, 7
+PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
 MIN_CYCLES = 10.0  # of a periodic disturbance in a session of a sampled signal
+MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
 @dataclass(frozen=True)
@@ -52,47 +62,93 @@ class TableAlternatives:
     roles : TableRoles
     sampled : bool
         Whether the autocorrelation of the noise is removed.
+    response, unit : str
+        Name and unit of the response.
+    labels : tuple of str
+        The two values of a direction that is not of numbers.
     """
 
     columns: tuple[str, ...]
     roles: TableRoles
     sampled: bool
+    response: str
+    unit: str
+    labels: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, rows: pd.DataFrame, law: Any, roles: TableRoles, covariates: Sequence[str], sampled: bool
+    ) -> TableAlternatives:
+        """For the rows of a table, a law, and further columns that candidates use."""
+        labels = direction_labels(rows[roles.direction]) if roles.direction else ()
+        columns = numeric_columns(rows, law, roles, covariates)
+        return cls(columns, roles, sampled, str(law.response_name), str(law.response_unit), labels)
 
     def __call__(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Every alternative for which the rows have the columns."""
-        shapes = list(self._shapes(linearized))
-        if self.roles.direction:
-            cells = linearized.rows[self.roles.direction]
-            sign = direction_sign(linearized.columns, self.roles.direction, direction_labels(cells))[:, None]
-            shapes += [(f"{name} by direction", sign * waves) for name, waves in shapes]
-        hypotheses: list[Hypothesis | AR1 | None] = [
-            make_hypothesis(f"unknown:{name}", None, None, linearized.project(linearized.whiten(waves)))
-            for name, waves in shapes
-        ]
+        prediction = np.zeros(len(linearized))
+        for part in linearized.parts:
+            prediction[part.rows] = part.law.predict(linearized.rows.iloc[part.rows], part.values)
+        hypotheses: list[Hypothesis | AR1 | None] = []
+        for name, term in self._terms(linearized, prediction):
+            functions = linearized.whiten(term.functions(linearized.columns, prediction) * term.sds)
+            hypotheses.append(make_hypothesis(f"unknown:{name}", term, None, linearized.project(functions)))
+            if self.roles.direction:
+                opposite = replace(term, direction=self.roles.direction, labels=self.labels)
+                signed = linearized.project(opposite.sign(linearized.columns)[:, None] * functions)
+                hypotheses.append(make_hypothesis(f"unknown:{name} by direction", opposite, None, signed))
+        hypotheses += self._groups(linearized)
         if self.roles.time:
             hypotheses += self._in_time(linearized)
         return [one for one in hypotheses if one is not None]
 
-    def _shapes(self, linearized: LinearizedFit) -> Iterator[tuple[str, Array]]:
-        """Names and columns, shape (n, m), of what does not depend on time."""
-        waves = {name: smooth_waves(linearized.columns[name]) for name in self.columns}
-        yield from waves.items()
-        predicted = np.zeros(len(linearized))
-        for part in linearized.parts:
-            predicted[part.rows] = part.law.predict(linearized.rows.iloc[part.rows], part.values)
-        yield "prediction", smooth_waves(predicted)
-        for one, other in combinations(self.columns[:MAX_PAIR_COLUMNS], 2):
-            product = waves[one][:, :PAIR_WAVES, None] * waves[other][:, None, :PAIR_WAVES]
-            yield f"{one} and {other}", product.reshape(len(product), -1)
-        if self.roles.group:
-            codes, groups = pd.factorize(linearized.rows[self.roles.group])
-            if len(groups) < len(codes) / 3 and len(groups) * len(codes) < MAX_ELEMENTS:
-                yield "group", np.eye(len(groups))[codes]
+    def _terms(self, linearized: LinearizedFit, prediction: Array) -> Iterator[tuple[str, SmoothTableTerm]]:
+        """Names and smooth functions of what does not depend on time."""
+        values = {name: np.asarray(linearized.columns[name], float) for name in self.columns}
+        # Of one column and one session, what the law predicts is a function of that column.
+        several = len(values) > 1 or len(np.unique(linearized.rows["session"].to_numpy(object))) > 1
+        for name, own in (*values.items(), *([(PREDICTION, prediction)] if several else [])):
+            limits, distinct = (float(own.min()), float(own.max())), len(np.unique(own))
+            for length in LENGTHS if limits[1] > limits[0] else ():
+                sds = prior_sds(length)[: distinct - 1]
+                orders = tuple((k,) for k in range(1, len(sds) + 1))
+                yield name, self._smooth((name,), (limits,), orders, tuple(map(float, sds)))
+                if len(sds) == distinct - 1:
+                    break
+        sds = prior_sds(PAIR_LENGTH)
+        for one, other in combinations(list(values)[:MAX_PAIR_COLUMNS], 2):
+            limits_of = [(float(values[name].min()), float(values[name].max())) for name in (one, other)]
+            if any(low == high for low, high in limits_of):
+                continue
+            pairs = tuple(product(range(1, len(sds) + 1), repeat=2))
+            own_sds = tuple(float(sds[first - 1] * sds[last - 1]) for first, last in pairs)
+            yield f"{one} and {other}", self._smooth((one, other), tuple(limits_of), pairs, own_sds)
+
+    def _smooth(self, carriers: Any, limits: Any, orders: Any, sds: Any) -> SmoothTableTerm:
+        return SmoothTableTerm(
+            carriers=carriers, limits=limits, orders=orders, sds=sds, response=self.response, unit=self.unit
+        )
+
+    def _groups(self, linearized: LinearizedFit) -> list[Hypothesis | AR1 | None]:
+        """An offset for each group, alike or opposite by direction."""
+        if not self.roles.group:
+            return []
+        codes, groups = pd.factorize(linearized.rows[self.roles.group])
+        if len(groups) >= len(codes) / 3 or len(groups) * len(codes) >= MAX_ELEMENTS:
+            return []
+        shapes = [("group", np.eye(len(groups))[codes])]
+        if self.roles.direction:
+            sign = direction_sign(linearized.columns, self.roles.direction, self.labels)
+            shapes.append(("group by direction", sign[:, None] * shapes[0][1]))
+        return [
+            make_hypothesis(f"unknown:{name}", None, None, linearized.project(linearized.whiten(columns)))
+            for name, columns in shapes
+        ]
 
     def _in_time(self, linearized: LinearizedFit) -> list[Hypothesis | AR1 | None]:
         rows, sessions = linearized.rows, list(split_sessions(linearized).values())
         seconds = rows["session_seconds"].to_numpy(float)
-        session = pd.factorize(rows["session"].astype(object))[0]
+        session, labels = pd.factorize(rows["session"].astype(object))
         waves, n = smooth_in_time(seconds, session), len(rows)
         hypotheses: list[Hypothesis | AR1 | None] = []
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
@@ -106,23 +162,79 @@ class TableAlternatives:
         periods = choose_periods(seconds, session)
         if self.sampled:
             periods = periods[periods < seconds.max() / MIN_CYCLES]
+        if not len(periods):
+            return hypotheses
         angles = 2 * np.pi * seconds[:, None] / periods
         pairs = linearized.whiten(np.concatenate([np.cos(angles), np.sin(angles)], axis=1))
         pairs = np.stack(np.split(pairs, 2, axis=1), axis=-1)
-        names = [f"unknown:period of {period:.3g} {self.roles.time_unit}" for period in periods]
-        hypotheses += build_per_session_hypotheses(names, n, sessions, pairs) if names else []
+        numbers = [str(number) for number in range(len(periods))]
+        plain = PeriodicTableTerm(
+            period=1.0,
+            limits=((0.0, float(seconds.max())),),
+            sds=(1.0, 1.0),
+            sessions=tuple(map(str, labels)),
+            time_unit=self.roles.time_unit,
+            unit=self.unit,
+        )
+        for one in build_per_session_hypotheses(numbers, n, sessions, pairs):
+            wave = replace(plain, period=float(periods[int(one.cause)]))
+            hypotheses.append(replace(one, cause=f"unknown:{wave}", version=wave))
         return hypotheses
 
+    def expressions(self, linearized: LinearizedFit) -> Dictionary | None:
+        """Short expressions over the columns, alike in both directions or opposite; None without columns."""
+        single = [
+            (factor, factor.values(np.asarray(linearized.columns[name], float)))
+            for name in self.columns
+            for factor in _column_functions(name, np.asarray(linearized.columns[name], float))
+        ]
+        products: list[tuple[ColumnFunction, ...]] = [(factor,) for factor, _ in single]
+        columns = [values for _, values in single]
+        for (one, values), (other, others) in combinations(single, 2):
+            if one.column != other.column and one.expression == other.expression == "x":
+                products.append((one, other))
+                columns.append(values * others)
+        if not products:
+            return None
+        n, sets, groups = len(linearized), [""], [np.arange(len(linearized))]
+        combine = np.ones((1, 1))
+        if self.roles.direction:
+            sign = direction_sign(linearized.columns, self.roles.direction, self.labels)
+            sets = ["", self.roles.direction]
+            groups = [np.flatnonzero(sign >= 0), np.flatnonzero(sign < 0)]
+            combine = np.array([[1.0, 1.0], [1.0, -1.0]])
 
-def smooth_waves(values: Array) -> Array:
-    """Cosines over the range of some values, the shorter the smaller, shape (n, m); none if all are equal."""
-    values = np.asarray(values, dtype=float)
-    low, extent = values.min(), np.ptp(values)
-    if not extent > 0:
-        return np.zeros((len(values), 0))
-    number = min(N_WAVES, len(np.unique(values)) - 1)
-    phase = (values - low) / extent
-    return np.stack([np.cos(np.pi * k * phase) / k for k in range(1, number + 1)], axis=-1)
+        def make(place: int, best: int, coefficient: float) -> tuple[ProposedTableTerm, Array]:
+            factors = tuple(astuple(factor) for factor in products[best])
+            labels = self.labels if sets[place] else ()
+            term = ProposedTableTerm(factors=factors, unit=self.unit, direction=sets[place], labels=labels)
+            return term, np.array([coefficient])
+
+        return Dictionary(
+            linearized,
+            np.stack(columns, axis=1).reshape(n, -1),
+            groups,
+            combine,
+            np.zeros((len(sets), len(products)), dtype=bool),
+            make,
+            np.array([len(product) for product in products]),
+        )
+
+
+def _column_functions(name: str, values: Array) -> Iterator[ColumnFunction]:
+    """Short functions of a column, in units in which they are of the order of 1."""
+    low, high = float(values.min()), float(values.max())
+    if not high > low:
+        return
+    middle, unit = _round((low + high) / 2), _round((high - low) / 2)
+    yield from (ColumnFunction(expression, name, middle, unit) for expression in ("x", "x^2", "|x|"))
+    if low > 0 and high > MIN_RATIO * low:
+        yield ColumnFunction("log(x)", name, 0.0, _round(float(np.exp(np.mean(np.log(values))))))
+
+
+def _round(value: float) -> float:
+    """To four significant digits, so that a formula is what it says."""
+    return float(f"{value:.4g}")
 
 
 def numeric_columns(

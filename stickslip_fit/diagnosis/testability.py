@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     SessionFit,
@@ -60,13 +61,24 @@ def largest_strength(
     largest = cause.largest_plausible()
     strengths = [0.0]
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
-        sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
+        scaled = np.arange(values.shape[1]) == 0  # the size is the first parameter, or each if they combine
+        factor = np.where(scaled | cause.combine_trials, cause.max_trial_factor, 1.0)
+        sizes = values if largest else values * factor
         if version.session:
             effects = compute_session_effects(sessions[version.session], version, sizes)
         else:
             effects = compute_effects(linearized, version, sizes)
-        strengths.append(float(np.linalg.norm(effects, axis=0).max()))
+        combined = cause.combine_trials and not largest
+        strengths.append(
+            _largest_combination(effects) if combined else float(np.linalg.norm(effects, axis=0).max())
+        )
     return max(strengths)
+
+
+def _largest_combination(effects: Array) -> float:
+    """Norm of the strongest combination of columns, shape (n, m), none of which is taken more than once."""
+    _, singular, right = np.linalg.svd(effects, full_matrices=False)
+    return float(singular[0] / np.abs(right[0]).max())
 
 
 def _always_fails(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> bool:

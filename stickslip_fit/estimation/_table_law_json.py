@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._expression import parse_expression
-from stickslip_fit.causes import generic
+from stickslip_fit.causes import generic, levels, periodic, table_terms
 from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
 from stickslip_fit.causes.parameters import CauseParameter
@@ -18,6 +18,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Parameter, TableLaw, restore_formula_law
 from stickslip_fit.units import TableUnit
 
+_MODULES = {module.__name__: module for module in (generic, levels, periodic, table_terms)}
 Functions = Mapping[str, Callable[..., Any]]
 """Python functions by the name that imports them."""
 
@@ -57,7 +58,7 @@ def restore_table_law(content: Mapping[str, Any], functions: Functions) -> Any:
         n_shared=int(content["n_shared"]),
         response_unit=TableUnit(content["response_unit"]),
     )
-    causes = tuple(_restore_cause(one, functions) for one in content["causes"])
+    causes = tuple(_restore_cause(one, functions, law) for one in content["causes"])
     return ExtendedTableLaw(law, causes) if causes else law
 
 
@@ -88,12 +89,13 @@ def _describe_cause(cause: Any) -> dict[str, Any]:
             "scale": list(cause.scale),
             "columns": list(cause.columns),
         }
-    if kind.__module__ == generic.__name__ and is_dataclass(cause):
-        return {"kind": kind.__name__} | {one.name: getattr(cause, one.name) for one in fields(cause)}
+    if kind.__module__ in _MODULES and is_dataclass(cause):
+        own = [one.name for one in fields(cause) if one.name != "law"]  # which has a description of its own
+        return {"kind": kind.__name__} | {name: getattr(cause, name) for name in own}
     raise InputError(f"the cause {cause.name} cannot be saved: write it as a formula, with ssf.Cause")
 
 
-def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
+def _restore_cause(content: Mapping[str, Any], functions: Functions, law: TableLaw) -> Any:
     own = dict(content)
     kind = own.pop("kind")
     if kind == "formula":
@@ -101,11 +103,18 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions) -> Any:
         source = _restore_source(restore_formula_cause, own.pop("source"), functions)
         listed = {name: tuple(values) for name, values in own.items()}
         return FormulaTableCause(source=source, parameters=parameters, **listed)
-    restored = getattr(generic, kind)
+    restored = next((vars(module)[kind] for module in _MODULES.values() if kind in vars(module)), None)
     if not (isinstance(restored, type) and issubclass(restored, generic.GenericCause)):
         raise ValueError(f"there is no cause {kind}")
-    settings: Any = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+    settings: Any = {name: _as_tuples(value) for name, value in own.items()}
+    if issubclass(restored, levels.LevelDependence):
+        settings["law"] = law
     return restored(**settings)
+
+
+def _as_tuples(value: Any) -> Any:
+    """Lists, and lists in lists, as tuples."""
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
 
 
 def _restore_source(restore: Any, description: Mapping[str, Any], functions: Functions) -> Any:

@@ -19,13 +19,13 @@ import pandas as pd
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.roles import ORDER, TableRoles, prepare_rows
+from stickslip_fit.causes.levels import LevelDependence
+from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation._table_law_json import describe_table_law, finite_or_null
 from stickslip_fit.estimation.noise import t_quantile
 from stickslip_fit.estimation.result import AxesArray, compute_checksum
 
-ROW_NUMBER = "stickslip-fit: row"  # a column beside those of a table, while its rows are in another order
 OWN_COLUMNS = ("session", "session_seconds", "joint")  # which `prepare_rows` makes
 MAX_NAMED = 10
 
@@ -184,6 +184,8 @@ class TableFit(Summarized):
         needs_time = "session_seconds" in needed
         texts = {self.roles.direction, self.roles.group, self.roles.session}
         texts |= {getattr(getattr(cause, "source", None), "by", None) for cause in self._causes}
+        levels = [cause for cause in self._causes if isinstance(cause, LevelDependence)]
+        texts |= {cause.column for cause in levels}
         numbers = [name for name in needed if name not in (*OWN_COLUMNS, *texts)]
         roles = replace(
             self.roles,
@@ -193,8 +195,9 @@ class TableFit(Summarized):
             group=None,
             direction=self.roles.direction if self.roles.direction in needed else None,
         )
-        numbered = frame.assign(**{ROW_NUMBER: np.arange(len(frame))})
-        rows = prepare_rows(numbered, roles, numbers)
+        rows = prepare_rows(frame, roles, numbers)
+        if issues := [issue for cause in levels for issue in cause.find_unknown(frame)]:
+            raise InputError(issues)
         if needs_time and roles.time != ORDER:
             seconds = absolute_seconds(frame[roles.time])[rows[ROW_NUMBER].to_numpy()]
             begin = pd.Series(seconds).groupby(rows["session"].to_numpy(object)).transform("min")

@@ -28,7 +28,7 @@ EVERY = sorted(prepared(shared="all", **ROLES)[2])
 @pytest.mark.parametrize(
     ("roles", "names"),
     [
-        ({}, ALWAYS | {"covariate:temp", "covariate:t", "covariate:q", "covariate:way"}),
+        ({}, ALWAYS | {f"covariate:{column}" for column in ("temp", "t", "q", "way", "run")}),
         (
             {"time": "t", "position": "q", "session": "run"},
             ALWAYS | BY_TIME | BY_PLACE | COVARIATE | {"covariate:way"},
@@ -107,12 +107,14 @@ def test_columns_that_cannot_be_followed_are_explained():
         gaps=np.where(np.arange(80) % 9, 1.0, np.nan),
         same=4.0,
         who="me",
+        note=[f"row {k}" for k in range(80)],
     )
     untestable = ssf.diagnose_table(frame, LAW, session="run", gain=False).untestable
     assert "same within every session" in untestable["covariate:batch"]
     assert "9 of its cells are empty" in untestable["covariate:gaps"]
     assert "the same in every row" in untestable["covariate:same"]
-    assert "not of numbers" in untestable["covariate:who"]
+    assert "the same in every row" in untestable["covariate:who"]
+    assert "80 different texts in 80 rows" in untestable["covariate:note"]
 
 
 def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():

@@ -209,3 +209,41 @@ def test_a_generic_cause_is_named_with_its_column_and_sessions_stand_in_their_or
 
 def test_a_table_has_no_next_experiment(named):
     assert ssf.next_experiment(named) == ()
+
+
+def test_rows_have_the_numbers_that_they_have_in_the_file():
+    """Rows are put in order of time and session before anything is computed."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0.0, 10.0, 80)
+    frame = pd.DataFrame({"t": np.arange(80.0), "run": np.tile(["a", "b"], 40), "x": x})
+    frame["y"] = 1.0 + 0.5 * x + 0.2 * rng.standard_normal(80)
+    frame = frame.sample(frac=1.0, random_state=1, ignore_index=True)
+    frame.loc[[30, 61], "y"] += 30.0
+    found = ssf.diagnose_table(frame, "y ~ a + b*x", time="t", session="run", gain=False)
+    (table,) = [one for one in found.summary().sections[0].tables if one.caption == "Outlying values"]
+    assert sorted(int(row[0]) for row in table.rows) == [31, 62]
+
+
+def test_where_nothing_is_wrong_the_rows_to_check_are_told():
+    """As in Newcomb's 66 times of light, two of them far off (S. M. Stigler, Ann. Stat. 5:1055, 1977)."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"x": rng.normal(27.0, 5.0, 66).round()})
+    frame.loc[[1, 53], "x"] = -44.0, -2.0
+    found = ssf.diagnose_table(frame, "x ~ a", time="order", gain=False)
+    assert found.verdict == "nothing wrong"  # tails as heavy as Student's t with 5 df may do that
+    assert "Check row 2 (" in " ".join(found.summary().headline)
+    bare = ssf.diagnose_table(frame, "x ~ a", gain=False)
+    assert "no column beside the response could explain it" in bare.summary().headline[0]
+
+
+def test_what_came_closest_to_an_alarm_is_told():
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.0, 10.0, 40)
+    headlines = []
+    for size in (0.0, 0.03):
+        y = 1.0 + 0.5 * x + size * (x - 5.0) ** 2 + 0.5 * rng.standard_normal(40)
+        found = ssf.diagnose_table(pd.DataFrame({"x": x, "y": y}), "y ~ a + b*x", gain=False)
+        headlines.append((found.p_value, " ".join(found.summary().headline)))
+    for p_value, headline in headlines:
+        assert ("Closest to an alarm" in headline) == (0.01 < p_value < 0.075)
+    assert "y follows x beyond the law" in headlines[1][1]

@@ -1,0 +1,143 @@
+"""Generic causes that repeat: with the position, or by the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.generic import GenericCause, Term, linear_term
+from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
+from stickslip_fit.laws import Rows
+from stickslip_fit.units import Interval, TableUnit
+
+MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
+Z_95 = float(ndtri(0.975))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicPosition(GenericCause):
+    """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
+
+    column: str = ""
+    low: float = 0.0
+    period: float = 1.0
+
+    base_name = "periodic-in-position"
+    base_phrase = "the response is periodic in the position"
+    physics = (
+        "Cogging of a motor, the pitch of a lead screw or a belt's teeth, an encoder's interpolation: each "
+        "repeats after the same way."
+    )
+    shows_best = "one slow sweep over many periods, there and back"
+    sentence = "The response is periodic in the position {column}, with a period of {period:.4g}{opposite}"
+    combine_trials = True
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.column,)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        unit = TableUnit(self.unit)
+        return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {**super().quantities(sizes), "column": self.column, "period": self.period}
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
+        position = rows[self.column].to_numpy(float)
+        extent = float(np.ptp(position))
+        finest = min(len(np.unique(position)) / MIN_VALUES_PER_PERIOD, MAX_PERIODS / 2)
+        periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
+        return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
+        return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicTime(GenericCause):
+    """A wave in time with its harmonics, of the table's only session.
+
+    Attributes
+    ----------
+    period : float
+        In the unit of the time.
+    harmonics : int
+        1 for a sine wave alone.
+    time_unit : str
+    """
+
+    period: float
+    harmonics: int = 2
+    time_unit: str = "s"
+
+    base_name = "periodic-in-time"
+    base_phrase = "the response comes and goes with a strict period"
+    physics = (
+        "Day and night, an air conditioner, a pump or the mains: what repeats by the clock takes the "
+        "response with it."
+    )
+    shows_best = "one condition again and again, at most a quarter of the period apart"
+    remedy = "averaging over whole periods"
+    combine_trials = True
+    columns = ("session_seconds",)
+
+    @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        period = f"a period of {{period:.4g}} {self.time_unit}"
+        return f"The response comes and goes with {period}, by {{swing}} either way{{opposite}}"
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        unit = TableUnit(self.unit)
+        return tuple(
+            CauseParameter(f"{name}{k}", unit, f"of the {wave} of 1/{k} of the period")
+            for name, wave in (("s", "sine"), ("c", "cosine"))
+            for k in range(1, self.harmonics + 1)
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        return {**super().quantities({}), "period": self.period, "swing": sizes["amplitude"]}
+
+    def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
+        """Amplitude of the wave and of each harmonic, of coefficients (q,) with their covariance (q, q)."""
+        summary = []
+        for k in range(self.harmonics):
+            own = [k, k + self.harmonics]
+            pair, amplitude = values[own], float(np.hypot(values[k], values[k + self.harmonics]))
+            slope = pair / max(amplitude, 1e-300)
+            variance = float(slope @ covariance[np.ix_(own, own)] @ slope)
+            error = Z_95 * np.sqrt(max(variance, 0.0))
+            name = "amplitude" + (f", 1/{k + 1} of the period" if k else "")
+            size = Interval(amplitude, max(amplitude - error, 0.0), amplitude + error)
+            summary.append(SizedParameter(name, TableUnit(self.unit), size))
+        return tuple(summary)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return [(self, self.size * np.diag(1.0 / np.tile(np.arange(1, self.harmonics + 1), 2)))]
+
+    def functions(self, rows: Rows) -> Array:
+        """Sines, then cosines, shape (n, 2 harmonics)."""
+        rate = 2.0 * np.pi / self.period * np.arange(1, self.harmonics + 1)
+        angles = np.asarray(rows["session_seconds"], float)[:, None] * rate
+        return np.concatenate([np.sin(angles), np.cos(angles)], axis=1)
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        return linear_term(self.functions(rows))

@@ -1,0 +1,103 @@
+"""generic_causes: every generic cause for which a table has the columns; what the other columns lack."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit.causes.generic import (
+    COVARIATE_ORDER,
+    POSITION_ORDER,
+    TRIAL_SHARE,
+    ColumnDependence,
+    DirectionOffset,
+    GenericCause,
+    OutlyingValues,
+    PositionDependence,
+    SessionOffset,
+    SteadyDrift,
+    SuddenChange,
+    WarmUp,
+)
+from stickslip_fit.causes.levels import explain_unusable_levels, level_causes
+from stickslip_fit.causes.periodic import PeriodicPosition
+from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
+
+MAX_SESSIONS = 50  # that may each have an offset of their own
+
+
+def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[GenericCause, ...]:
+    """Every generic cause for which a table has the columns.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of `prepare_rows`.
+    law : TableLaw
+    roles : TableRoles
+    """
+    y = law.response(rows)[0]
+    unit, size = str(law.response_unit), TRIAL_SHARE * (float(np.std(y)) or 1.0)
+    both: list[GenericCause] = []
+    if roles.time:
+        longest = float(rows["session_seconds"].max()) or 1.0
+        for kind in (SteadyDrift, WarmUp):
+            both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
+        both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
+    columns = covariate_columns(rows, law, roles)
+    texts = [name for name in columns if not is_numeric(rows[name])]
+    for column in (name for name in columns if name not in texts):
+        both.append(ColumnDependence(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
+    if roles.position and rows[roles.position].nunique() > 1:
+        place = _range(rows[roles.position], POSITION_ORDER)
+        both.append(PositionDependence(unit=unit, size=size, **place))
+        both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=place["low"]))
+    causes = [*both, *level_causes(texts, rows, law, y, unit, size)]
+    sessions = tuple(map(str, rows["session"].unique()))
+    if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
+        causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
+    if roles.direction:
+        labels = direction_labels(rows[roles.direction])
+        opposite = partial(replace, direction=roles.direction, labels=labels)
+        causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
+        causes += [opposite(cause) for cause in both]
+    return (*causes, OutlyingValues(unit=unit, size=size))
+
+
+def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:
+    """What a polynomial over a column needs; its order is less than the number of the column's values."""
+    low, high = float(cells.min()), float(cells.max())
+    return {"column": str(cells.name), "low": low, "high": high, "order": min(order, cells.nunique() - 1)}
+
+
+def covariate_columns(rows: pd.DataFrame, law: Any, roles: TableRoles) -> list[str]:
+    """Columns that neither the law nor a role uses, and that vary within sessions, of numbers or of texts."""
+    used = {*law.columns, *roles.columns.values(), "session", "session_seconds", "joint", ROW_NUMBER}
+    columns = [str(name) for name in rows.columns if name not in used]
+    return [name for name in columns if explain_unusable(rows, law, name) is None]
+
+
+def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
+    """Why the response cannot be seen to follow a column, None where it can."""
+    cells = rows[name]
+    if is_numeric(cells):
+        values = cells.to_numpy(dtype=float, na_value=np.nan)
+        if not np.isfinite(values).all():
+            return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
+        if np.ptp(values) == 0:
+            return "it is the same in every row"
+    elif reason := explain_unusable_levels(cells):
+        return reason
+    own = len(law.parameters) > law.n_shared
+    if own and (cells.astype(object).groupby(rows["session"].to_numpy()).nunique() < 2).all():
+        return "it is the same within every session, and each session has parameters of its own"
+    return None
+
+
+def is_numeric(cells: pd.Series[Any]) -> bool:
+    """Whether a column is of numbers; truth values are texts."""
+    return pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells)

@@ -1,0 +1,281 @@
+"""Terms without a cause, of a table: what the diagnosis adds to a law for structure that has no name.
+
+As `proposed` has them for logs: a `SmoothTableTerm` is a smooth function of one column, of two, or of the
+response as the law predicts it; a `PeriodicTableTerm` a wave in time; a `ProposedTableTerm` one number times
+a short expression, such as k log(speed).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import format_significant
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.generic import GenericCause, Term, linear_term
+from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.proposed import N_HARMONICS
+from stickslip_fit.causes.smooth import cosines
+from stickslip_fit.causes.table_cause import Effect, Stage
+from stickslip_fit.laws import Rows
+from stickslip_fit.units import TableUnit
+
+PREDICTION = "prediction"  # the carrier that is the response as the law predicts it
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothTableTerm(GenericCause):
+    """A sum of cosines over one carrier, or of their products over two.
+
+    Attributes
+    ----------
+    carriers : tuple of str
+        Columns; or `PREDICTION` alone.
+    limits : tuple of (float, float)
+        Range of each; beyond it the function is constant.
+    orders : tuple of tuple of int
+        Of each function, the order of its cosine in each carrier.
+    sds : tuple of float
+        Prior standard deviation of each function's coefficient, in the unit of the response.
+    response : str
+        Name of the response.
+    """
+
+    carriers: tuple[str, ...]
+    limits: tuple[tuple[float, float], ...]
+    orders: tuple[tuple[int, ...], ...]
+    sds: tuple[float, ...]
+    response: str = ""
+
+    base_name = "smooth-term"
+    base_phrase = "the response follows something smoothly that no cause describes"
+    physics = "Whatever the carrier stands for: the table alone shows that the response follows it smoothly."
+    shows_best = "one condition at the lowest and at the highest values of the carrier"
+    combine_trials = True
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(name for name in self.carriers if name != PREDICTION)
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        meaning = f"of a smooth function of {' and '.join(self.carriers)}"
+        unit = TableUnit(self.unit)
+        return tuple(
+            CauseParameter(f"c{number}", unit, f"coefficient {number} {meaning}", prior_sd=sd)
+            for number, sd in enumerate(self.sds, 1)
+        )
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """The same with another size: all prior standard deviations times a number."""
+        return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `Cause`."""
+        return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
+
+    def stage_in(self, response: str) -> Stage:
+        """See `TableCause`: what follows the prediction is added to all else."""
+        return "measurement" if PREDICTION in self.carriers else "term"
+
+    def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
+        """Each function in each row, shape (n, q)."""
+        values = [
+            np.asarray(prediction if name == PREDICTION else rows[name], float) for name in self.carriers
+        ]
+        waves = [
+            cosines(one, low, high, max(order[place] for order in self.orders))
+            for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
+        ]
+        each = [
+            np.prod([wave[:, k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
+            for order in self.orders
+        ]
+        return np.stack(each, axis=-1)
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        return linear_term(self.functions(rows))
+
+    def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
+        """See `TableCause`."""
+        if PREDICTION not in self.carriers:
+            return super().effect(rows, variable)
+        sign = self.sign(rows)
+
+        def effect(state: Mapping[str, Array], values: Array) -> tuple[Array, Array, Mapping[str, Array]]:
+            predicted = np.broadcast_to(state[self.response], len(values))
+            columns = sign[:, None] * self.functions(rows, predicted)
+            slopes = sign * np.sum(values * self._slopes(predicted), axis=1)
+            return np.sum(values * columns, axis=1), columns, {self.response: slopes}
+
+        return effect
+
+    def _slopes(self, prediction: Array) -> Array:
+        """Derivatives of the functions by the prediction, shape (n, q)."""
+        ((low, high),) = self.limits
+        rate = np.pi * np.array([k for (k,) in self.orders]) / (high - low)
+        inside = ((prediction > low) & (prediction < high))[:, None]
+        return np.where(inside, -rate * np.sin(rate * (prediction[:, None] - low)), 0.0)
+
+    def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
+        """See `Cause`: all trials at once."""
+        prediction = law.predict(rows, values) if PREDICTION in self.carriers else None
+        return np.asarray(self.sign(rows)[:, None] * (self.functions(rows, prediction) @ trials.T))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicTableTerm(SmoothTableTerm):
+    """A wave in time, each session's its own.
+
+    Attributes
+    ----------
+    period : float
+        In the unit of the time.
+    sessions : tuple of str
+    time_unit : str
+    """
+
+    period: float
+    sessions: tuple[str, ...]
+    time_unit: str = "s"
+    orders: tuple[tuple[int, ...], ...] = ((1,), (2,))  # the cosine and the sine of each harmonic
+    carriers: tuple[str, ...] = ("session_seconds",)
+
+    base_name = "periodic-term"
+    base_phrase = "the response comes and goes with a period that no cause describes"
+    physics = "Whatever has this period: the table alone shows that the response follows it."
+    shows_best = "one condition again and again, at most a quarter of the period apart"
+    columns = ("session", "session_seconds")
+
+    def __str__(self) -> str:
+        """Its period in words.
+
+        Examples
+        --------
+        >>> str(PeriodicTableTerm(period=1.25, sessions=("all",), limits=((0.0, 9.0),), sds=(1.0, 1.0)))
+        'period of 1.25 s'
+        """
+        return f"period of {format_significant(self.period, 3)} {self.time_unit}"
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        unit = TableUnit(self.unit)
+        return tuple(
+            CauseParameter(f"c{number}", unit, "coefficient of a wave in time", session=session, prior_sd=sd)
+            for session in self.sessions
+            for number, sd in enumerate(self.sds, 1)
+        )
+
+    def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
+        """See `SmoothTableTerm`: cosine and sine of each harmonic, session by session."""
+        seconds = np.asarray(rows["session_seconds"], float)
+        angles = 2.0 * np.pi * seconds[:, None] / self.period * np.arange(1, len(self.orders) // 2 + 1)
+        waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(seconds), 1, -1)
+        inside = np.asarray(rows["session"], object).astype(str)[:, None] == np.array(self.sessions)
+        return np.asarray((inside[:, :, None] * waves).reshape(len(seconds), -1))
+
+    def with_harmonics(self) -> Self:
+        """The same with harmonics, each expected to be smaller in proportion to its order."""
+        sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
+        return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
+
+
+@dataclass(frozen=True)
+class ColumnFunction:
+    """A short expression in (column - middle) / unit.
+
+    Attributes
+    ----------
+    expression : str
+        One of `EXPRESSIONS`.
+    column : str
+    middle, unit : float
+    """
+
+    expression: str
+    column: str
+    middle: float
+    unit: float
+
+    def values(self, column: Array) -> Array:
+        """From the column, shape (n,)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return EXPRESSIONS[self.expression]((column - self.middle) / self.unit)
+
+    def __str__(self) -> str:
+        """As a formula.
+
+        Examples
+        --------
+        >>> str(ColumnFunction("x^2", "speed", 14.5, 10.5)), str(ColumnFunction("log(x)", "speed", 0.0, 12.0))
+        ('((speed - 14.5) / 10.5)^2', 'log(speed / 12)')
+        """
+        middle, unit = format_significant(abs(self.middle), 4), format_significant(self.unit, 4)
+        sign = "-" if self.middle > 0 else "+"
+        shifted = f"({self.column} {sign} {middle})" if self.middle else self.column
+        inner = f"{shifted} / {unit}"
+        if self.expression == "x":
+            return f"({inner})"
+        return self.expression.replace("x", f"({inner})" if self.expression == "x^2" else inner)
+
+
+EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
+    "x": lambda x: x,
+    "x^2": np.square,
+    "|x|": np.abs,
+    "log(x)": np.log,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposedTableTerm(GenericCause):
+    """k times a product of one or two functions of a column each.
+
+    Attributes
+    ----------
+    factors : tuple of (str, str, float, float)
+        Each a `ColumnFunction`.
+    """
+
+    factors: tuple[tuple[str, str, float, float], ...]
+
+    base_name = "proposed-term"
+    base_phrase = "the response follows a term that no cause describes"
+    physics = "Whatever stands behind it: of all short expressions this one describes the table best."
+    shows_best = "conditions in which the term is smallest and greatest"
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """The column of each factor."""
+        return tuple(factor[1] for factor in self.factors)
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(dict.fromkeys(self.carriers))
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (CauseParameter("k", TableUnit(self.unit), "size of the proposed term"),)
+
+    @property
+    def formula(self) -> str:
+        """For people, such as ``k ((speed - 14.5) / 10.5)^2``."""
+        text = "k " + " x ".join(str(ColumnFunction(*factor)) for factor in self.factors)
+        return text + (", opposite sign in the two directions" if self.direction else "")
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        columns = [
+            ColumnFunction(*factor).values(np.asarray(rows[factor[1]], float)) for factor in self.factors
+        ]
+        return linear_term(np.prod(columns, axis=0)[:, None])

@@ -1,0 +1,134 @@
+"""Columns of texts: offsets and parameters by level, beside statsmodels' analysis of covariance and scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import statsmodels.formula.api as smf
+from scipy.optimize import curve_fit
+
+import stickslip_fit as ssf
+from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
+from stickslip_fit.units import Interval
+
+LINE = "y ~ a + b*x"
+
+
+def table(seed, offset=(0.0, 0.0, 0.0), slope=(0.0, 0.0, 0.0), n=120):
+    rng = np.random.default_rng(seed)
+    level, x = rng.integers(3, size=n), rng.uniform(0.0, 10.0, n)
+    y = 2.0 + 0.5 * x + np.array(offset)[level] + np.array(slope)[level] * x + 0.3 * rng.standard_normal(n)
+    return pd.DataFrame({"x": x, "who": np.array(["Ada", "Ben", "Cy"])[level], "y": y})
+
+
+def sizes(diagnosis):
+    (finding,) = diagnosis.findings
+    assert finding.cause == "covariate:who"
+    return {one.name: one.size for one in finding.parameters}
+
+
+def assert_as(size: Interval, fit, name):
+    """The estimate is that of least squares; so is the interval, nearly: the noise is estimated otherwise."""
+    assert size.estimate == pytest.approx(fit.params[name], abs=0.02 * fit.bse[name])
+    low, high = fit.conf_int().loc[name]
+    assert size.high - size.low == pytest.approx(high - low, rel=0.12)
+
+
+def test_offsets_are_those_of_the_analysis_of_covariance():
+    frame = table(1, offset=(0.0, 0.5, -0.4))
+    frame["who"] = pd.Categorical(frame["who"], categories=frame["who"].unique())
+    found = sizes(ssf.diagnose_table(frame, LINE, gain=False))
+    fit = smf.ols("y ~ x + C(who)", frame).fit()
+    assert len(found) == 2
+    for level in frame["who"].cat.categories[1:]:
+        assert_as(found[f"d[{level}]"], fit, f"C(who)[T.{level}]")
+
+
+def test_other_parameters_are_those_with_interactions():
+    frame = table(2, offset=(0.0, 0.3, 0.0), slope=(0.0, 0.15, -0.1))
+    frame = frame[frame["who"] != "Cy"].reset_index(drop=True)
+    frame["who"] = pd.Categorical(frame["who"], categories=frame["who"].unique())
+    diagnosis = ssf.diagnose_table(frame, LINE)
+    first, other = frame["who"].cat.categories
+    fit = smf.ols("y ~ x * C(who)", frame).fit()
+    found = sizes(diagnosis)
+    assert_as(found["a"], fit, f"C(who)[T.{other}]")
+    assert_as(found["b"], fit, f"x:C(who)[T.{other}]")
+    headline = diagnosis.summary().headline[0]
+    assert f"other parameters where who is {other}, not {first}: a by" in headline
+    assert diagnosis.gain.extended < 0.7 * diagnosis.gain.baseline
+
+
+def saturate(x, top, half):
+    return top * x / (half + x)
+
+
+def enzyme(seed):
+    rng = np.random.default_rng(seed)
+    x = np.repeat([0.02, 0.06, 0.11, 0.22, 0.56, 1.1], 6)
+    state = np.tile(["treated", "plain"], 18)
+    y = np.where(state == "plain", saturate(x, 160.0, 0.05), saturate(x, 210.0, 0.06))
+    return pd.DataFrame({"x": x, "who": state, "y": y + 7.0 * rng.standard_normal(36)})
+
+
+def test_of_a_nonlinear_law_they_are_those_of_two_fits():
+    frame = enzyme(3)
+    found = sizes(ssf.diagnose_table(frame, "y ~ top*x/(half + x)", gain=False))
+    of = {who: curve_fit(saturate, own["x"], own["y"], (200.0, 0.1))[0] for who, own in frame.groupby("who")}
+    difference = of["plain"] - of["treated"]
+    assert found["top"].estimate == pytest.approx(difference[0], rel=1e-3)
+    assert found["half"].estimate == pytest.approx(difference[1], abs=1e-4)
+
+
+def test_a_law_by_level_is_saved(tmp_path):
+    frame = enzyme(3)
+    fit = ssf.diagnose_table(frame, "y ~ top*x/(half + x)", gain=False).extended_law()
+    fit.save(tmp_path / "law.json")
+    again = ssf.load_table_fit(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(fit.predict(frame), again.predict(frame))
+    with pytest.raises(
+        ssf.InputError, match="column who, value 'Zoe': row 2: the law was fitted to treated, plain"
+    ):
+        fit.predict(frame.assign(who=["plain", "Zoe", *["plain"] * 34]))
+    residual = frame["y"] - fit.predict(frame)["predicted"]
+    for _, own in residual.groupby(frame["who"]):
+        assert abs(own.mean()) < 2.0 * 7.0 / np.sqrt(len(own))
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_derivatives_are_those_of_differences(version):
+    frame = table(4)
+    roles = TableRoles()
+    rows = prepare_rows(frame, roles, ["x"])
+    law = ssf.Law("y ~ a*exp(b*x/10)").bind_table(rows)
+    (cause,) = (one for one in generic_causes(rows, law, roles) if one.name == "covariate:who")
+    bound, trials = cause.trials(rows)[version]
+    values = np.r_[[1.5, 0.8], trials.sum(axis=0)]
+    extended = bound.extend(law)
+
+    def predict(values):
+        return extended.predict(rows, np.tile(values, (len(rows), 1)))
+
+    slopes = extended.jacobian(rows, np.tile(values, (len(rows), 1)))
+    for k in range(len(values)):
+        step = 1e-6 * np.eye(len(values))[k]
+        numeric = (predict(values + step) - predict(values - step)) / 2e-6
+        np.testing.assert_allclose(slopes[:, k], numeric, rtol=1e-5, atol=1e-7)
+
+
+def test_texts_that_do_nothing_are_not_named():
+    alarms = [ssf.diagnose_table(table(seed, n=60), LINE, gain=False).verdict for seed in range(10, 18)]
+    assert alarms.count("nothing wrong") >= 7
+
+
+def test_a_table_of_nothing_but_texts_is_explained_to_the_end():
+    rng = np.random.default_rng(5)
+    one, other = rng.integers(3, size=90), rng.integers(2, size=90)
+    y = np.array([0.0, 1.0, -1.0])[one] + np.array([0.0, 0.8])[other] + 0.3 * rng.standard_normal(90)
+    frame = pd.DataFrame(
+        {"poison": np.array(["i", "ii", "iii"])[one], "treat": np.array(["A", "B"])[other], "y": y}
+    )
+    found = ssf.diagnose_table(frame, "y ~ mean")
+    assert {finding.cause for finding in found.findings} == {"covariate:poison", "covariate:treat"}
+    assert found.gain.extended < 0.4 * found.gain.baseline

@@ -1,0 +1,173 @@
+"""What a table's law lacks without having a name: short terms, smooth functions, strict periods."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.signal import lfilter
+
+import stickslip_fit as ssf
+from stickslip_fit.causes.table_terms import (
+    PREDICTION,
+    PeriodicTableTerm,
+    ProposedTableTerm,
+    SmoothTableTerm,
+)
+
+
+def bent(seed, bend, n=120, sd=0.5):
+    rng = np.random.default_rng(seed)
+    x, z = rng.uniform(1.0, 10.0, n), rng.uniform(-1.0, 1.0, n)
+    return pd.DataFrame(
+        {"x": x, "z": z, "y": 1.0 + 0.7 * x - 0.4 * z + bend(x, z) + sd * rng.standard_normal(n)}
+    )
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize(
+    ("law", "bend", "formula"),
+    [
+        ("y ~ a + b*x + c*z", lambda x, z: 0.12 * (x - 5.0) ** 2, "k ((x"),
+        ("y ~ a + b*x + c*z", lambda x, z: 0.4 * x * z, "k ((x"),
+    ],
+)
+def test_a_short_term_is_proposed_and_predicts_what_was_not_seen(law, bend, formula):
+    diagnosis = ssf.diagnose_table(bent(1, bend), law)
+    (finding,) = diagnosis.findings
+    assert finding.cause == "unknown"
+    assert finding.term.startswith(formula)
+    assert f"a term is proposed: {finding.term}, k = " in diagnosis.summary().headline[0]
+    assert diagnosis.gain.extended < 0.8 * diagnosis.gain.baseline
+    fresh = bent(2, bend, n=2000, sd=0.0)
+    fit = diagnosis.extended_law()
+    before = ssf.fit_table(bent(1, bend), law).predict(fresh)["predicted"] - fresh["y"]
+    assert rms(fit.predict(fresh)["predicted"] - fresh["y"]) < 0.25 * rms(before)
+
+
+def test_where_no_short_term_does_a_smooth_function_predicts(tmp_path):
+    def bump(x, z):
+        return 2.0 * np.exp(-0.5 * ((x - 4.0) / 0.6) ** 2)
+
+    frame, fresh = bent(3, bump, n=200), bent(4, bump, n=2000, sd=0.0)
+    diagnosis = ssf.diagnose_table(frame, "y ~ a + b*x + c*z")
+    (finding,) = diagnosis.findings
+    assert (finding.cause, finding.term, finding.carrier) == ("unknown", "", "x")
+    fit = diagnosis.extended_law()
+    predicted = fit.predict(fresh)
+    before = ssf.fit_table(frame, "y ~ a + b*x + c*z").predict(fresh)["predicted"] - fresh["y"]
+    departure = predicted["predicted"] - fresh["y"]
+    assert rms(departure) < 0.4 * rms(before)
+    # A coefficient without data keeps its prior: errors are neither unknown nor too small.
+    assert 0.5 < rms(departure / predicted["standard_error"]) < 2.0
+    fit.save(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(predicted, ssf.load_table_fit(tmp_path / "law.json").predict(fresh))
+
+
+LIMITS = ((0.0, 10.0),)
+TERMS = [
+    SmoothTableTerm(carriers=("x",), limits=LIMITS, orders=((1,), (2,), (3,)), sds=(1.0, 0.5, 0.2)),
+    SmoothTableTerm(
+        carriers=("x", "z"), limits=(*LIMITS, (-1.0, 1.0)), orders=((1, 1), (1, 2)), sds=(1.0, 0.5)
+    ),
+    SmoothTableTerm(
+        carriers=(PREDICTION,), limits=((0.0, 9.0),), orders=((1,), (2,)), sds=(1.0, 0.5), response="y"
+    ),
+    PeriodicTableTerm(limits=LIMITS, sds=(1.0, 1.0), period=3.0, sessions=("all",)).with_harmonics(),
+    ProposedTableTerm(factors=(("x^2", "x", 5.0, 4.0), ("log(x)", "x", 0.0, 2.0))),
+]
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: " ".join(term.carriers))
+def test_derivatives_are_those_of_differences(term):
+    frame = bent(5, lambda x, z: 0.0, n=30)
+    rows = frame.assign(session="all", session_seconds=np.arange(30.0))
+    law = ssf.Law("y ~ a + b*x + c*z").bind_table(frame)
+    extended = term.extend(law)
+    values = np.r_[1.0, 0.7, -0.4, np.linspace(0.3, -0.2, len(term.parameters))]
+
+    def predict(values):
+        return extended.predict(rows, np.tile(values, (len(rows), 1)))
+
+    slopes = extended.jacobian(rows, np.tile(values, (len(rows), 1)))
+    for k in range(len(values)):
+        step = 1e-6 * np.eye(len(values))[k]
+        np.testing.assert_allclose(
+            slopes[:, k], (predict(values + step) - predict(values - step)) / 2e-6, rtol=1e-5, atol=1e-7
+        )
+    trial = np.eye(len(term.parameters))[:1]
+    own = np.tile(values[:3], (len(rows), 1))
+    alone = np.hstack([own, np.tile(trial, (len(rows), 1))])
+    np.testing.assert_allclose(
+        term.changes(law, rows, own, trial)[:, 0], extended.predict(rows, alone) - law.predict(rows, own)
+    )
+
+
+def swinging(seed, coefficients, n=360):
+    rng = np.random.default_rng(seed)
+    return lfilter([1.0], [1.0, *(-np.array(coefficients))], rng.standard_normal(n + 300))[300:]
+
+
+def test_a_strict_period_is_told_from_noise_with_memory():
+    t = np.arange(360) / 12.0
+    wave = 1.5 * np.sin(2.0 * np.pi * (t - 0.1)) + 0.6 * np.cos(4.0 * np.pi * t)
+    frame = pd.DataFrame({"t": t, "y": 10.0 + wave + swinging(1, [0.6])})
+    diagnosis = ssf.diagnose_table(frame, ssf.Law("y ~ mean", units={"t": "year"}), time="t")
+    (finding,) = diagnosis.findings
+    assert finding.cause == "periodic-in-time"
+    # The standard error of a frequency in coloured noise (E. J. Hannan, J. Appl. Prob. 10:510, 1973).
+    density = 1.0 / abs(1.0 - 0.6 * np.exp(-2j * np.pi / 12.0)) ** 2
+    error = np.sqrt(24.0 * density / (1.5**2 * 360**3)) * 12.0 / (2.0 * np.pi)
+    assert finding.version.period == pytest.approx(1.0, abs=3.0 * error)
+    amplitudes = [one.size for one in finding.parameters[:2]]
+    assert [size.low < truth < size.high for size, truth in zip(amplitudes, (1.5, 0.6), strict=True)] == [
+        True
+    ] * 2
+    assert (
+        f"comes and goes with a period of {finding.version.period:.4g} year, by 1.5"
+        in diagnosis.summary().headline[0]
+    )
+    assert (
+        diagnosis.gain.extended < 1.05 * 1.25 < diagnosis.gain.baseline
+    )  # sd of the noise, of noise and wave
+
+
+def test_noise_that_swings_has_no_strict_period():
+    pole = 0.93 * np.exp(2j * np.pi / 11.0)
+    t = np.arange(360.0)
+    for seed in range(4):
+        frame = pd.DataFrame({"t": t, "y": swinging(seed, [2.0 * pole.real, -(abs(pole) ** 2)])})
+        problem = ssf.diagnose_table(frame, "y ~ mean", time="t", gain=False).selection.problem
+        assert "periodic-in-time" not in [cause.name for cause in problem.causes]
+
+
+def test_the_season_of_el_nino_has_a_year_and_the_phase_of_sunspots_drifts():
+    from statsmodels.datasets import elnino, sunspots
+
+    sea = elnino.load_pandas().data.set_index("YEAR").stack().reset_index(drop=True)
+    frame = pd.DataFrame({"month": np.arange(len(sea)), "sea": sea})
+    law = ssf.Law("sea ~ mean", units={"month": "months", "sea": "K", "mean": "K"})
+    found = ssf.diagnose_table(frame, law, time="month", gain=False)
+    assert [finding.cause for finding in found.findings] == ["periodic-in-time"]
+    assert found.findings[0].version.period == pytest.approx(12.0, abs=0.02)
+    spots = sunspots.load_pandas().data
+    found = ssf.diagnose_table(spots, "SUNACTIVITY ~ mean", time="YEAR", gain=False)
+    assert "periodic-in-time" not in [cause.name for cause in found.selection.problem.causes]
+    assert found.table.noise_period == pytest.approx(10.8, abs=0.5)
+
+
+def test_columns_of_very_different_sizes_do_not_stop_a_fit():
+    """A year and a large offset once made the numbers of a cause look undetermined beside them."""
+    rng = np.random.default_rng(6)
+    year, load = np.linspace(1949.0, 1961.0, 144), rng.uniform(size=144)
+    y = 1e6 + 3.0 * year + 0.5 * load + 0.05 * rng.standard_normal(144)
+    frame = pd.DataFrame({"year": year, "load": load, "y": y})
+    cause = ssf.Cause("load", "+ k*load", "k")
+    found = ssf.diagnose_table(frame, "y ~ a + b*year", causes=[cause], generic_causes=(), gain=False)
+    columns = np.column_stack([np.ones(144), year - 1955.0, load])
+    truth = np.linalg.lstsq(columns, y - 1e6, rcond=None)[0][2]
+    (finding,) = found.findings
+    assert finding.parameters[0].size.estimate == pytest.approx(truth, rel=1e-3)
