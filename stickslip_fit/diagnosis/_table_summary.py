@@ -44,11 +44,8 @@ MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 FEW_VALUES = 50  # independent ones
 MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
-SUSPECT_SD, MAX_SUSPECTS, MIN_KEPT = (
-    5.0,
-    3,
-    0.1,
-)  # of a row; rows; least share of a residual that a fit leaves
+SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
+MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 CARRIER_PHRASES = {
