@@ -218,7 +218,7 @@ class ColumnFunction:
         >>> str(ColumnFunction("x^2", "speed", 14.5, 10.5)), str(ColumnFunction("log(x)", "speed", 0.0, 12.0))
         ('((speed - 14.5) / 10.5)^2', 'log(speed / 12)')
         """
-        middle, unit = format_significant(abs(self.middle), 4), format_significant(self.unit, 4)
+        middle, unit = f"{abs(self.middle):.4g}", f"{self.unit:.4g}"
         sign = "-" if self.middle > 0 else "+"
         shifted = f"({self.column} {sign} {middle})" if self.middle else self.column
         inner = f"{shifted} / {unit}"

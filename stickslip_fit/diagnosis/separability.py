@@ -54,7 +54,7 @@ def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesi
     The result has shape (number of ones, number of others).
     """
     sizes = [
-        np.array([len(one.prior_share) if isinstance(one, Hypothesis) else 0 for one in side])
+        np.array([len(one.prior_share) if isinstance(one, Hypothesis) else 0 for one in side], dtype=np.intp)
         for side in (ones, others)
     ]
     products = _multiply_directions(
