@@ -39,10 +39,10 @@ def test_the_radius_holds_most_of_other_truths(fitted):
 @pytest.mark.parametrize(
     ("script", "said"),
     [
-        ([(0, 1, 2), (1, 0, 0)], "time_s, vx_um_s"),
-        ([(0, 1, 2, 3)], "two rows"),
-        ([(1, 1, 2, 3), (0, 0, 0, 0)], "increase"),
-        ([(0, np.nan, 2, 3), (1, 0, 0, 0)], "two rows"),
+        ([(0, 1, 2), (1, 0, 0)], "line 1: has 3 cells, not 4"),
+        ([(0, 1, 2, 3)], "fewer than two lines"),
+        ([(1, 1, 2, 3), (0, 0, 0, 0)], "line 2, column time_s.* increase"),
+        ([(0, np.nan, 2, 3), (1, 0, 0, 0)], "column vx_um_s, value 'nan': give a number"),
     ],
 )
 def test_a_faulty_script_is_refused(fitted, script, said):
