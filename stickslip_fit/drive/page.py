@@ -33,10 +33,11 @@ from stickslip_fit._format import (
     keep_units,
 )
 from stickslip_fit.drive.page_server import PageFiles, RefusalError, serve_page
-from stickslip_fit.drive.picture import ArmView, error_ellipse, view_arm
+from stickslip_fit.drive.picture import ArmView, view_arm
 from stickslip_fit.drive.screen import format_advice, format_count, format_joint
 from stickslip_fit.drive.state import DriveState, VelocityInput
 from stickslip_fit.machine import Machine
+from stickslip_fit.moves.error_ellipsoid import error_ellipse
 from stickslip_fit.units import JOINTS, from_si, to_si
 
 HEARTBEAT = 0.05  # s between two messages of a page on which something is held

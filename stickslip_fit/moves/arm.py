@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.special import chdtri
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array
@@ -160,26 +159,6 @@ class CalibratedArm:
 def relative_spread(slopes: Array, covariance: Array, repeatability: float) -> Array:
     """Relative standard deviation of counts, shape (n,), from the slopes of their logarithms, (n, p)."""
     return np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes) + repeatability**2)
-
-
-def error_radius(covariance: Array, not_covered: float = 0.05) -> Array:
-    """Radius that holds 95 % of normal errors with these covariances, shape (..., d, d) -> (...).
-
-    The squared error has mean tr C and variance 2 tr C^2; its quantile is that of the scaled chi-square with
-    these moments (F. E. Satterthwaite, Biometrics Bull. 2:110, 1946). Exact where one direction dominates
-    and where all are alike, and 2 % off at worst between.
-
-    Examples
-    --------
-    >>> error_radius(np.diag([1.0, 0.0, 0.0])).round(2), error_radius(np.eye(3)).round(2)
-    (np.float64(1.96), np.float64(2.8))
-    """
-    mean = np.trace(covariance, axis1=-2, axis2=-1)
-    square = np.einsum("...ij,...ji->...", covariance, covariance)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        df = mean**2 / square
-        radius = np.sqrt(mean / df * chdtri(df, not_covered))
-    return np.where(mean == 0.0, 0.0, radius)
 
 
 def calibrated_arm(

@@ -163,11 +163,6 @@ class DriveReckoning:
         now, then = (self._group_variance(joint, direction, more) for more in (None, further))
         return self._variance[joint] - now + then
 
-    def tip_covariance(self) -> Array:
-        """Covariance of the tip, base frame, m^2, shape (3, 3)."""
-        slope = jacobian(self.arm.machine, self.q)
-        return slope @ self.joint_covariance() @ slope.T
-
     def pose(self) -> PoseEstimate:
         """The pose, as `dead_reckon` returns it."""
         covariance = self.joint_covariance()

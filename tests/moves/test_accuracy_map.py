@@ -5,7 +5,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit import InputError
-from stickslip_fit.moves.arm import error_radius
+from stickslip_fit.moves.error_ellipsoid import error_radius
 
 Z_95 = 1.96
 
