@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_value
@@ -22,7 +23,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
-from stickslip_fit.units import PRISMATIC, to_si
+from stickslip_fit.units import JOINTS, PRISMATIC, to_si
 
 Z_95 = 1.96  # standard deviations on either side of 95 %
 
@@ -87,11 +88,18 @@ class CalibratedArm:
 
     def drive_rows(self, q: Array, joint: int, direction: str, stop: Array) -> pd.DataFrame:
         """The traverses of `joint` from its positions in `q`, shape (n, 3), to `stop`, shape (n,)."""
-        columns = {"session": self.session, "joint": joint, "direction": direction}
-        rows = pd.DataFrame(columns, index=np.arange(len(q)))
-        rows[["q1", "q2", "q3"]] = q
-        rows = rows.assign(theta=self.theta, psi=self.psi, start=q[:, joint - 1], stop=stop)
-        return rows.assign(**{**self.conditions, **self.history.get(joint, {})})
+        return pd.DataFrame(self.drive_columns(q, joint, direction, stop))
+
+    def drive_columns(self, q: Array, joint: int, direction: str, stop: npt.ArrayLike) -> dict[str, Any]:
+        """The columns of `drive_rows`, each an array of shape (n,)."""
+        columns: dict[str, Any] = {"session": self.session, "joint": joint, "direction": direction}
+        columns |= {f"q{number}": q[:, number - 1] for number in JOINTS}
+        columns |= {"theta": self.theta, "psi": self.psi, "start": q[:, joint - 1], "stop": stop}
+        columns |= {**self.conditions, **self.history.get(joint, {})}
+        return {
+            name: np.full(len(q), value, object if isinstance(value, str) else None)
+            for name, value in columns.items()
+        }
 
     def after_drive(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
         """The arm after a drive, `row` as `drive_row` returns it; session_seconds stays the same."""
@@ -159,6 +167,22 @@ class CalibratedArm:
 def relative_spread(slopes: Array, covariance: Array, repeatability: float) -> Array:
     """Relative standard deviation of counts, shape (n,), from the slopes of their logarithms, (n, p)."""
     return np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes) + repeatability**2)
+
+
+def scale_covariance(covariance: Array) -> tuple[Array, Array]:
+    """Standard deviations, 1 for what is held fixed, shape (p,), and the covariance in their units, (p, p).
+
+    Parameters differ in unit by many powers of ten, which decompositions do not survive.
+    """
+    variance = np.diag(covariance)
+    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+    return scale, covariance / np.outer(scale, scale)
+
+
+def invert_covariance(covariance: Array) -> Array:
+    """Inverse of the covariance of parameters, shape (p, p); 0 for those that are held fixed."""
+    scale, correlation = scale_covariance(covariance)
+    return np.linalg.pinv(correlation, hermitian=True) / np.outer(scale, scale)
 
 
 def calibrated_arm(
