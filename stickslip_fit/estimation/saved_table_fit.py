@@ -80,7 +80,7 @@ def _build(content: Mapping[str, Any], functions: Functions) -> TableFit:
     source = TableSource(**content["source"] | {"files": tuple(content["source"]["files"])})
     fit = TableFit(
         law=restore_table_law(content["law"], functions),
-        roles=TableRoles(**content["roles"]),
+        roles=TableRoles(**content["roles"], time_unit=str(content.get("time_unit", "s"))),
         sessions=tuple(content["sessions"]),
         begins=dict(content["begins"]),
         values=values,

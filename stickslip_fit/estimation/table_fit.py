@@ -281,6 +281,7 @@ def table_fit_to_json(fit: TableFit) -> dict[str, Any]:
         "flags": list(fit.flags),
         "law": describe_table_law(fit.law),
         "roles": fit.roles.columns,
+        "time_unit": fit.roles.time_unit,
         "sessions": list(fit.sessions),
         "begins": dict(fit.begins),
         "n_shared": fit.n_shared,
