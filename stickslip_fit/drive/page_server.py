@@ -12,7 +12,6 @@ at once that the page is gone; what it sends are small requests over connections
 from __future__ import annotations
 
 import json
-import math
 import os
 import secrets
 import select
@@ -27,6 +26,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, Protocol
 
+from stickslip_fit._json import to_plain
 from stickslip_fit._summary import load_template
 from stickslip_fit.errors import InputError
 
@@ -327,23 +327,5 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.dismiss(client)
 
     def _send(self, content: dict[str, Any]) -> None:
-        self.wfile.write(f"data: {dump_json(content)}\n\n".encode())
-
-
-def dump_json(content: Any) -> str:
-    """JSON in which numbers that are not finite are null.
-
-    Examples
-    --------
-    >>> dump_json({"radius": float("nan"), "tip": [1.0, float("inf")]})
-    '{"radius":null,"tip":[1.0,null]}'
-    """
-    return json.dumps(_finite(content), separators=(",", ":"), allow_nan=False)
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {name: _finite(value) for name, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
+        text = json.dumps(to_plain(content), separators=(",", ":"), allow_nan=False)
+        self.wfile.write(f"data: {text}\n\n".encode())
