@@ -39,7 +39,8 @@ def drive_emulated(job: DriveJob, truth: LawValues | None, dialect: str, seed: i
     with ExitStack() as opened:
         inputs = opened.enter_context(open_input(job))
         record, drive = opened.enter_context(open_record(job))
-        clock = RealClock() if job.script is None else VirtualClock()
+        real = RealClock()
+        clock = real if job.script is None else VirtualClock(real.today())
         settings = (seed, dialect, job.step_period, record.seconds)
         rig = emulate_drive(drive, truth, clock, *settings)
         controller = rig.controller(lambda message: None)
