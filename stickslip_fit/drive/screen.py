@@ -157,8 +157,7 @@ def format_state(state: DriveState) -> list[str]:
     return [
         f"{state.time:8.1f} s  {state.status}",
         f"tip     ({tip}) mm",
-        f"        within {_micrometres(state.tip_radius)} of {_micrometres(state.tolerance)} (95 %) "
-        f"{_bar(share)}",
+        f"        within {format_um(state.tip_radius)} of {format_um(state.tolerance)} (95 %) {_bar(share)}",
         f"        95 % ellipsoid, semi-axes {axes} µm",
         f"speed   ({velocity}) µm/s of ({wanted}) wanted",
         *joints,
@@ -175,7 +174,7 @@ def format_line(state: DriveState) -> str:
         f"{state.time:.1f} s",
         state.status,
         f"tip ({tip}) mm",
-        f"within {_micrometres(state.tip_radius)}",
+        f"within {format_um(state.tip_radius)}",
     ]
     if state.advice is not None:
         parts.append(format_advice(state))
@@ -216,7 +215,8 @@ def format_count(steps: int) -> str:
     return f"{steps:+,}".replace("-", "−")
 
 
-def _micrometres(value: float) -> str:
+def format_um(value: float) -> str:
+    """A length in µm, to a tenth."""
     return format_value(value, "µm", 1)
 
 
