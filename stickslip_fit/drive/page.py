@@ -306,7 +306,6 @@ def serve_drive_page(
     machine.require_geometry("a page of the drive")
     limits = {
         "heartbeat_ms": from_si(HEARTBEAT, "ms"),
-        "valid_ms": from_si(VALID_SECONDS, "ms"),
         "stale_ms": from_si(STALE_SECONDS, "ms"),
         "max_speed": from_si(max_speed, "µm"),
     }
