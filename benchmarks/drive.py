@@ -19,12 +19,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.capture.protocols import STEP_PERIOD, VirtualClock
+from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import ExtendedLaw, library
 from stickslip_fit.drive.advice import ADVICE_SHARE
-from stickslip_fit.drive.loop import TICK, DriveLoop
-from stickslip_fit.drive.record import BurstRecord
-from stickslip_fit.drive.state import DriveState, VelocityInput
+from stickslip_fit.drive.loop import TICK
+from stickslip_fit.drive.rehearsal import follow_script
+from stickslip_fit.drive.script import VelocityScript
+from stickslip_fit.drive.state import DriveState
 from stickslip_fit.estimation import Result, fit_constant_step, fit_least_squares
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import Log
@@ -35,6 +36,7 @@ from stickslip_fit.moves import CalibratedArm, DriveReckoning, calibrated_arm
 from stickslip_fit.moves.incremental import GROUPS
 from stickslip_fit.simulation import LawValues, read_law_values, simulate
 from stickslip_fit.units import JOINTS
+from tests.drive.rig import Shown, Steps
 
 SECONDS = 20.0
 SPEEDS = (5e-6, 60e-6)  # m/s
@@ -94,62 +96,20 @@ def scaled(values: Array, joint: int, factor: float) -> Array:
     return values * np.where(np.arange(len(values)) == 1, 1.0, factor) if joint == 3 else values * factor
 
 
-@dataclass(frozen=True, eq=False)
-class Script:
-    """Velocities that change at some times: an input device."""
-
-    times: Array
-    velocities: Array
-
-    def read(self, now: float) -> VelocityInput:
-        """See `InputDevice.read`."""
-        leg = int(np.searchsorted(self.times, now, side="right")) - 1
-        return VelocityInput(tip_velocity=self.velocities[leg], valid_until=SECONDS, ends=now >= SECONDS)
-
-
-def draw_script(rng: np.random.Generator) -> Script:
+def draw_script(rng: np.random.Generator) -> VelocityScript:
     """Random velocities for one drive, all of one speed."""
     times = np.concatenate([[0.0], np.cumsum(rng.uniform(*LEGS, 12))])
     directions = rng.standard_normal((len(times), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return Script(times[times < SECONDS], rng.uniform(*SPEEDS) * directions[times < SECONDS])
+    velocities = rng.uniform(*SPEEDS) * directions[times < SECONDS]
+    times = np.append(times[times < SECONDS], SECONDS)
+    return VelocityScript(tuple(times.tolist()), np.vstack([velocities, np.zeros(3)]), (0,) * len(times))
 
 
 def draw_start(machine: Machine, rng: np.random.Generator) -> Array:
     """A known place within the workspace."""
     ends = np.array([machine.ranges[joint] for joint in JOINTS])
     return rng.uniform(ends[:, 0] + MARGIN, ends[:, 1] - MARGIN)
-
-
-class Steps:
-    """A controller that notes its steps."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self.clock = clock
-        self.made: list[tuple[float, int, int]] = []  # s, joint, signed steps
-
-    def step(self, joint: int, steps: int) -> None:
-        """See `Controller.step`."""
-        self.made.append((self.clock.now(), joint, steps))
-        self.clock.sleep(abs(steps) * STEP_PERIOD)
-
-    def stop(self) -> None:
-        """See `Controller.stop`."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """What the screen showed: times, s, the tip's 95 % radius, m, and its place."""
-
-    times: list[float]
-    radius: list[float]
-    tips: list[Array]
-
-    def show(self, state: DriveState) -> None:
-        """See `Screen.show`."""
-        self.times.append(state.time)
-        self.radius.append(state.tip_radius)
-        self.tips.append(state.tip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,22 +120,24 @@ class Drive:
     made: list[tuple[float, int, int]]
     commanded: Array
     path: float  # m
-    state: DriveState
-    shown: Shown
+    shown: list[DriveState]
     cpu: float  # s for each tick
 
+    @property
+    def state(self) -> DriveState:
+        """At the end."""
+        return self.shown[-1]
 
-def drive(arm: CalibratedArm, start: Array, script: Script) -> Drive:
+
+def drive(arm: CalibratedArm, start: Array, script: VelocityScript) -> Drive:
     """Drive by a law."""
-    clock = VirtualClock()
-    controller, shown = Steps(clock), Shown([], [], [])
-    reckoning = DriveReckoning(arm, start)
-    loop = DriveLoop(reckoning, controller, clock, script, shown, BurstRecord(), tolerance=1.0)  # type: ignore[arg-type]
+    clock, shown = VirtualClock(), Shown()
+    controller = Steps(clock)
     began = process_time()
-    state = loop.run()
+    loop = follow_script(DriveReckoning(arm, start), script, controller, clock, shown, tolerance=1.0)
     cpu = (process_time() - began) / (SECONDS / TICK)
-    speed = float(np.linalg.norm(script.velocities[0]))
-    return Drive(start, controller.made, np.array(loop.commanded_tip), speed * SECONDS, state, shown, cpu)
+    path = float(np.linalg.norm(script.velocities[0])) * SECONDS
+    return Drive(start, controller.made, np.array(loop.commanded_tip), path, shown.states, cpu)
 
 
 def step_truly(benches: Sequence[Bench], drives: Sequence[Drive], rng: np.random.Generator) -> Array:
@@ -262,7 +224,8 @@ def evaluate(benches: Sequence[Bench], drives: Sequence[Drive], rng: np.random.G
     tolerance = float(np.median([own.max() for own in errors]))
     exceeds = [own.max() >= tolerance for own in errors]
     advised = [
-        _first(np.array(one.shown.radius) >= ADVICE_SHARE * tolerance) < _first(own > tolerance)
+        _first(np.array([state.tip_radius for state in one.shown]) >= ADVICE_SHARE * tolerance)
+        < _first(own > tolerance)
         for one, own, does in zip(drives, errors, exceeds, strict=True)
         if does
     ]
@@ -281,8 +244,8 @@ def evaluate(benches: Sequence[Bench], drives: Sequence[Drive], rng: np.random.G
 def _errors_over_time(one: Drive, tips: Array) -> Array:
     """Distance of the true tip from where it was said to be, whenever that was shown."""
     times = np.array([made[0] for made in one.made])
-    number = np.searchsorted(times, np.array(one.shown.times) - 1e-9, side="right")
-    return np.linalg.norm(tips[number] - np.array(one.shown.tips), axis=1)
+    number = np.searchsorted(times, np.array([state.time for state in one.shown]) - 1e-9, side="right")
+    return np.linalg.norm(tips[number] - np.array([state.tip for state in one.shown]), axis=1)
 
 
 def _first(happens: BoolArray) -> float:

@@ -7,14 +7,9 @@ from time import process_time
 
 import numpy as np
 
-from stickslip_fit.capture.audio import Recording
-from stickslip_fit.capture.emulator.acoustics import (
-    Acoustics,
-    CheckPowers,
-    PowerDistribution,
-    compute_powers,
-    synthesize_sound,
-)
+from stickslip_fit._typing import Array
+from stickslip_fit.capture.audio import Recording, power_df
+from stickslip_fit.capture.emulator.acoustics import Acoustics, synthesize_sound
 from stickslip_fit.capture.end_stop import (
     SequentialDetector,
     SequentialTest,
@@ -29,6 +24,8 @@ from stickslip_fit.capture.tuning import (
     Tuning,
     choose_tuning,
     power_quantile,
+    select_band,
+    select_reference,
 )
 
 RATIOS = (-12, -9, -6, -3, -2, -1, 0, 1, 2, 3, 6, 9, 12)  # dB
@@ -39,6 +36,52 @@ DRIFT_DB = 6.0  # dB up and down within two minutes
 TRAVERSES, AT_ZERO, SOUNDED = 20_000, 100_000, 40
 BATCH = 4_000
 DISTURBED = {"bangs": 0.05, "speech": 0.03, "drift_db": DRIFT_DB}
+
+
+@dataclass(frozen=True)
+class PowerDistribution:
+    """Distribution of the power of some bins, over that of the moving joint: `mean` times chi2(df) / df."""
+
+    mean: float
+    df: float
+
+    def draw(self, number: int, rng: np.random.Generator) -> Array:
+        """So many independent checks, shape (number,)."""
+        return self.mean * rng.gamma(self.df / 2, 2 / self.df, number)
+
+
+@dataclass(frozen=True)
+class CheckPowers:
+    """Distributions of the powers of an emulated manipulator."""
+
+    band: PowerDistribution
+    reference: PowerDistribution
+    band_at_stop: PowerDistribution
+    reference_at_stop: PowerDistribution
+
+
+def compute_powers(acoustics: Acoustics, tuning: Tuning) -> CheckPowers:
+    """Distributions of the powers that `Tuning.powers` would find in the sound.
+
+    Of the tuning only the choice of the band matters; the levels are those of the acoustics.
+
+    Notes
+    -----
+    A sum of powers of Gaussian noise with means m_k over bins is very nearly sum(m) chi2(n) / n, where
+    n = 2 (sum m)^2 / sum(m^2), reduced by the window. Bangs, speech and drift are not included.
+    """
+    bins = tuning.frequencies[1:]
+    moving = acoustics.room_density(bins) + acoustics.click_density(bins)
+    rise = 1 + acoustics.stop_density(bins) / moving
+    band = select_band(bins, tuning.frequency, tuning.width)
+    reference = select_reference(bins, tuning.rate, tuning.frequency, tuning.width)
+    means = (np.ones(band.sum()), np.ones(reference.sum()), rise[band], rise[reference])
+    return CheckPowers(*(_make_distribution(part, tuning.samples) for part in means))
+
+
+def _make_distribution(means: Array, samples: int) -> PowerDistribution:
+    even = means.sum() ** 2 / (len(means) * np.sum(means**2))
+    return PowerDistribution(float(means.mean()), float(even * power_df(len(means), samples)))
 
 
 @dataclass

@@ -145,18 +145,6 @@ class Expression:
 
         return evaluate
 
-    def is_linear_in(self, *names: str) -> bool:
-        """Whether it is linear in all the names together: their derivatives have none of them.
-
-        Examples
-        --------
-        >>> fall = parse_expression("height + velocity * t - g * t**2 / 2")
-        >>> fall.is_linear_in("height", "velocity", "g"), fall.is_linear_in("t")
-        (True, False)
-        """
-        derivatives = (self.derivative(name).free_symbols for name in names)
-        return not any(symbol.name in names for symbols in derivatives for symbol in symbols)
-
     def derivative(self, name: str) -> Any:
         """The derivative by a name, as a node of sympy."""
         return self.node.diff(_algebra().symbol(name))

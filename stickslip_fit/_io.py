@@ -1,9 +1,8 @@
-"""Files written completely or not at all, and progress bars.
+"""Files written completely or not at all.
 
 A file is written under a temporary name in its own folder and then renamed, so that a reader never sees
 half of one. The writer holds a lock on its temporary file: one without a lock was left by a process that was
-killed, and the next write to the folder deletes it. Progress bars appear at a terminal or in a notebook, and
-nowhere else.
+killed, and the next write to the folder deletes it.
 """
 
 from __future__ import annotations
@@ -18,12 +17,8 @@ import unicodedata
 from collections.abc import Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stickslip_fit.errors import InputError, InputIssue
-
-if TYPE_CHECKING:
-    pass
 
 _PREFIX, _SUFFIX = ".stickslip-fit-", ".tmp"
 _TEMPORARY_NAME = re.compile(rf"{re.escape(_PREFIX)}\w{{8}}{re.escape(_SUFFIX)}")

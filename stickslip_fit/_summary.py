@@ -218,16 +218,11 @@ class Summary:
         """For a terminal of `width` letters; a table may be wider. `full` shows folded tables too."""
         return "\n\n".join(filter(None, self._blocks(width, full)))
 
-    def as_screen(self, width: int = WIDTH, lines: int = SCREEN) -> tuple[str, tuple[str, ...]]:
+    def as_screen(self) -> tuple[str, tuple[str, ...]]:
         """What fits on a screen: headline and flags, then sections without a title; and what is left out.
 
         Tables and paragraphs follow in order up to the first that has no room; tables give only some rows
         where these stand for all. The headline and the flags are whole even where they are longer.
-
-        Parameters
-        ----------
-        width, lines : int
-            Of the screen, in letters.
 
         Returns
         -------
@@ -235,23 +230,23 @@ class Summary:
         left_out : tuple of str
             Captions of tables, titles of sections.
         """
-        head = ["\n".join(paragraph(text, width) for text in self.headline)]
-        head.append("\n".join(paragraph(f"! {flag}", width, then="  ") for flag in self.flags))
+        head = ["\n".join(paragraph(text) for text in self.headline)]
+        head.append("\n".join(paragraph(f"! {flag}", then="  ") for flag in self.flags))
         head = list(filter(None, head))
         folded = [table.caption for table in self.tables if table.folded]
         everything = list(
-            filter(None, [*head, *(block for one in self.sections for block in one.blocks(width))])
+            filter(None, [*head, *(block for one in self.sections for block in one.blocks(WIDTH))])
         )
-        if _count_lines(everything) <= lines - (ROOM_FOR_TITLES if folded else 0):
+        if _count_lines(everything) <= SCREEN - (ROOM_FOR_TITLES if folded else 0):
             return "\n\n".join(everything), tuple(folded)
         main = [section for section in self.sections if not section.title]
         left_out = [table.caption for section in main for table in section.tables if table.folded]
         left_out += [section.title for section in self.sections if section.title]
-        whole = [block for section in main for _, block in section.named_blocks(width)]
-        if _count_lines([*head, *whole]) <= lines - (ROOM_FOR_TITLES if left_out else 0):
+        whole = [block for section in main for _, block in section.named_blocks(WIDTH)]
+        if _count_lines([*head, *whole]) <= SCREEN - (ROOM_FOR_TITLES if left_out else 0):
             return "\n\n".join([*head, *whole]), tuple(left_out)
-        shown, room = list(head), lines - ROOM_FOR_TITLES
-        parts = [part for section in main for part in section.named_blocks(width, short=True)]
+        shown, room = list(head), SCREEN - ROOM_FOR_TITLES
+        parts = [part for section in main for part in section.named_blocks(WIDTH, short=True)]
         while parts and _count_lines([*shown, parts[0][1]]) <= room:
             shown.append(parts.pop(0)[1])
         every_row = () if set(shown) <= {*head, *whole} else ("every row",)
@@ -319,7 +314,7 @@ def _count_lines(blocks: Sequence[str]) -> int:
     return "\n\n".join(blocks).count("\n") + 1
 
 
-def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") -> str:
+def paragraph(text: str, width: int = WIDTH, then: str = "") -> str:
     """Fill lines, no number parted from its unit; line breaks in the text stay.
 
     Examples
@@ -329,24 +324,10 @@ def paragraph(text: str, width: int = WIDTH, first: str = "", then: str = "") ->
     7.5 µm
     """
     lines = [
-        fill(keep_units(line), width, initial_indent=first, subsequent_indent=then, break_on_hyphens=False)
+        fill(keep_units(line), width, subsequent_indent=then, break_on_hyphens=False)
         for line in text.split("\n")
     ]
     return "\n".join(lines).replace(NO_BREAK_SPACE, " ")
-
-
-def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Lay out rows of cells under a header, the first `left` columns flush left, the others flush right.
-
-    Examples
-    --------
-    >>> print(text_table(["joint", "rms"], [["2", "0.3 µrad"], ["3", "12.0 nm"]]))
-    joint       rms
-    2      0.3 µrad
-    3       12.0 nm
-    """
-    lines = [header, *rows]
-    return "\n".join(_aligned(lines, _widths(lines), [place < left for place in range(len(header))]))
 
 
 def _aligned(lines: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:

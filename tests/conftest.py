@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import quad
 
 from stickslip_fit import cli
+from stickslip_fit.logs import Log, read_log
 
 # Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
@@ -155,6 +156,18 @@ def campaign() -> Callable[..., pd.DataFrame]:
         return pd.DataFrame(rows)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def read_table(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Log]:
+    """A reader of a table in a log file's columns and units."""
+
+    def read(table: pd.DataFrame, name: str = "log.csv") -> Log:
+        path = tmp_path_factory.mktemp("log") / name
+        table.to_csv(path, index=False)
+        return read_log(path)
+
+    return read
 
 
 def _row(

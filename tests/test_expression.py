@@ -77,14 +77,6 @@ def test_names_are_those_of_the_text():
     assert parse_expression("\n a\n + b").names == ("a", "b")
 
 
-def test_linearity_is_that_in_all_names_together():
-    expression = parse_expression("a*x + b*c*y + exp(d)")
-    assert expression.is_linear_in("a", "b")
-    assert expression.is_linear_in("c")
-    assert not expression.is_linear_in("b", "c")
-    assert not expression.is_linear_in("d")
-
-
 def test_formulas_are_split_at_their_tilde():
     left, right = parse_formula('Q("a~b") ~ log(x) + 1')
     assert (left.names, right.names) == (("a~b",), ("x",))

@@ -23,7 +23,7 @@ LAYERS = (
     ("errors", "_typing"),
     ("units",),
     ("_io", "_progress", "_input", "_format", "_expression", "_function"),
-    ("_export",),
+    ("_export", "_json"),
     ("_summary", "_toml"),
     ("step",),
     ("machine",),

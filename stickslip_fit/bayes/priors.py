@@ -17,6 +17,7 @@ import pandas as pd
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit._format import format_value
+from stickslip_fit._json import to_plain
 from stickslip_fit._summary import Table, numbers, words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw
@@ -184,10 +185,7 @@ class CausePriors:
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types that `from_json` reads; no bound is null."""
-        content = asdict(self)
-        for name in ("centre", "width", "lower", "upper"):
-            content[name] = [float(value) if np.isfinite(value) else None for value in content[name]]
-        return content
+        return to_plain(asdict(self))
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> CausePriors:

@@ -1,4 +1,4 @@
-"""TableRoles: which columns of a table are its session, time, position, direction and group.
+"""TableRoles: which columns of a table are its session, time, position, direction and group; the time's unit.
 
 `prepare_rows` checks what the roles and a law need of a table, and returns its rows as causes see them: in
 order of time within each session, with the columns ``session`` (text), ``session_seconds`` (time since the
@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue, shorten
 
+ROLES = ("session", "time", "position", "direction", "group")
 ORDER = "order"
 ONE_SESSION = "all"  # label of the rows of a table without sessions
 BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
@@ -47,8 +48,8 @@ class TableRoles:
         Two values, or numbers whose signs count.
     group : str or None
         What belongs together: replicates of one condition, one specimen.
-    unit : str
-        Of a time column's numbers; times of day become seconds.
+    time_unit : str
+        Of ``session_seconds``: a time column's own, s for times of day, ``"rows"`` where their order is all.
     """
 
     session: str | None = None
@@ -56,17 +57,17 @@ class TableRoles:
     position: str | None = None
     direction: str | None = None
     group: str | None = None
-    unit: str = "s"
+    time_unit: str = "s"
+
+    def __post_init__(self) -> None:
+        if self.time == ORDER:
+            object.__setattr__(self, "time_unit", "rows")
 
     @property
     def columns(self) -> dict[str, str]:
         """The column of each role that is given."""
-        return {role: name for role, name in vars(self).items() if role != "unit" and name is not None}
-
-    @property
-    def time_unit(self) -> str:
-        """Of ``session_seconds``."""
-        return "rows" if self.time == ORDER else self.unit
+        named = {role: getattr(self, role) for role in ROLES}
+        return {role: name for role, name in named.items() if name is not None}
 
 
 def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] = ()) -> pd.DataFrame:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stickslip_fit._io import write_atomically
+from stickslip_fit._json import write_json
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import (
@@ -455,10 +456,7 @@ def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | 
     """Write the requested files; a line for each."""
     lines = []
     if json_path is not None:
-        import json
-
-        content = json.dumps(advice.content, indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomically(json_path, content + "\n")
+        write_json(json_path, advice.content)
         lines.append(f"saved to {json_path}")
     if chart is not None and advice.draw is not None:
         from stickslip_fit.plotting._style import write_figure

@@ -6,14 +6,11 @@ Field names and meanings are a contract, version stickslip-fit/diagnosis/1. Unkn
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import to_plain, write_json
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -26,9 +23,7 @@ METRIC = "held-out rms error of the step size, %"
 
 def save_diagnosis(diagnosis: Diagnosis, path: str | Path) -> None:
     """Write a diagnosis as JSON; raises InputError if the file is the log, or cannot be written."""
-    text = json.dumps(diagnosis_to_json(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
-    files = diagnosis.files
-    write_atomically(path, text + "\n", files)
+    write_json(path, diagnosis_to_json(diagnosis), diagnosis.files)
 
 
 def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -79,7 +74,7 @@ class _Percent:
     whole: float
 
     def of(self, value: float) -> float | None:
-        return _number_or_null(100.0 * value / self.whole)
+        return to_plain(100.0 * value / self.whole)
 
     def of_gain(self, gain: Gain | None) -> dict[str, Any] | None:
         if gain is None:
@@ -100,14 +95,14 @@ def _table_to_json(table: TableInfo) -> dict[str, Any]:
         "response": {
             "name": table.response,
             "unit": table.unit,
-            "standard_deviation": _number_or_null(table.response_sd),
+            "standard_deviation": to_plain(table.response_sd),
         },
         "table": {
             "rows": table.rows,
-            "independent_values": _number_or_null(table.independent),
-            "correlation_rows": _number_or_null(table.correlation_rows),
-            "correlation_time": _number_or_null(table.correlation_time),
-            "noise_period": _number_or_null(table.noise_period),
+            "independent_values": to_plain(table.independent),
+            "correlation_rows": to_plain(table.correlation_rows),
+            "correlation_time": to_plain(table.correlation_time),
+            "noise_period": to_plain(table.noise_period),
             "roles": {role: column for role, column in table.roles.items() if column},
         },
     }
@@ -159,11 +154,10 @@ def traverse_to_json(traverse: NextTraverse) -> dict[str, Any]:
         "joint": traverse.joint,
         "direction": traverse.direction,
         **{
-            f"{name}_{unit}": _number_or_null(from_si(getattr(traverse, name), unit))
-            for name, unit in units.items()
+            f"{name}_{unit}": to_plain(from_si(getattr(traverse, name), unit)) for name, unit in units.items()
         },
-        "from": _number_or_null(from_si(traverse.start, ends)),
-        "to": _number_or_null(from_si(traverse.stop, ends)),
+        "from": to_plain(from_si(traverse.start, ends)),
+        "to": to_plain(from_si(traverse.stop, ends)),
         "repeats": traverse.repeats,
         "tells_apart": list(traverse.tells_apart),
         "note": traverse.note,
@@ -177,25 +171,24 @@ def _stage_reading_to_json(reading: StageReading) -> dict[str, Any]:
             "joint": int(row["joint"]),
             "direction": str(row["direction"]),
             **{
-                f"{name}_pct": _number_or_null(100.0 * row[name])
+                f"{name}_pct": to_plain(100.0 * row[name])
                 for name in ("unloaded", "unloaded_error", "response", "response_error")
             },
-            "friction_limited": _number_or_null(row["friction_limited"]),
+            "friction_limited": to_plain(row["friction_limited"]),
         }
         for _, row in reading.fingerprint.iterrows()
     ]
     return {
         "causes": list(reading.causes),
         "regime": reading.regime or None,
-        "p_value": _number_or_null(reading.p_value),
+        "p_value": to_plain(reading.p_value),
         "credible": [change.quantity for change in reading.credible],
         "changes": [
             {
                 "quantity": change.quantity,
-                "probability": _number_or_null(change.probability),
+                "probability": to_plain(change.probability),
                 "size_pct": {
-                    name: _number_or_null(100.0 * getattr(change.size, name))
-                    for name in ("estimate", "low", "high")
+                    name: to_plain(100.0 * getattr(change.size, name)) for name in ("estimate", "low", "high")
                 },
             }
             for change in reading.changes
@@ -206,8 +199,4 @@ def _stage_reading_to_json(reading: StageReading) -> dict[str, Any]:
 
 
 def _interval_to_json(interval: Interval) -> dict[str, float | None]:
-    return {name: _number_or_null(getattr(interval, name)) for name in ("estimate", "low", "high")}
-
-
-def _number_or_null(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return {name: to_plain(getattr(interval, name)) for name in ("estimate", "low", "high")}

@@ -26,7 +26,8 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.history import previous_rows
-from stickslip_fit.logs.schema import has_times, position_columns
+from stickslip_fit.logs.log import number_configurations
+from stickslip_fit.logs.schema import has_times
 from stickslip_fit.units import PRISMATIC
 
 N_WAVES = 6
@@ -185,11 +186,3 @@ def _ar1_alternatives(rows: pd.DataFrame) -> Iterator[AR1]:
         before = previous_rows(group.astype(np.int64)).astype(np.intp)
         for coefficient in AR1_COEFFICIENTS:
             yield AR1(f"unknown:memory{name}", before, coefficient)
-
-
-def number_configurations(rows: pd.DataFrame) -> npt.NDArray[np.intp]:
-    """A number for each configuration: joint, the other joints, base, and the range in either direction."""
-    ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1)
-    keys = rows[["joint", *position_columns(rows)]].astype(float).fillna(9.0)
-    keys = np.column_stack([keys.to_numpy(), ends]).round(6)
-    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()

@@ -25,7 +25,8 @@ def make_table_fit(
 ) -> TableFit:
     """A fit of a table's law as a result; values that the problem has no more were set aside as outlying."""
     (part,) = fit.parts
-    roles = TableRoles(**{role: column for role, column in table.roles.items() if column})
+    named = {role: column for role, column in table.roles.items() if column}
+    roles = TableRoles(**named, time_unit=table.time_unit)
     n_shared = problem.n_shared + len(fit.values)
     n_own = part.values.shape[1] - n_shared
     session = problem.rows["session"].astype(str).to_numpy(object)[part.rows]

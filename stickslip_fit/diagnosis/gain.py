@@ -16,7 +16,6 @@ import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.alternatives import number_configurations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
@@ -47,6 +46,7 @@ from stickslip_fit.diagnosis.selection import (
     compute_cause_jacobian,
     select_causes,
 )
+from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 
 MIN_SQUARE = 1e-300

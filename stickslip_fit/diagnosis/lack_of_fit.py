@@ -18,8 +18,8 @@ import pandas as pd
 from scipy.special import softmax
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.alternatives import number_configurations
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.logs.log import number_configurations
 
 SHARES = np.array([0.125, 0.25, 0.5])  # of the norm of an effect, that a law which comes near it lacks
 MIN_REPLICATES = 8  # degrees of freedom within cells; with fewer, noise and lack of fit cannot be told apart

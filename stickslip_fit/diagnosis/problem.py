@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, explain_missing, library
-from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives, number_configurations
+from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.expressions import Dictionary, build_log_dictionary
 from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
@@ -37,6 +37,7 @@ from stickslip_fit.estimation.drive_ratio import ratio_changes
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import Laws, choose_laws
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.log import number_configurations
 
 MISFIRE = "end-stop-misfire"
 N_REFITS = 3

@@ -9,7 +9,7 @@ import numpy as np
 from stickslip_fit.drive.state import HomingAdvice
 from stickslip_fit.machine import jacobian
 from stickslip_fit.moves import DriveReckoning
-from stickslip_fit.moves.arm import error_radius
+from stickslip_fit.moves.error_ellipsoid import error_radius
 from stickslip_fit.units import JOINTS
 
 ADVICE_SHARE = 0.75  # of the tolerance; the error exceeds it then in some 1 % of drives

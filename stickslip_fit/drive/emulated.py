@@ -28,6 +28,7 @@ from stickslip_fit.drive.session import (
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
+from stickslip_fit.moves.arm import invert_covariance, scale_covariance
 from stickslip_fit.moves.incremental import GROUPS
 from stickslip_fit.simulation import LawValues
 from stickslip_fit.units import JOINTS
@@ -38,7 +39,8 @@ def drive_emulated(job: DriveJob, truth: LawValues | None, dialect: str, seed: i
     with ExitStack() as opened:
         inputs = opened.enter_context(open_input(job))
         record, drive = opened.enter_context(open_record(job))
-        clock = RealClock() if job.script is None else VirtualClock()
+        real = RealClock()
+        clock = real if job.script is None else VirtualClock(real.today())
         settings = (seed, dialect, job.step_period, record.seconds)
         rig = emulate_drive(drive, truth, clock, *settings)
         controller = rig.controller(lambda message: None)
@@ -94,9 +96,7 @@ def draw_laws(arm: CalibratedArm, rng: np.random.Generator) -> LawValues:
         q = len(own) - len(fit.cause_parameters)
         if shared is None:
             shared = _draw(covariance[q:, q:], rng)
-        scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))[q:]
-        inverse = np.linalg.pinv(covariance[q:, q:] / np.outer(scale, scale)) / np.outer(scale, scale)
-        gain = covariance[:q, q:] @ inverse
+        gain = covariance[:q, q:] @ invert_covariance(covariance[q:, q:])
         rest = covariance[:q, :q] - gain @ covariance[q:, :q]
         error = np.concatenate([gain @ shared + _draw(rest, rng), shared])
         values[joint, direction, None] = own + error
@@ -106,7 +106,5 @@ def draw_laws(arm: CalibratedArm, rng: np.random.Generator) -> LawValues:
 def _draw(covariance: Array, rng: np.random.Generator) -> Array:
     if not len(covariance):
         return np.zeros(0)
-    # Parameters differ in unit by many powers of ten.
-    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
-    correlation = covariance / np.outer(scale, scale)
+    scale, correlation = scale_covariance(covariance)
     return scale * rng.multivariate_normal(np.zeros(len(scale)), correlation, method="svd")

@@ -6,7 +6,6 @@ message: whatever happens to it, the capture goes on.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,7 +27,7 @@ from stickslip_fit.capture.operator import (
     format_setting,
 )
 from stickslip_fit.capture.protocols import Detection
-from stickslip_fit.drive.page_server import PageFiles, RefusalError, serve_page
+from stickslip_fit.drive.page_server import PageContent, PageFiles, RefusalError, serve_page
 from stickslip_fit.units import PRISMATIC
 
 PERIOD = 0.1  # s between two events
@@ -80,18 +79,11 @@ def compare_reading(reading: TraverseReading, kept: bool = True) -> ResidualPoin
     return ResidualPoint(joint, str(row["direction"]), text, residual, low, high, doubtful, kept)
 
 
-class CapturePage:
-    """What the page shows of a capture; safe between threads.
-
-    Attributes
-    ----------
-    address : str
-        Of the page, with its token: to be shown to the user.
-    """
+class CapturePage(PageContent):
+    """What the page shows of a capture."""
 
     def __init__(self) -> None:
-        self.address = ""
-        self._lock = threading.Lock()
+        super().__init__()
         self._session = self._question = ""
         self._messages: deque[str] = deque(maxlen=MAX_MESSAGES)
         self._drive: PlannedDrive | None = None
@@ -144,12 +136,6 @@ class CapturePage:
         """The latest reading is doubted."""
         with self._lock:
             self._residuals[-1] = point
-
-    def join(self, client: str) -> None:
-        """See `PageContent.join`."""
-
-    def leave(self, client: str) -> None:
-        """See `PageContent.leave`."""
 
     def receive(self, message: bytes) -> None:
         """See `PageContent.receive`; refuses every message."""
@@ -245,9 +231,7 @@ class LiveOperator:
 @contextmanager
 def serve_capture_page(title: str, port: int = 0) -> Iterator[CapturePage]:
     """Serve the page of a capture while the context lasts; parameters and errors as `serve_drive_page`."""
-    page = CapturePage()
     values = {"title": title, "stale_ms": 1000 * STALE_SECONDS}
     page_files = PageFiles.load("live_capture.html.j2", *ASSETS, **values)
-    with serve_page(page_files, page, PERIOD, port) as address:
-        page.address = address
+    with serve_page(page_files, CapturePage(), PERIOD, port) as page:
         yield page

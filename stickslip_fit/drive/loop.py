@@ -33,9 +33,9 @@ from stickslip_fit.drive.velocity import (
     tip_velocity,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine import forward, jacobian
+from stickslip_fit.machine import forward
 from stickslip_fit.moves import DriveReckoning
-from stickslip_fit.moves.arm import Z_95, error_radius
+from stickslip_fit.moves.arm import Z_95
 from stickslip_fit.units import JOINTS
 
 TICK = 0.010  # s
@@ -182,23 +182,21 @@ class DriveLoop:
 
     def state(self) -> DriveState:
         """The drive as it is now."""
-        drive, machine = self.drive, self.drive.arm.machine
-        slope, covariance = jacobian(machine, drive.q), drive.joint_covariance()
-        tip_covariance = slope @ covariance @ slope.T
-        wanted = self._wanted
+        drive, wanted = self.drive, self._wanted
+        pose = drive.pose()
         velocity = AT_REST
         if wanted.tip_velocity is not None:
             velocity = _triple(wanted.tip_velocity)
         elif wanted.joint_velocity is not None:
-            velocity = tip_velocity(machine, drive.q, _triple(wanted.joint_velocity))
+            velocity = tip_velocity(drive.arm.machine, drive.q, _triple(wanted.joint_velocity))
         return DriveState(
             time=self.seconds,
             status=self.status,
-            q=np.array(drive.q),
-            q_error=np.sqrt(np.diag(covariance)),
-            tip=forward(machine, drive.q),
-            tip_covariance=tip_covariance,
-            tip_radius=float(error_radius(tip_covariance)),
+            q=pose.q,
+            q_error=pose.q_error,
+            tip=pose.tip,
+            tip_covariance=pose.tip_covariance,
+            tip_radius=pose.tip_radius,
             tolerance=self.tolerance,
             wanted_velocity=np.array(velocity),
             tip_velocity=np.array(self._velocity),

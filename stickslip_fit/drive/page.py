@@ -32,11 +32,12 @@ from stickslip_fit._format import (
     format_value,
     keep_units,
 )
-from stickslip_fit.drive.page_server import PageFiles, RefusalError, serve_page
-from stickslip_fit.drive.picture import ArmView, error_ellipse, view_arm
+from stickslip_fit.drive.page_server import PageContent, PageFiles, RefusalError, serve_page
+from stickslip_fit.drive.picture import ArmView, view_arm
 from stickslip_fit.drive.screen import format_advice, format_count, format_joint
 from stickslip_fit.drive.state import DriveState, VelocityInput
 from stickslip_fit.machine import Machine
+from stickslip_fit.moves.error_ellipsoid import error_ellipse
 from stickslip_fit.units import JOINTS, from_si, to_si
 
 HEARTBEAT = 0.05  # s between two messages of a page on which something is held
@@ -203,26 +204,20 @@ class HeldInput:
         self._broken, self._held, self._reason = self._press, None, reason
 
 
-class DrivePage:
+class DrivePage(PageContent):
     """Shows a drive on a page, and takes its input; see `serve_drive_page`.
 
     The page that was opened first is in control; others show the same, and can only stop. When it is closed,
     the next one is in control.
-
-    Attributes
-    ----------
-    address : str
-        Of the page, with its token: to be shown to the user.
     """
 
     def __init__(
         self, machine: Machine, max_speed: float = DEFAULT_MAX_SPEED, clock: Clock = time.monotonic
     ) -> None:
+        super().__init__()
         self.machine = machine
         self.held = HeldInput(max_speed, clock)
-        self.address = ""
         self._clock = clock
-        self._lock = threading.Lock()
         self._clients: list[str] = []
         self._state: DriveState | None = None
         self._shown = 0.0
@@ -309,16 +304,13 @@ def serve_drive_page(
         If the machine has no published geometry, or the port cannot be had.
     """
     machine.require_geometry("a page of the drive")
-    page = DrivePage(machine, max_speed)
     limits = {
         "heartbeat_ms": from_si(HEARTBEAT, "ms"),
-        "valid_ms": from_si(VALID_SECONDS, "ms"),
         "stale_ms": from_si(STALE_SECONDS, "ms"),
         "max_speed": from_si(max_speed, "µm"),
     }
     page_files = PageFiles.load("drive.html.j2", *ASSETS, title=title, **limits)
-    with serve_page(page_files, page, PERIOD, port) as address:
-        page.address = address
+    with serve_page(page_files, DrivePage(machine, max_speed), PERIOD, port) as page:
         yield page
 
 

@@ -12,21 +12,22 @@ at once that the page is gone; what it sends are small requests over connections
 from __future__ import annotations
 
 import json
-import math
 import os
 import secrets
 import select
 import socket
 import socketserver
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any
 
+from stickslip_fit._json import to_plain
 from stickslip_fit._summary import load_template
 from stickslip_fit.errors import InputError
 
@@ -54,18 +55,30 @@ class RefusalError(Exception):
         super().__init__(reason)
 
 
-class PageContent(Protocol):
-    """What a page shows, and what it is told. Called from several threads."""
+class PageContent(ABC):
+    """What a page shows, and what it is told. Called from several threads.
 
-    def join(self, client: str) -> None:
+    Attributes
+    ----------
+    address : str
+        Of the page while it is served, with its token: to be shown to the user.
+    """
+
+    def __init__(self) -> None:
+        self.address = ""
+        self._lock = threading.Lock()
+
+    def join(self, client: str) -> None:  # noqa: B027 (nothing, unless it matters who looks on)
         """A browser has opened the page."""
 
-    def leave(self, client: str) -> None:
+    def leave(self, client: str) -> None:  # noqa: B027
         """It has closed the page, or has gone."""
 
+    @abstractmethod
     def content(self, client: str) -> dict[str, Any]:
         """What it shows now; numbers that are not finite become null."""
 
+    @abstractmethod
     def receive(self, message: bytes) -> None:
         """What a page says; raises RefusalError."""
 
@@ -87,9 +100,9 @@ class PageFiles:
 
 
 @contextmanager
-def serve_page(
-    page_files: PageFiles, page_content: PageContent, period: float, port: int = 0
-) -> Iterator[str]:
+def serve_page[Content: PageContent](
+    page_files: PageFiles, page_content: Content, period: float, port: int = 0
+) -> Iterator[Content]:
     """Serve a page while the context lasts.
 
     Parameters
@@ -103,8 +116,8 @@ def serve_page(
 
     Yields
     ------
-    str
-        The page's address.
+    PageContent
+        The same, with the page's address.
 
     Raises
     ------
@@ -121,7 +134,8 @@ def serve_page(
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="page", daemon=True)
     thread.start()
     try:
-        yield server.address
+        page_content.address = server.address
+        yield page_content
     finally:
         server.shutdown()
         server.end()
@@ -327,23 +341,5 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.dismiss(client)
 
     def _send(self, content: dict[str, Any]) -> None:
-        self.wfile.write(f"data: {dump_json(content)}\n\n".encode())
-
-
-def dump_json(content: Any) -> str:
-    """JSON in which numbers that are not finite are null.
-
-    Examples
-    --------
-    >>> dump_json({"radius": float("nan"), "tip": [1.0, float("inf")]})
-    '{"radius":null,"tip":[1.0,null]}'
-    """
-    return json.dumps(_finite(content), separators=(",", ":"), allow_nan=False)
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {name: _finite(value) for name, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
+        text = json.dumps(to_plain(content), separators=(",", ":"), allow_nan=False)
+        self.wfile.write(f"data: {text}\n\n".encode())

@@ -1,16 +1,14 @@
 """The arm from two sides: what lies where in each view, the error ellipse, and both as a picture of text.
 
 From above, x points right and y up; in the arm's own plane, the distance from joint 1's axis in the
-direction of joint 1 points right and the height up. The errors of two coordinates are normal with
-covariance S; their 95 % ellipse has the semi-axes sqrt(chi2 lambda), with lambda the eigenvalues of S and
-chi2 = -2 ln 0.05 the quantile of chi-square with two degrees of freedom (exact). It is micrometres where
-the arm is centimetres, and is drawn by a magnification of its own.
+direction of joint 1 points right and the height up. The error ellipse is micrometres where the arm is
+centimetres, and is drawn by a magnification of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, inf, log, log10
+from math import floor, inf, log10
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +16,9 @@ import numpy.typing as npt
 from stickslip_fit._typing import Array
 from stickslip_fit.drive.state import DriveState
 from stickslip_fit.machine import Machine, forward
+from stickslip_fit.moves.error_ellipsoid import error_ellipse
 from stickslip_fit.units import from_si
 
-NOT_COVERED = 0.05
-CHI_SQUARE = -2.0 * log(NOT_COVERED)
 Point = tuple[float, float]
 IntArray = npt.NDArray[np.int_]
 
@@ -101,38 +98,6 @@ def _extents(machine: Machine) -> tuple[Array, Array]:
 def _ends(values: Array) -> Point:
     """The lowest and the highest, with the base's 0 between them."""
     return min(float(values.min()), 0.0), max(float(values.max()), 0.0)
-
-
-@dataclass(frozen=True)
-class ErrorEllipse:
-    """Semi-axes, m, and the direction of the longer one, rad from the axis that points right."""
-
-    longer: float
-    shorter: float
-    angle: float
-
-    def points(self, count: int) -> Array:
-        """Points on it about its centre, m, shape (count, 2)."""
-        turn = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
-        along = np.array([np.cos(self.angle), np.sin(self.angle)])
-        across = np.array([-along[1], along[0]])
-        return np.outer(self.longer * np.cos(turn), along) + np.outer(self.shorter * np.sin(turn), across)
-
-
-def error_ellipse(covariance: Array) -> ErrorEllipse | None:
-    """The ellipse that holds 95 % of normal errors of this covariance, m^2, shape (2, 2); None if not known.
-
-    Examples
-    --------
-    >>> ellipse = error_ellipse(np.diag([4e-12, 1e-12]))
-    >>> print(f"{1e6 * ellipse.longer:.3f} and {1e6 * ellipse.shorter:.3f} µm")
-    4.895 and 2.448 µm
-    """
-    if not np.all(np.isfinite(covariance)):
-        return None
-    variances, axes = np.linalg.eigh(covariance)
-    shorter, longer = np.sqrt(CHI_SQUARE * np.maximum(variances, 0.0))
-    return ErrorEllipse(float(longer), float(shorter), float(np.arctan2(axes[1, 1], axes[0, 1])))
 
 
 def round_down(value: float) -> float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,19 +15,18 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.capture.emulator.rig import EmulatedRig
-from stickslip_fit.capture.protocols import VirtualClock
+from stickslip_fit.capture.protocols import Clock, Controller, VirtualClock
 from stickslip_fit.drive.emulated import emulate_drive, true_joints
 from stickslip_fit.drive.loop import DriveLoop
 from stickslip_fit.drive.record import BurstRecord
-from stickslip_fit.drive.script import COLUMNS, ScriptDevice, VelocityScript, read_script
-from stickslip_fit.drive.state import DriveState
-from stickslip_fit.errors import InputError
+from stickslip_fit.drive.script import ScriptDevice, VelocityScript, check_rows, read_script
+from stickslip_fit.drive.state import DriveState, Screen
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.machine import forward
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
 from stickslip_fit.simulation import LawValues
-from stickslip_fit.units import from_si, to_si
+from stickslip_fit.units import from_si
 
 TOLERANCE = 10e-6  # m
 
@@ -132,22 +130,23 @@ def rehearse_drive(
     >>> print(f"{last['x_mm'] - trace.table['x_mm'][0]:.2f} mm on, within {last['radius_um']:.1f} µm (95 %)")
     0.40 mm on, within 2.9 µm (95 %)
     """
-    drive = DriveReckoning(arm, start)
-    device = ScriptDevice(_as_script(script))
-    clock = VirtualClock()
+    velocities = read_script(Path(script)) if isinstance(script, str | Path) else check_rows(script)
+    drive, clock = DriveReckoning(arm, start), VirtualClock()
     rig = emulate_drive(drive, truth, clock, seed)
     notes = _Notes(rig, drive.arm)
-    record, controller = BurstRecord(), rig.controller(lambda message: None)
-    DriveLoop(drive, controller, clock, device, notes, record, tolerance).run()
+    follow_script(drive, velocities, rig.controller(lambda message: None), clock, notes, tolerance)
     return DriveTrace(tuple(notes.states), np.array(notes.true_tips))
 
 
-def _as_script(script: str | Path | Sequence[Sequence[Any]]) -> VelocityScript:
-    if isinstance(script, str | Path):
-        return read_script(Path(script))
-    rows = np.array(script, dtype=float)
-    if rows.ndim != 2 or rows.shape[1] != 4 or len(rows) < 2 or not np.isfinite(rows).all():
-        raise InputError(f"a script is two rows or more of {', '.join(COLUMNS)}")
-    if rows[0, 0] < 0 or not (np.diff(rows[:, 0]) > 0).all():
-        raise InputError("the times of a script increase, from 0 on")
-    return VelocityScript(tuple(rows[:, 0].tolist()), to_si(rows[:, 1:], "µm"), (0,) * len(rows))
+def follow_script(
+    drive: DriveReckoning,
+    script: VelocityScript,
+    controller: Controller,
+    clock: Clock,
+    screen: Screen,
+    tolerance: float,
+) -> DriveLoop:
+    """Drive by a script to its end, with no journal; the loop as it was left."""
+    loop = DriveLoop(drive, controller, clock, ScriptDevice(script), screen, BurstRecord(), tolerance)
+    loop.run()
+    return loop

@@ -14,16 +14,14 @@ from collections.abc import Callable
 
 import numpy as np
 import typer
-from scipy.special import chdtri
 
 from stickslip_fit._format import format_direction, format_number, format_value, pluralize
 from stickslip_fit.drive.state import DriveState, Screen
 from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.moves.error_ellipsoid import semi_axes
 from stickslip_fit.units import JOINTS, PRISMATIC, from_si
 
 LINE_INTERVAL = 1.0  # s between two lines where there is no terminal
-# 95 % of normal errors in three dimensions lie within so many standard deviations along each axis.
-CHI_95 = float(np.sqrt(chdtri(3, 0.05)))
 PICTURE_HEIGHT = 14
 NO_ADVICE = "none: the tip is known well enough"
 Picture = Callable[[DriveState, int, int], list[str]]
@@ -145,7 +143,8 @@ class ScreenThread:
 def format_state(state: DriveState) -> list[str]:
     """The state of a drive in a few lines."""
     tip = ", ".join(format_number(float(x), "mm", 4) for x in state.tip)
-    axes = " × ".join(f"{from_si(length, 'µm'):.1f}" for length in semi_axes(state.tip_covariance))
+    variances = np.linalg.eigvalsh(state.tip_covariance)[::-1]
+    axes = " × ".join(f"{from_si(length, 'µm'):.1f}" for length in semi_axes(variances))
     share = state.tip_radius / state.tolerance
     velocity, wanted = (
         ", ".join(format_number(float(x), "µm", 1) for x in of)
@@ -158,8 +157,7 @@ def format_state(state: DriveState) -> list[str]:
     return [
         f"{state.time:8.1f} s  {state.status}",
         f"tip     ({tip}) mm",
-        f"        within {_micrometres(state.tip_radius)} of {_micrometres(state.tolerance)} (95 %) "
-        f"{_bar(share)}",
+        f"        within {format_um(state.tip_radius)} of {format_um(state.tolerance)} (95 %) {_bar(share)}",
         f"        95 % ellipsoid, semi-axes {axes} µm",
         f"speed   ({velocity}) µm/s of ({wanted}) wanted",
         *joints,
@@ -176,7 +174,7 @@ def format_line(state: DriveState) -> str:
         f"{state.time:.1f} s",
         state.status,
         f"tip ({tip}) mm",
-        f"within {_micrometres(state.tip_radius)}",
+        f"within {format_um(state.tip_radius)}",
     ]
     if state.advice is not None:
         parts.append(format_advice(state))
@@ -194,17 +192,6 @@ def format_advice(state: DriveState) -> str:
     )
     stop = f"the {format_direction(advice.direction)} stop of joint {advice.joint}"
     return f"Go back to {stop} {within}. It is about {pluralize(advice.steps_to_stop, 'step')} away."
-
-
-def semi_axes(covariance: np.ndarray) -> np.ndarray:
-    """Semi-axes of the ellipsoid that holds 95 % of errors with a covariance, (3, 3) -> (3,), longest first.
-
-    Examples
-    --------
-    >>> semi_axes(np.diag([1.0, 4.0, 0.0])).round(2)
-    array([5.59, 2.8 , 0.  ])
-    """
-    return CHI_95 * np.sqrt(np.clip(np.linalg.eigvalsh(covariance)[::-1], 0.0, None))
 
 
 def format_joint(state: DriveState, joint: int) -> str:
@@ -228,7 +215,8 @@ def format_count(steps: int) -> str:
     return f"{steps:+,}".replace("-", "−")
 
 
-def _micrometres(value: float) -> str:
+def format_um(value: float) -> str:
+    """A length in µm, to a tenth."""
     return format_value(value, "µm", 1)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -96,31 +97,36 @@ def read_script(path: Path) -> VelocityScript:
     if not set(COLUMNS) <= set(header) <= {*COLUMNS, HOME} or len(set(header)) < len(header):
         message = f"begins with the columns {','.join(COLUMNS)}, and {HOME} if wanted, each once"
         raise InputError(InputIssue(message, str(path), 1, value=",".join(header)))
-    return _check_script(path, header, records[1:])
+    return _check_script(str(path), header, records[1:])
 
 
-def _check_script(path: Path, header: list[str], records: list[tuple[int, list[str]]]) -> VelocityScript:
+def check_rows(rows: Iterable[Iterable[float]]) -> VelocityScript:
+    """A script from rows of its numbers, in the file's units; raises InputError with every fault."""
+    return _check_script("script", [*COLUMNS], [(line, [*map(str, row)]) for line, row in enumerate(rows, 1)])
+
+
+def _check_script(source: str, header: list[str], records: list[tuple[int, list[str]]]) -> VelocityScript:
     issues: list[InputIssue] = []
     rows: list[tuple[float, ...]] = []
     for line, cells in records:
         if len(cells) != len(header):
-            issues.append(InputIssue(f"has {len(cells)} cells, not {len(header)}", str(path), line))
+            issues.append(InputIssue(f"has {len(cells)} cells, not {len(header)}", source, line))
             continue
         row = dict(zip(header, cells, strict=True))
-        numbers = [_parse(path, line, name, row[name], issues) for name in COLUMNS]
+        numbers = [_parse(source, line, name, row[name], issues) for name in COLUMNS]
         least = rows[-1][0] if rows else -1.0
         if numbers[0] <= least or numbers[0] < 0:
             message = "times increase from 0 on; correct it, or sort the lines"
-            issues.append(InputIssue(message, str(path), line, "time_s", row["time_s"]))
+            issues.append(InputIssue(message, source, line, "time_s", row["time_s"]))
         home = row.get(HOME, "")
         if home not in ("", *map(str, JOINTS)):
             message = "give a joint, 1, 2 or 3, or leave it empty"
-            issues.append(InputIssue(message, str(path), line, HOME, home))
+            issues.append(InputIssue(message, source, line, HOME, home))
             home = ""
         rows.append((*numbers, float(home or 0)))
     if len(rows) < 2 and not issues:
         message = "has fewer than two lines of velocities; the last one's time ends the drive"
-        issues.append(InputIssue(message, str(path)))
+        issues.append(InputIssue(message, source))
     if issues:
         raise InputError(issues)
     table = np.array(rows)
@@ -128,12 +134,12 @@ def _check_script(path: Path, header: list[str], records: list[tuple[int, list[s
     return VelocityScript(tuple(table[:, 0].tolist()), to_si(table[:, 1:4], "µm"), homes)
 
 
-def _parse(path: Path, line: int, name: str, text: str, issues: list[InputIssue]) -> float:
+def _parse(source: str, line: int, name: str, text: str, issues: list[InputIssue]) -> float:
     try:
         number = float(text)
     except ValueError:
         number = float("nan")
     if not isfinite(number):
-        issues.append(InputIssue("give a number", str(path), line, name, text))
+        issues.append(InputIssue("give a number", source, line, name, text))
         return 0.0
     return number

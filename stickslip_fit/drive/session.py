@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from stickslip_fit._format import format_number, format_value, join_words
+from stickslip_fit._format import format_number, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.capture.audio import Microphone
 from stickslip_fit.capture.devices import open_controller
@@ -35,6 +35,7 @@ from stickslip_fit.drive.screen import (
     TerminalScreen,
     format_advice,
     format_count,
+    format_um,
 )
 from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
@@ -227,8 +228,8 @@ def summarize_drive(state: DriveState, job: DriveJob) -> str:
     """Where the tip is, how surely, and what to do, in sentences."""
     steps = join_words([format_count(count) for count in state.steps])
     sentences = [
-        f"Tip at {format_tip(state.tip)}, within {_micrometres(state.tip_radius)} (95 %); the tolerance is "
-        f"{_micrometres(state.tolerance)}.",
+        f"Tip at {format_tip(state.tip)}, within {format_um(state.tip_radius)} (95 %); the tolerance is "
+        f"{format_um(state.tolerance)}.",
         f"Joints 1, 2 and 3 made {steps} steps in {state.time:.1f} s, those in − taken off.",
         f"Advice: {format_advice(state) or f'{NO_ADVICE}.'}",
     ]
@@ -242,14 +243,10 @@ def summarize_drive(state: DriveState, job: DriveJob) -> str:
 def summarize_truth(state: DriveState, positions: Array, job: DriveJob) -> str:
     """How far off the estimate is at an emulated rig, whose joints are known."""
     tip = forward(job.arm.machine, positions)
-    off = _micrometres(float(np.linalg.norm(tip - state.tip)))
+    off = format_um(float(np.linalg.norm(tip - state.tip)))
     return f"Emulated: the tip truly is at {format_tip(tip)}, {off} from where it is taken to be."
 
 
 def format_tip(tip: Array) -> str:
     """A tip position for people, to a tenth of a micrometre."""
     return "({}) mm".format(", ".join(format_number(float(x), "mm", 4) for x in tip))
-
-
-def _micrometres(value: float) -> str:
-    return format_value(value, "µm", 1)

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
-import numpy as np
-
 from stickslip_fit._expression import parse_expression
+from stickslip_fit._json import to_plain
 from stickslip_fit.causes import generic, levels, periodic, table_terms
 from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
@@ -65,8 +64,7 @@ def restore_table_law(content: Mapping[str, Any], functions: Functions) -> Any:
 def _describe_parameter(parameter: Parameter) -> dict[str, Any]:
     """Its fields; null for a bound or a prior that it has not."""
     is_plain = not isinstance(parameter.unit, TableUnit)
-    content = asdict(parameter) | {"unit": str(parameter.unit), "converted": is_plain}
-    return {name: finite_or_null(one) if isinstance(one, float) else one for name, one in content.items()}
+    return to_plain(asdict(parameter) | {"unit": str(parameter.unit), "converted": is_plain})
 
 
 def _restore_parameter[Kind: Parameter](kind: type[Kind], content: Mapping[str, Any]) -> Kind:
@@ -129,8 +127,3 @@ def list_functions(law: Mapping[str, Any]) -> list[str]:
     """Names of the functions that a described law needs."""
     sources = [law["source"], *(cause["source"] for cause in law["causes"] if "source" in cause)]
     return [source["function"] for source in sources if "function" in source]
-
-
-def finite_or_null(value: float) -> float | None:
-    """The number; null for an unknown one, since JSON has no NaN."""
-    return float(value) if np.isfinite(value) else None

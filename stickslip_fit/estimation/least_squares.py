@@ -143,12 +143,11 @@ def fit_least_squares(
     return flag_outliers(result, log)
 
 
-def fit_joint(
-    law: StepLaw, rows: pd.DataFrame, machine: Machine, options: FitOptions = DEFAULT_OPTIONS
-) -> tuple[JointFit, Array, list[Flag]]:
+def fit_joint(law: StepLaw, rows: pd.DataFrame, machine: Machine) -> tuple[JointFit, Array, list[Flag]]:
     """Fit one joint's law to its rows; also the residuals, shape (n,), and the flags."""
-    problem = single_problem(law, rows, options)
-    (joint,) = _joint_results(iterate_weights([problem], problem, options), machine, options)
+    problem = single_problem(law, rows, DEFAULT_OPTIONS)
+    fit = iterate_weights([problem], problem, DEFAULT_OPTIONS)
+    (joint,) = _joint_results(fit, machine, DEFAULT_OPTIONS)
     return joint
 
 

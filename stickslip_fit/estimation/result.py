@@ -21,7 +21,7 @@ import scipy
 
 from stickslip_fit import __version__
 from stickslip_fit._format import join_words, step_unit
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw, describe
@@ -401,7 +401,7 @@ def result_to_json(result: Result) -> dict[str, Any]:
         "residuals": {
             "row": [int(row) for row in result.residuals.index],
             "joint": [int(joint) for joint in result.residuals["joint"]],
-            "residual": _numbers_to_json(result.residuals["residual"].to_numpy(float)),
+            "residual": to_plain(result.residuals["residual"].to_numpy(float)),
             "used": [bool(used) for used in result.residuals["used"]],
         },
     }
@@ -413,8 +413,7 @@ def write_result_json(content: dict[str, Any], path: str | Path, sources: Sequen
     Raises InputError if it cannot be written, or is one of the files `sources` that the result is of.
     """
     content = content | {"checksum": compute_checksum(content)}
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomically(path, text + "\n", sources)
+    write_json(path, content, sources)
 
 
 def compute_checksum(content: dict[str, Any]) -> str:
@@ -432,7 +431,7 @@ def parameters_to_json(table: pd.DataFrame) -> list[dict[str, Any]]:
             "direction": str(row.direction) or None,
             "session": None if row.session is None else str(row.session),
             "unit": row.unit,
-            **{number: _number_to_json(getattr(row, number)) for number in PARAMETER_NUMBERS},
+            **{number: to_plain(getattr(row, number)) for number in PARAMETER_NUMBERS},
             "flags": list(row.flags),
         }
         for row in table.itertuples(index=False)
@@ -452,23 +451,12 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
         "sessions": [str(session) for session in fit.groups["session"]],
         "directions": [str(direction) for direction in fit.groups["direction"]],
         "shared": list(fit.shared),
-        "values": _numbers_to_json(fit.values),
+        "values": to_plain(fit.values),
         "known": fit.known.tolist(),
-        "covariance": _numbers_to_json(fit.covariance),
-        "interval": _numbers_to_json(fit.interval),
+        "covariance": to_plain(fit.covariance),
+        "interval": to_plain(fit.interval),
         "repeatability": {
-            direction: {**asdict(noise), "value": _number_to_json(noise.value)}
+            direction: {**asdict(noise), "value": to_plain(noise.value)}
             for direction, noise in fit.repeatability.items()
         },
     }
-
-
-def _number_to_json(value: float) -> float | None:
-    """The number; null for an unknown one, since JSON has no NaN."""
-    return float(value) if np.isfinite(value) else None
-
-
-def _numbers_to_json(values: npt.NDArray[np.float64]) -> Any:
-    content = values.astype(object)
-    content[~np.isfinite(values)] = None
-    return content.tolist()

@@ -133,11 +133,11 @@ def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws |
     _check_machine(machine)
     fits = [_build_joint(item, machine, causes, laws) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
-    _check(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
+    require(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
     _check_common_values(fits)
     read = file.residuals
-    _check(len({len(read.row), len(read.joint), len(read.residual), len(read.used)}) == 1, "residuals")
-    _check(len(set(read.row)) == len(read.row) and {*read.joint} <= {*joints}, "residuals")
+    require(len({len(read.row), len(read.joint), len(read.residual), len(read.used)}) == 1, "residuals")
+    require(len(set(read.row)) == len(read.row) and {*read.joint} <= {*joints}, "residuals")
     residuals = {
         "joint": np.array(read.joint, dtype=np.int64),
         "residual": np.array(read.residual, dtype=float),
@@ -155,7 +155,8 @@ def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws |
     return result
 
 
-def _check(holds: bool, what: str) -> None:
+def require(holds: bool, what: str) -> None:
+    """Refuse what does not hold in a file; raises ValueError."""
     if not holds:
         raise ValueError(what)
 
@@ -205,28 +206,28 @@ def _validate(content: dict[str, Any]) -> Any:
 
 
 def _check_machine(machine: Machine) -> None:
-    _check(tuple(machine.ranges) == machine.joints and machine.joints != (), "the machine's joints")
+    require(tuple(machine.ranges) == machine.joints and machine.joints != (), "the machine's joints")
     ends = [machine.ranges[joint] for joint in machine.joints]
-    _check(all(-np.inf < low < high < np.inf for low, high in ends), "the machine's ranges")
-    _check(len(machine.joint_names) in (0, len(machine.kinds)), "the machine's joints")
+    require(all(-np.inf < low < high < np.inf for low, high in ends), "the machine's ranges")
+    require(len(machine.joint_names) in (0, len(machine.kinds)), "the machine's joints")
     if not machine.has_published_geometry:
-        _check(not machine.links and np.isnan(machine.a1) and np.isnan(machine.l2), "the machine's lengths")
+        require(not machine.links and np.isnan(machine.a1) and np.isnan(machine.l2), "the machine's lengths")
         return
-    _check(len(machine.links) == 3, "its links")
-    _check(all(abs(end) <= tau for end in (*ends[0], *ends[1])), "the machine's ranges")
+    require(len(machine.links) == 3, "its links")
+    require(all(abs(end) <= tau for end in (*ends[0], *ends[1])), "the machine's ranges")
     lengths = [machine.a1, machine.l2, machine.l2 + ends[2][0], *(abs(link.com) for link in machine.links)]
-    _check(max(*lengths, abs(ends[2][0]), abs(ends[2][1])) <= MAX_LENGTH, "the machine's lengths")
-    _check(min(lengths) >= 0 and machine.l2 + ends[2][0] > 0, "the machine's lengths")
-    _check(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
+    require(max(*lengths, abs(ends[2][0]), abs(ends[2][1])) <= MAX_LENGTH, "the machine's lengths")
+    require(min(lengths) >= 0 and machine.l2 + ends[2][0] > 0, "the machine's lengths")
+    require(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
 
 
 def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Laws | None) -> JointFit:
     law = restore(item.law, machine, causes, laws)
     g, p = len(item.sessions), len(law.parameters)
     name = f"joint {law.joint}"
-    _check(item.law["joint"] == law.joint, f"the law of {name} is of another joint")
+    require(item.law["joint"] == law.joint, f"the law of {name} is of another joint")
     groups = pd.DataFrame({"session": item.sessions, "direction": item.directions})
-    _check(not groups.duplicated().any(), f"a group of {name} stands in it twice")
+    require(not groups.duplicated().any(), f"a group of {name} stands in it twice")
     fit = JointFit(
         law=law,
         groups=groups,
@@ -240,15 +241,15 @@ def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Law
         },
         shared=tuple(item.shared),
     )
-    _check({*item.directions} <= {*fit.repeatability}, f"repeatability of {name}")
+    require({*item.directions} <= {*fit.repeatability}, f"repeatability of {name}")
     noise = [level.value for level in fit.repeatability.values()]
-    _check(not any(value < 0 or value > MAX_REPEATABILITY for value in noise), f"repeatability of {name}")
-    _check({*fit.shared} <= {parameter.name for parameter in law.parameters}, f"shared of {name}")
-    _check(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
-    _check(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
+    require(not any(value < 0 or value > MAX_REPEATABILITY for value in noise), f"repeatability of {name}")
+    require({*fit.shared} <= {parameter.name for parameter in law.parameters}, f"shared of {name}")
+    require(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
+    require(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
     for matrix in fit.covariance:
-        _check(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
-    _check(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
+        require(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
+    require(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
     return fit
 
 
@@ -266,7 +267,7 @@ def _check_common_values(fits: Sequence[JointFit]) -> None:
                 sd = np.nan_to_num(np.sqrt(np.abs(np.diag(other[:, 2:]))))
                 slack = COMMON_TOL * np.column_stack([sd, sd, np.outer(sd, sd)])
                 same = np.isclose(here, other, rtol=COMMON_TOL, atol=slack, equal_nan=True).all()
-                _check(bool(same), f"joint {fit.law.joint}: {', '.join(common)} differ between its groups")
+                require(bool(same), f"joint {fit.law.joint}: {', '.join(common)} differ between its groups")
 
 
 def _estimates_of(fit: JointFit, group: int, columns: list[int]) -> Array:
@@ -280,7 +281,7 @@ def _estimates_of(fit: JointFit, group: int, columns: list[int]) -> Array:
 
 def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:
     array = np.array(values, dtype=float)
-    _check(array.shape == shape, f"{what}: its shape is {array.shape}, not {shape}")
+    require(array.shape == shape, f"{what}: its shape is {array.shape}, not {shape}")
     return array
 
 
@@ -322,11 +323,11 @@ def _calibration_rows(law: StepLaw, groups: pd.DataFrame, machine: Machine) -> p
 
 def _check_parameters(expected: list[dict[str, Any]], listed: Any) -> None:
     """That the list for people says what the arrays do."""
-    _check(isinstance(listed, list) and len(listed) == len(expected), "parameters")
+    require(isinstance(listed, list) and len(listed) == len(expected), "parameters")
     for one, other in zip(expected, listed, strict=True):
-        _check(isinstance(other, dict) and one.keys() == other.keys(), "parameters")
+        require(isinstance(other, dict) and one.keys() == other.keys(), "parameters")
         for key, value in one.items():
             same = value == other[key]
             if isinstance(value, float) and isinstance(other[key], float):
                 same = bool(np.isclose(value, other[key], rtol=1e-6, atol=0))
-            _check(same, f"parameters: {key} of {one['name']} is not what the joints say")
+            require(same, f"parameters: {key} of {one['name']} is not what the joints say")

@@ -19,7 +19,7 @@ from stickslip_fit.causes.roles import TableRoles
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.estimation._table_law_json import Functions, list_functions, restore_table_law
 from stickslip_fit.estimation.result import compute_checksum
-from stickslip_fit.estimation.saved_result import is_covariance
+from stickslip_fit.estimation.saved_result import is_covariance, require
 from stickslip_fit.estimation.table_fit import FORMAT, VERSION, TableFit, TableSource
 
 ADVICE = "fit the table again"
@@ -80,7 +80,7 @@ def _build(content: Mapping[str, Any], functions: Functions) -> TableFit:
     source = TableSource(**content["source"] | {"files": tuple(content["source"]["files"])})
     fit = TableFit(
         law=restore_table_law(content["law"], functions),
-        roles=TableRoles(**content["roles"]),
+        roles=TableRoles(**content["roles"], time_unit=str(content.get("time_unit", "s"))),
         sessions=tuple(content["sessions"]),
         begins=dict(content["begins"]),
         values=values,
@@ -93,13 +93,8 @@ def _build(content: Mapping[str, Any], functions: Functions) -> TableFit:
         source=source,
     )
     q = len(fit.sessions) * fit.n_own + fit.n_shared
-    _check(values.shape == (len(fit.sessions), len(fit.law.parameters)), "values")
-    _check(covariance.shape == (q, q) and is_covariance(covariance), "covariance")
-    _check(bool(np.isfinite(values).all()) and fit.noise_sd >= 0, "values")
-    _check([row["name"] for row in content["parameters"]] == list(fit.parameters["name"]), "parameters")
+    require(values.shape == (len(fit.sessions), len(fit.law.parameters)), "values")
+    require(covariance.shape == (q, q) and is_covariance(covariance), "covariance")
+    require(bool(np.isfinite(values).all()) and fit.noise_sd >= 0, "values")
+    require([row["name"] for row in content["parameters"]] == list(fit.parameters["name"]), "parameters")
     return fit
-
-
-def _check(holds: bool, what: str) -> None:
-    if not holds:
-        raise ValueError(what)

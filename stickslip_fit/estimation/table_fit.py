@@ -7,7 +7,6 @@ as there are independent values beyond the parameters.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,13 +15,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.levels import LevelDependence
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.errors import InputError, shorten
-from stickslip_fit.estimation._table_law_json import describe_table_law, finite_or_null
+from stickslip_fit.estimation._table_law_json import describe_table_law
 from stickslip_fit.estimation.noise import t_quantile
 from stickslip_fit.estimation.result import AxesArray, compute_checksum
 
@@ -249,8 +248,7 @@ class TableFit(Summarized):
         """
         content = table_fit_to_json(self)
         content |= {"checksum": compute_checksum(content)}
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomically(path, text + "\n", self.source.files)
+        write_json(path, content, self.source.files)
 
     def plot_measured(self) -> AxesArray:
         """Measured against predicted values, and the residuals over the prediction."""
@@ -278,17 +276,18 @@ def table_fit_to_json(fit: TableFit) -> dict[str, Any]:
         "schema": f"{FORMAT}/{VERSION}",
         "parameters": [
             {"name": row.name, "session": row.session, "unit": row.unit}
-            | {number: finite_or_null(getattr(row, number)) for number in numbers}
+            | {number: to_plain(getattr(row, number)) for number in numbers}
             for row in fit.parameters.itertuples(index=False)
         ],
         "flags": list(fit.flags),
         "law": describe_table_law(fit.law),
         "roles": fit.roles.columns,
+        "time_unit": fit.roles.time_unit,
         "sessions": list(fit.sessions),
         "begins": dict(fit.begins),
         "n_shared": fit.n_shared,
         "values": fit.values.tolist(),
-        "covariance": [[finite_or_null(value) for value in row] for row in fit.covariance.tolist()],
+        "covariance": to_plain(fit.covariance),
         "noise_sd": fit.noise_sd,
         "autocorrelation": fit.autocorrelation.tolist(),
         "residuals": {str(name): _cells(column) for name, column in fit.residuals.items()},
@@ -298,5 +297,5 @@ def table_fit_to_json(fit: TableFit) -> dict[str, Any]:
 
 def _cells(column: pd.Series[Any]) -> list[Any]:
     if pd.api.types.is_numeric_dtype(column):
-        return [finite_or_null(value) for value in column.astype(float)]
+        return to_plain(column.to_numpy(float))
     return [str(value) for value in column]

@@ -7,7 +7,6 @@ which traverses would (`experiments`)?
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.errors import InputError
@@ -159,9 +158,8 @@ class LawComparison(Summarized):
             }
             for one in self.joints
         ]
-        content = _plain({"schema": SCHEMA, "joints": joints, "provenance": asdict(self.provenance)})
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomically(path, text + "\n", list(self.provenance.log_files))
+        content = to_plain({"schema": SCHEMA, "joints": joints, "provenance": asdict(self.provenance)})
+        write_json(path, content, self.provenance.log_files)
 
 
 def compare_laws(
@@ -253,14 +251,3 @@ def _regime_row(regime: Regime) -> dict[str, Any]:
         "friction_acceleration_m_per_s2": regime.friction_acceleration,
         "ramp_time_ms": 1e3 * regime.ramp_time,
     }
-
-
-def _plain(content: Any) -> Any:
-    """The same with null for numbers that JSON lacks."""
-    if isinstance(content, dict):
-        return {key: _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, float):
-        return content if np.isfinite(content) else None
-    return content

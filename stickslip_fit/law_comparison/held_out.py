@@ -20,6 +20,7 @@ from stickslip_fit.estimation.drive_ratio import RatioProfile, profile_ratio
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import FRICTION_LIMITED, StepLaw, published_law
 from stickslip_fit.laws.physical import physical_law_with
+from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 
 MIN_CONFIGURATIONS = 5  # of which fewer say nothing of the error in another
@@ -27,7 +28,6 @@ MAX_SPREAD = 2.0  # variance of a prediction over that of the noise; beyond, it 
 MANY = 20  # configurations; one of more has no say in lambda, which then is that of all
 LIKELY = 0.05
 RESAMPLES = 2000
-DECIMALS = 6
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def compare_held_out(
         By direction, of all traverses: without a configuration, lambda is looked for where it is likely here.
     """
     published = published_law(joint, rows, machine)
-    configuration = number_configurations(published, rows)
+    configuration = number_configurations(rows, published.features(rows))
     candidates = _candidates(profiles)
     errors = np.full((2, len(rows)), np.nan)
     for number in range(configuration.max() + 1):
@@ -99,14 +99,6 @@ def compare_held_out(
             errors[k, out] = predict_held_out(law, training, test)
     usable = np.all(np.isfinite(errors), axis=0)
     return _summarize(errors[:, usable], configuration[usable])
-
-
-def number_configurations(law: StepLaw, rows: pd.DataFrame) -> IntArray:
-    """A number for each configuration, the same in both directions and all sessions, shape (n,)."""
-    start, stop = rows["start"].to_numpy(float), rows["stop"].to_numpy(float)
-    ends = np.column_stack([np.minimum(start, stop), np.maximum(start, stop)])
-    features = np.column_stack([law.features(rows), ends]).round(DECIMALS)
-    return np.unique(features, axis=0, return_inverse=True)[1].ravel()
 
 
 def predict_held_out(law: StepLaw, training: pd.DataFrame, test: pd.DataFrame) -> Array:

@@ -21,7 +21,7 @@ from pyarrow import csv
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.errors import shorten
 from stickslip_fit.logs._decimals import find_decimals, with_points
-from stickslip_fit.logs._encoding import decode
+from stickslip_fit.logs._encoding import count_lines, decode
 from stickslip_fit.logs._table import (
     MAX_COLUMNS,
     MAX_ROWS,
@@ -143,11 +143,6 @@ def split_cells(record: bytes, separator: bytes = COMMA) -> list[bytes]:
         cells.append(cell[0])
         position = cell.end()
     return cells
-
-
-def count_lines(raw: bytes) -> int:
-    """Number of line ends."""
-    return raw.count(b"\n") + raw.count(b"\r") - raw.count(b"\r\n")
 
 
 def unquote(cell: bytes) -> str:

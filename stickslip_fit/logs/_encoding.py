@@ -39,7 +39,7 @@ def decode(raw: bytes, file: str, issues: IssueCollector) -> tuple[bytes | None,
     position = raw.find(b"\0")
     if position >= 0:
         message = f"holds a zero byte, so it is damaged, or UTF-16, or no text at all; {_ADVICE}"
-        issues.add(file, message, line=1 + _count_lines(raw[:position]), value=r"\x00")
+        issues.add(file, message, line=1 + count_lines(raw[:position]), value=r"\x00")
         return None, ()
     raw = raw.removeprefix(BYTE_ORDER_MARK)
     if raw.isascii():
@@ -78,5 +78,6 @@ def _report_invalid_bytes(raw: bytes, file: str, issues: IssueCollector) -> None
     issues.add_lines(file, located)
 
 
-def _count_lines(raw: bytes) -> int:
+def count_lines(raw: bytes) -> int:
+    """Number of line ends."""
     return raw.count(b"\n") + raw.count(b"\r") - raw.count(b"\r\n")

@@ -30,7 +30,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.logs._frame import check_frame
 from stickslip_fit.logs.schema import (
     CHECK_EVERY,
@@ -46,6 +46,7 @@ from stickslip_fit.units import SUFFIXES, from_si, to_si
 
 # Finer than anything that can be set, coarser than what unit conversion rounds off (rad, m).
 _KEY_DECIMALS = 10
+_NUMBER_DECIMALS = 6
 CHANGED = "changed after reading"
 
 
@@ -65,6 +66,19 @@ def count_configurations(rows: pd.DataFrame) -> pd.DataFrame:
 def has_replicates(rows: pd.DataFrame) -> bool:
     """Whether a traverse repeats another of its session, configuration and direction."""
     return bool(_list_configurations(rows).assign(direction=rows["direction"]).duplicated().any())
+
+
+def number_configurations(rows: pd.DataFrame, features: Array | None = None) -> IntArray:
+    """A number for each configuration, the same in both directions and all sessions, shape (n,).
+
+    Rows are of one configuration that traverse the same stretch with the same `features`, shape (n, k):
+    without them joint, the other joints and the base.
+    """
+    if features is None:
+        features = rows[["joint", *position_columns(rows)]].astype(float).fillna(9.0).to_numpy()
+    ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1)
+    keys = np.column_stack([features, ends]).round(_NUMBER_DECIMALS)
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
 
 def _list_configurations(rows: pd.DataFrame) -> pd.DataFrame:

@@ -14,7 +14,8 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, error_radius, relative_spread
+from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, relative_spread
+from stickslip_fit.moves.error_ellipsoid import error_radius
 from stickslip_fit.units import JOINTS, from_si
 
 GRID = (49, 13)  # places of q2 and q3

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
-from scipy.special import chdtri
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array
@@ -23,7 +23,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
-from stickslip_fit.units import PRISMATIC, to_si
+from stickslip_fit.units import JOINTS, PRISMATIC, to_si
 
 Z_95 = 1.96  # standard deviations on either side of 95 %
 
@@ -88,11 +88,18 @@ class CalibratedArm:
 
     def drive_rows(self, q: Array, joint: int, direction: str, stop: Array) -> pd.DataFrame:
         """The traverses of `joint` from its positions in `q`, shape (n, 3), to `stop`, shape (n,)."""
-        columns = {"session": self.session, "joint": joint, "direction": direction}
-        rows = pd.DataFrame(columns, index=np.arange(len(q)))
-        rows[["q1", "q2", "q3"]] = q
-        rows = rows.assign(theta=self.theta, psi=self.psi, start=q[:, joint - 1], stop=stop)
-        return rows.assign(**{**self.conditions, **self.history.get(joint, {})})
+        return pd.DataFrame(self.drive_columns(q, joint, direction, stop))
+
+    def drive_columns(self, q: Array, joint: int, direction: str, stop: npt.ArrayLike) -> dict[str, Any]:
+        """The columns of `drive_rows`, each an array of shape (n,)."""
+        columns: dict[str, Any] = {"session": self.session, "joint": joint, "direction": direction}
+        columns |= {f"q{number}": q[:, number - 1] for number in JOINTS}
+        columns |= {"theta": self.theta, "psi": self.psi, "start": q[:, joint - 1], "stop": stop}
+        columns |= {**self.conditions, **self.history.get(joint, {})}
+        return {
+            name: np.full(len(q), value, object if isinstance(value, str) else None)
+            for name, value in columns.items()
+        }
 
     def after_drive(self, row: pd.DataFrame, steps: int) -> CalibratedArm:
         """The arm after a drive, `row` as `drive_row` returns it; session_seconds stays the same."""
@@ -162,24 +169,20 @@ def relative_spread(slopes: Array, covariance: Array, repeatability: float) -> A
     return np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes) + repeatability**2)
 
 
-def error_radius(covariance: Array, not_covered: float = 0.05) -> Array:
-    """Radius that holds 95 % of normal errors with these covariances, shape (..., d, d) -> (...).
+def scale_covariance(covariance: Array) -> tuple[Array, Array]:
+    """Standard deviations, 1 for what is held fixed, shape (p,), and the covariance in their units, (p, p).
 
-    The squared error has mean tr C and variance 2 tr C^2; its quantile is that of the scaled chi-square with
-    these moments (F. E. Satterthwaite, Biometrics Bull. 2:110, 1946). Exact where one direction dominates
-    and where all are alike, and 2 % off at worst between.
-
-    Examples
-    --------
-    >>> error_radius(np.diag([1.0, 0.0, 0.0])).round(2), error_radius(np.eye(3)).round(2)
-    (np.float64(1.96), np.float64(2.8))
+    Parameters differ in unit by many powers of ten, which decompositions do not survive.
     """
-    mean = np.trace(covariance, axis1=-2, axis2=-1)
-    square = np.einsum("...ij,...ji->...", covariance, covariance)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        df = mean**2 / square
-        radius = np.sqrt(mean / df * chdtri(df, not_covered))
-    return np.where(mean == 0.0, 0.0, radius)
+    variance = np.diag(covariance)
+    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+    return scale, covariance / np.outer(scale, scale)
+
+
+def invert_covariance(covariance: Array) -> Array:
+    """Inverse of the covariance of parameters, shape (p, p); 0 for those that are held fixed."""
+    scale, correlation = scale_covariance(covariance)
+    return np.linalg.pinv(correlation, hermitian=True) / np.outer(scale, scale)
 
 
 def calibrated_arm(

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation import Result
 from stickslip_fit.machine import forward, jacobian, mean_load
-from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, check_positions, invert_covariance
 from stickslip_fit.moves.dead_reckoning import PoseEstimate
 from stickslip_fit.moves.local_step import LocalSteps, MotionHistory
 from stickslip_fit.simulation.truth import Group
@@ -163,11 +163,6 @@ class DriveReckoning:
         now, then = (self._group_variance(joint, direction, more) for more in (None, further))
         return self._variance[joint] - now + then
 
-    def tip_covariance(self) -> Array:
-        """Covariance of the tip, base frame, m^2, shape (3, 3)."""
-        slope = jacobian(self.arm.machine, self.q)
-        return slope @ self.joint_covariance() @ slope.T
-
     def pose(self) -> PoseEstimate:
         """The pose, as `dead_reckon` returns it."""
         covariance = self.joint_covariance()
@@ -291,8 +286,4 @@ def _invert_shared(arm: CalibratedArm, shared: int) -> Array:
         return np.zeros((0, 0))
     fit = next(iter(arm.result.joints.values()))
     covariances = fit.covariance[:, -shared:, -shared:]
-    covariance = covariances[int(np.argmax(np.isfinite(covariances).all(axis=(1, 2))))]
-    error = np.sqrt(np.diag(covariance))
-    scale = np.where(error > 0, error, 1.0)  # one that is held fixed has no error
-    inverse: Array = np.linalg.pinv(covariance / np.outer(scale, scale), hermitian=True)
-    return inverse / np.outer(scale, scale)
+    return invert_covariance(covariances[int(np.argmax(np.isfinite(covariances).all(axis=(1, 2))))])

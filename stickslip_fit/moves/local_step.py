@@ -7,7 +7,7 @@ few parts in 10,000 within such a cell, a tenth of the repeatability.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.laws import StepLaw, state_at
 from stickslip_fit.moves.arm import CalibratedArm
 from stickslip_fit.simulation.truth import Group
-from stickslip_fit.units import JOINTS
 
 CELL = (1e-3, 1e-3, 40e-6)  # rad, rad, m; 50 µm of the tip
 CELL_SECONDS = 2.0  # a drive warms up within minutes
@@ -167,17 +166,12 @@ class LocalSteps:
         self, joint: int, direction: str, q: list[float], seconds: float, history: MotionHistory
     ) -> dict[str, Any]:
         """A traverse that begins here, in a log's columns; it need not end within the joint's range."""
-        arm, conditions = self.arm, dict(self.arm.conditions)
+        conditions = dict(self.arm.conditions)
         if "session_seconds" in conditions:
             conditions["session_seconds"] += seconds
         if "steps_before" in conditions:
             conditions["steps_before"] += history.steps
-        sign = 1.0 if direction == "+" else -1.0
-        row: dict[str, Any] = {f"q{number}": q[number - 1] for number in JOINTS}
-        row |= {"session": arm.session, "joint": joint, "direction": direction}
-        row |= {"theta": arm.theta, "psi": arm.psi, "start": q[joint - 1]}
-        row |= {"stop": q[joint - 1] + sign * arm.machine.span(joint)}
-        row |= conditions | {"before_direction": history.direction, "before_load": history.load}
-        return {
-            name: np.array([value], object if isinstance(value, str) else None) for name, value in row.items()
-        }
+        before = {"before_direction": history.direction, "before_load": history.load}
+        arm = replace(self.arm, conditions=conditions, history={joint: before})
+        span = arm.machine.span(joint) * (1.0 if direction == "+" else -1.0)
+        return arm.drive_columns(np.reshape(q, (1, 3)), joint, direction, q[joint - 1] + span)

@@ -354,10 +354,10 @@ def write_figure(figure: Figure, path: Path, key: str) -> None:
 MAX_RECENT_SESSIONS = 3
 
 
-def select_recent(rows: pd.DataFrame, most: int = MAX_RECENT_SESSIONS) -> pd.DataFrame:
+def select_recent(rows: pd.DataFrame) -> pd.DataFrame:
     """The rows of the most recent sessions; more of them would hide each other."""
     sessions = rows["session"].astype(object).unique()
-    return rows[rows["session"].isin(list(sessions[-most:]))]
+    return rows[rows["session"].isin(list(sessions[-MAX_RECENT_SESSIONS:]))]
 
 
 def thin_rows(rows: pd.DataFrame, most: int) -> pd.DataFrame:

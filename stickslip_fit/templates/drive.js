@@ -92,22 +92,27 @@ document.addEventListener("visibilitychange", () => { if (document.hidden) relea
 document.addEventListener("freeze", () => releaseAll());
 document.documentElement.addEventListener("pointerleave", () => { for (const from of [...held.keys()]) if (from.startsWith("pointer")) release(from); });
 
+// A menu, and whatever is dragged, would take the release of a key.
+addEventListener("contextmenu", (event) => { if (!event.defaultPrevented) releaseAll("Stopped: a menu was opened."); });
+addEventListener("dragstart", (event) => event.preventDefault());
+
 addEventListener("keydown", (event) => {
   const button = event.target.closest?.("button"), slider = event.target.id === "speed";
-  const known = AXES[event.key];
+  const known = AXES[event.key], from = `key ${event.code}`;
   if (event.key === "Enter" && button?.id === "stop") return; // a click
   if (event.ctrlKey || event.metaKey || event.altKey) return releaseAll("Stopped: another key was pressed.");
-  if (known && !slider) {
-    event.preventDefault(); // would scroll
-    if (!event.repeat) hold(`key ${event.code}`, ...known);
+  if (known && (!slider || held.has(from))) {
+    event.preventDefault(); // would scroll, or change the speed by a key that was held before the slider had the focus
+    if (!event.repeat) hold(from, ...known);
   } else if (event.key === "Escape" || event.key === " ") {
     event.preventDefault(); // Space would press the button that has the focus, and it has to stop wherever that is
     if (!event.repeat) stop();
   } else if (event.key === "Enter" && button?.dataset.axis) {
     event.preventDefault(); // would click
     if (!event.repeat) hold("button", Number(button.dataset.axis), Number(button.dataset.sign));
-  } else if (!event.repeat && !(known && slider)) {
-    releaseAll("Stopped: another key was pressed.");
+  } else {
+    if (event.key === "Enter" && (active() || event.repeat)) event.preventDefault(); // a click would send a joint home anew
+    if (!event.repeat && !(known && slider && home === null)) releaseAll("Stopped: another key was pressed.");
   }
 });
 addEventListener("keyup", (event) => {
@@ -152,10 +157,11 @@ function allow(yes) {
 
 function show(content) {
   if (content.client !== client) { client = content.client; forget(""); }
-  controls = content.controls;
+  controls = content.controls && Boolean(content.drive);
   allow(controls);
+  if (!content.drive) return tell("The drive has not begun yet.", "old");
   if (content.broken >= press && active()) forget("");
-  if (connection.stale) { if (!content.drive) tell("The drive has not begun yet.", "old"); return; }
+  if (connection.stale) return;
   tell(controls ? "This page is in control." : "Another page is in control; this one shows the same, and can stop it.", "good");
   showNumbers(content);
   followTip(content.drive);

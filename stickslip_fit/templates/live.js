@@ -54,7 +54,12 @@ export function follow(staleAfter, show, tell) {
     source.close();
     tell("It has ended. What is shown is the last state.", "over");
   };
-  source.onerror = () => { if (!connection.over) { connection.last = -Infinity; tell("The connection to the program is lost.", "lost"); } };
+  source.onerror = () => {
+    if (connection.over) return;
+    connection.last = -Infinity;
+    const advice = source.readyState === EventSource.CLOSED ? " Load the page again." : ""; // else the browser tries again
+    tell(`The connection to the program is lost.${advice}`, "lost");
+  };
   setInterval(() => {
     if (connection.over || connection.last === -Infinity) return;
     const seconds = (performance.now() - connection.last) / 1000;

@@ -14,7 +14,6 @@ from stickslip_fit.anova import analyze_variance, choose_all
 from stickslip_fit.anova.analysis import RECORD_COLUMNS
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs import read_log
 
 DAYS = ("Mon", "Tue", "Wed", "Thu")
 TURNS = (0.0, -30.0, -90.0)
@@ -117,19 +116,17 @@ def test_tables_add_up(told):
         assert table.loc["total", "df"] == len(each.design.units) - 1
 
 
-def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, tmp_path):
+def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, read_table):
     """Turning psi at q2 = -90 loads the joint: that is no rotation about its axis."""
     settings = tuple({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, 0.0, 60.0))
-    campaign(settings=settings).to_csv(tmp_path / "log.csv", index=False)
-    found = analyze_variance(read_log(tmp_path / "log.csv"))
+    found = analyze_variance(read_table(campaign(settings=settings)))
     assert not [each for each in found.factor_tests if each.design.analysis == "normal-force"]
     (refused,) = [each for each in found.not_testable if each.analysis == "normal-force"]
     assert "rotation about the joint's axis" in refused.reason
 
 
-def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign, tmp_path):
-    campaign(replicates=2).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign, read_table):
+    log = read_table(campaign(replicates=2))
     once = Counter((each.design.analysis, each.design.joint) for each in analyze_variance(log).factor_tests)
     assert {joint: once["day", joint] for joint in (1, 2, 3)} == {1: 2, 2: 2, 3: 2}
     all_over = analyze_variance(log, joint=2, choose=choose_all)

@@ -6,7 +6,6 @@ from scipy import stats
 
 from stickslip_fit.anova import analyze_formula, step_size_observations
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs import read_log
 
 DAYS = ("Mon", "Tue", "Wed")
 DESIGN = {(d, s, t): 2 for d in DAYS for s in "+-" for t in (0.0, -30.0)}
@@ -29,22 +28,18 @@ def test_one_factor_is_the_one_way_analysis(log):
     assert record["difference"] is None
 
 
-def test_each_joint_has_a_table_of_its_own(campaign, tmp_path):
-    campaign().to_csv(tmp_path / "log.csv", index=False)
-    found = analyze_formula(read_log(tmp_path / "log.csv"), "log(step_size) ~ C(session) * direction")
+def test_each_joint_has_a_table_of_its_own(campaign, read_table):
+    found = analyze_formula(read_table(campaign()), "log(step_size) ~ C(session) * direction")
     assert [table.joint for table in found] == [1, 2, 3]
     assert all(len(table.to_json()) == 3 for table in found)
 
 
-def test_the_lab_s_own_columns_go_by_their_own_names(campaign, tmp_path):
+def test_the_lab_s_own_columns_go_by_their_own_names(campaign, read_table):
     table = campaign(settings=({"joint": 3, "q2_deg": -90.0},), replicates=6)
     pressure = np.random.default_rng(0).normal(1000.0, 5.0, len(table))
     effect = 1 + 1e-3 * (pressure - 1000.0)
     table = table.assign(pressure=pressure, steps=(table["steps"] / effect / 5).round().astype(int) * 5)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    (found,) = analyze_formula(
-        read_log(tmp_path / "log.csv"), "step_size ~ C(session) * direction + pressure"
-    )
+    (found,) = analyze_formula(read_table(table), "step_size ~ C(session) * direction + pressure")
     p = found.table.set_index("term")["p"]
     assert p["pressure"] < 1e-3
 

@@ -18,7 +18,6 @@ from stickslip_fit.anova.formula import model_terms
 from stickslip_fit.anova.grammar import MAX_LENGTH, parse_formula
 from stickslip_fit.cli._app import app
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs import read_log
 
 COLUMNS = ("y", "a", "b", "c", "d")
 
@@ -58,10 +57,8 @@ def test_terms_are_those_of_patsy():
 
 
 @pytest.fixture(scope="module")
-def monday(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("monday") / "log.csv"
-    campaign().to_csv(path, index=False)
-    return read_log(path)
+def monday(campaign, read_table):
+    return read_table(campaign())
 
 
 CODE = (
@@ -160,12 +157,11 @@ def test_a_table_too_wide_to_compute_is_refused():
 HOSTILE = ("__import__('os')", "a b", "C(session)", "x + y", "{0.__class__}", "log", "Q", "`rm`", "Ω²")
 
 
-def test_columns_that_look_like_code_are_names_and_nothing_else(campaign, tmp_path):
+def test_columns_that_look_like_code_are_names_and_nothing_else(campaign, read_table):
     table = campaign(settings=({"joint": 3, "q2_deg": -90.0},), replicates=9)
     for number, name in enumerate(HOSTILE):
         table[name] = [(7 * k + number) % 5 for k in range(len(table))]
-    table.to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+    log = read_table(table)
     for name in HOSTILE:
         quote = '"' if "'" in name else "'"
         tables = analyze_formula(log, f"step_size ~ direction + C(Q({quote}{name}{quote}))", joint=3)

@@ -18,7 +18,6 @@ from stickslip_fit.bayes import (
 )
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 
 JOINT_3 = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta}
@@ -28,18 +27,8 @@ SESSIONS = ("2012-03-05", "2012-03-06", "2012-03-07")
 
 
 @pytest.fixture(scope="module")
-def read(tmp_path_factory):
-    def make(table):
-        path = tmp_path_factory.mktemp("bayes") / "log.csv"
-        table.to_csv(path, index=False)
-        return read_log(path)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def log(campaign, read):
-    return read(campaign(sessions=SESSIONS, settings=JOINT_3))
+def log(campaign, read_table):
+    return read_table(campaign(sessions=SESSIONS, settings=JOINT_3))
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +128,11 @@ def test_predictive_checks_pass_for_the_models_own_counts(posterior):
     assert (prior["high"] > 2 * prior["low"]).all()
 
 
-def test_predictive_checks_find_noise_that_remembers(campaign, read):
+def test_predictive_checks_find_noise_that_remembers(campaign, read_table):
     table = campaign(SESSIONS[:1], JOINT_3, ("+",), replicates=12, repeatability=0.0, check_every=1)
     slow = 1.0 + 0.01 * np.sin(np.arange(len(table)) / 8)
     table["steps"] = (table["steps"] * slow).round().astype(int)
-    drifting = fit_bayes(read(table), progress=False)
+    drifting = fit_bayes(read_table(table), progress=False)
     assert predictive_p_values(drifting)["memory"].item() < 0.001
 
 
@@ -156,18 +145,18 @@ def test_leave_one_out_is_the_log_density_of_each_count_foretold(posterior, log)
         assert 2 < row.p < 15
 
 
-def test_one_session_gives_numbers(campaign, read):
-    result = fit_bayes(read(campaign(sessions=SESSIONS[:1], settings=JOINT_3)), progress=False).result
+def test_one_session_gives_numbers(campaign, read_table):
+    result = fit_bayes(read_table(campaign(sessions=SESSIONS[:1], settings=JOINT_3)), progress=False).result
     table = result.si.parameters
     assert table["standard_error"].notna().all()
     found = table[(table["name"] == "a") & (table["direction"] == "+")].iloc[0]
     assert found["low"] < 976e-9 < found["high"]
 
 
-def test_a_session_with_one_direction_is_fitted_in_that_direction(campaign, read):
+def test_a_session_with_one_direction_is_fitted_in_that_direction(campaign, read_table):
     table = campaign(sessions=SESSIONS[:2], settings=JOINT_3)
     half = table[(table["session"] == SESSIONS[0]) | (table["direction"] == "+")]
-    result = fit_bayes(read(half), progress=False).result
+    result = fit_bayes(read_table(half), progress=False).result
     groups = result.joints[3].groups
     assert sorted(zip(groups["session"], groups["direction"], strict=True)) == [
         (SESSIONS[0], "+"), (SESSIONS[0], "-"), (SESSIONS[1], "+"),
@@ -175,10 +164,10 @@ def test_a_session_with_one_direction_is_fitted_in_that_direction(campaign, read
     assert result.si.parameters["estimate"].notna().all()
 
 
-def test_a_session_with_few_traverses_leans_on_the_others(campaign, read):
+def test_a_session_with_few_traverses_leans_on_the_others(campaign, read_table):
     table = campaign(sessions=SESSIONS, settings=JOINT_3, directions=("+",))
     poor = table[(table["session"] != SESSIONS[2]) | (table["q2_deg"] == -90.0)]
-    log = read(poor)
+    log = read_table(poor)
     # Least squares cannot know b and c of the last session at all.
     assert fit_least_squares(log).si.parameters["estimate"].isna().sum() == 2
     found = fit_bayes(log, progress=False).result.si.parameters.set_index(["session", "name"])
@@ -188,9 +177,9 @@ def test_a_session_with_few_traverses_leans_on_the_others(campaign, read):
     assert errors[SESSIONS[2], "b"] > 2 * errors[SESSIONS[0], "b"]
 
 
-def test_what_no_session_shows_is_not_reported(campaign, read):
+def test_what_no_session_shows_is_not_reported(campaign, read_table):
     level = [setting for setting in JOINT_3 if setting["q2_deg"] == -90.0 or setting["theta_deg"] == -90.0]
-    log = read(campaign(sessions=SESSIONS, settings=tuple(level)))
+    log = read_table(campaign(sessions=SESSIONS, settings=tuple(level)))
     posterior = fit_bayes(log, progress=False)
     table = posterior.si.parameters
     assert table[table["name"] == "c"]["estimate"].isna().all()
@@ -201,9 +190,9 @@ def test_what_no_session_shows_is_not_reported(campaign, read):
     assert posterior.si.predict(log.usable)["steps"].isna().all()
 
 
-def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campaign, read):
+def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campaign, read_table):
     table = campaign(sessions=SESSIONS[:1], settings=JOINT_3[:3], replicates=1)
-    result = fit_bayes(read(table), progress=False).result
+    result = fit_bayes(read_table(table), progress=False).result
     assert flags(result) == {"few_replicates"}
     assert result.si.parameters["standard_error"].notna().all()
 
@@ -219,12 +208,12 @@ def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campa
         ),
     ],
 )
-def test_a_count_wildly_off_is_named_and_no_other(campaign, read, sessions, factor):
+def test_a_count_wildly_off_is_named_and_no_other(campaign, read_table, sessions, factor):
     """Though it pulls its whole session, which others show up if there are others."""
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 5 + sessions))
     table = campaign(sessions=days, settings=JOINT_3, directions=("+",))
     table.loc[7, "steps"] = 5 * round(factor * table.loc[7, "steps"] / 5)
-    result = fit_bayes(read(table), progress=False).result
+    result = fit_bayes(read_table(table), progress=False).result
     [flag] = [flag for flag in result.flags if flag.flag == "outlier"]
     assert flag.session == days[0]
     assert f"count {table.loc[7, 'steps']} of" in flag.message

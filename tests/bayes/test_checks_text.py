@@ -10,7 +10,6 @@ import pytest
 from stickslip_fit._summary import Summary
 from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.bayes.checks import checks_section
-from stickslip_fit.logs import read_log
 
 JOINT_3 = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta}
@@ -20,10 +19,8 @@ DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")
 
 
 @pytest.fixture(scope="module")
-def log(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("checks") / "log.csv"
-    campaign(DAYS, JOINT_3, directions=("+",), replicates=6).to_csv(path, index=False)
-    return read_log(path)
+def log(campaign, read_table):
+    return read_table(campaign(DAYS, JOINT_3, directions=("+",), replicates=6))
 
 
 def said(log, **how):

@@ -18,7 +18,6 @@ from stickslip_fit.bayes.sampler import memory_backends
 from stickslip_fit.causes import EndStopLatency, ExtendedLaw, ThermalWarmUp
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
-from stickslip_fit.logs import read_log
 from stickslip_fit.simulation import simulate_counts
 
 CAUSES = (ThermalWarmUp(), EndStopLatency())
@@ -127,7 +126,7 @@ def test_priors_are_standard_normal_where_they_should_be():
 
 
 @pytest.fixture(scope="module")
-def warm(campaign, tmp_path_factory):
+def warm(campaign, read_table):
     """Joint 3 in three sessions in which it warms up and a stop is heard late, by hand."""
     settings = tuple(
         {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -90.0)
@@ -137,9 +136,7 @@ def warm(campaign, tmp_path_factory):
     seconds = (time - time.groupby(table["session"]).transform("min")).dt.total_seconds()
     factor = 1 + 0.04 * (1 - np.exp(-seconds / 1500.0))
     table = table.assign(steps=np.round(table["steps"] / factor + 150).astype(int), check_every=1)
-    path = tmp_path_factory.mktemp("warm") / "log.csv"
-    table.to_csv(path, index=False)
-    return read_log(path)
+    return read_table(table)
 
 
 @pytest.fixture(scope="module")
@@ -172,12 +169,14 @@ def test_a_posterior_with_causes_is_saved_and_foretells_a_session_to_come(warm, 
     assert "<table" in again._repr_html_()
 
 
-def test_what_no_count_tells_is_the_prior_s_and_said_to_be(campaign, tmp_path):
+def test_what_no_count_tells_is_the_prior_s_and_said_to_be(campaign, read_table):
     """A drive that does not warm up says nothing of how fast it would."""
     settings = tuple({"joint": 3, "q2_deg": q2, "theta_deg": at} for q2, at in ((-90, 0), (0, 0), (0, -90)))
-    campaign(("2012-03-05", "2012-03-06"), settings, replicates=3).to_csv(tmp_path / "log.csv", index=False)
     found = fit_bayes(
-        read_log(tmp_path / "log.csv"), causes=CAUSES[:1], target_ess=300, progress=False
+        read_table(campaign(("2012-03-05", "2012-03-06"), settings, replicates=3)),
+        causes=CAUSES[:1],
+        target_ess=300,
+        progress=False,
     ).result
     table = found.si.parameters.set_index("name")
     assert np.isnan(table.loc["thermal-warm-up.tau", "estimate"])

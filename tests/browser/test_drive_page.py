@@ -13,6 +13,7 @@ from stickslip_fit.capture.protocols import Detection
 from stickslip_fit.capture.terminal import UnattendedOperator
 from stickslip_fit.drive.live_capture import LiveOperator, serve_capture_page
 from stickslip_fit.drive.page import VALID_SECONDS, serve_drive_page
+from stickslip_fit.drive.page_server import MAX_CLIENTS
 from stickslip_fit.machine import load_machine
 from tests.drive.kinematic_loop import KinematicLoop, running
 
@@ -46,6 +47,11 @@ def steered(loop, visit):
 def opened(page, loop):
     page.goto(loop.device.address)
     page.wait_for_function("() => document.getElementById('status').textContent === 'idle'")
+
+
+def says(page, text):
+    """Wait until the page says so of its connection."""
+    page.wait_for_function("text => document.getElementById('control').textContent.includes(text)", arg=text)
 
 
 def wanted(loop):
@@ -245,6 +251,78 @@ def test_a_joint_goes_home_until_it_is_there_or_somebody_stops_it(steered, loop)
     assert len(loop.changes) == 9
 
 
+def test_enter_stops_a_joint_on_its_way_home_and_does_not_send_it_anew(steered, loop):
+    button = steered.locator("[data-home='2']")
+    button.focus()
+    for _ in range(2):
+        steered.keyboard.press("Enter")
+        wait_for(lambda: wanted(loop) == 2)
+        changes = len(loop.changes)
+        steered.keyboard.down("Enter")
+        stops(loop)
+        for _ in range(3):
+            steered.keyboard.down("Enter")  # as a key that is held repeats
+        time.sleep(0.2)
+        steered.keyboard.up("Enter")
+        assert len(loop.changes) == changes + 1
+    steered.keyboard.press("Enter")
+    wait_for(lambda: wanted(loop) == 2)
+    steered.locator("#speed").focus()
+    steered.keyboard.press("ArrowUp")
+    stops(loop)
+
+
+def test_a_key_that_is_held_does_not_change_the_speed(steered, loop):
+    steered.keyboard.down("ArrowRight")
+    wait_for(lambda: wanted(loop) is not None)
+    steered.locator("#speed").focus()
+    for _ in range(3):
+        steered.keyboard.down("ArrowRight")
+    assert steered.inner_text("#pace") == "20 µm/s"
+    steered.keyboard.up("ArrowRight")
+    stops(loop)
+
+
+def test_a_menu_stops_it_which_would_take_the_release_of_the_key(steered, loop):
+    steered.keyboard.down("ArrowRight")
+    wait_for(lambda: wanted(loop) is not None)
+    steered.mouse.click(700, 5, button="right")
+    stops(loop)
+    steered.keyboard.up("ArrowRight")
+    box = steered.locator("[data-axis='1'][data-sign='1']").bounding_box()
+    steered.mouse.move(box["x"] + 10, box["y"] + 10)
+    steered.mouse.down()
+    wait_for(lambda: wanted(loop) is not None)
+    steered.locator("[data-axis='1'][data-sign='1']").dispatch_event("contextmenu")  # of a finger that rests
+    time.sleep(0.2)
+    assert wanted(loop) is not None
+    steered.mouse.up()
+    stops(loop)
+
+
+def test_nothing_moves_before_the_drive_has_begun_nor_on_a_page_too_many(visit):
+    machine = load_machine()
+    with serve_drive_page(machine, "my-law.toml") as device:
+        loop = KinematicLoop(device, device, machine, [0.4, -1.2, 0.005])
+        visits = [visit() for _ in range(MAX_CLIENTS + 1)]
+        for seen in visits:
+            seen.page.goto(device.address)
+        first, last = visits[0].page, visits[-1].page
+        says(first, "not begun")
+        first.keyboard.down("ArrowRight")
+        time.sleep(0.2)
+        assert device.read(0.0).tip_velocity is None
+        first.keyboard.up("ArrowRight")
+        says(last, "Load the page again")
+        with running(loop):
+            says(first, "in control")
+            first.keyboard.down("ArrowRight")
+            wait_for(lambda: wanted(loop) is not None)
+            first.keyboard.up("ArrowRight")
+            stops(loop)
+        assert visits[0].console == []
+
+
 def test_stop_is_the_largest_thing_to_press(steered):
     areas = steered.locator("button").evaluate_all(
         "all => all.map(each => [each.id, each.offsetWidth * each.offsetHeight])"
@@ -308,16 +386,14 @@ def test_a_drive_that_stands_still_and_one_that_has_ended_are_told(visit):
             page.keyboard.down("ArrowRight")
             wait_for(lambda: wanted(loop) is not None)
         assert device.read(0.0).tip_velocity is not None
-        page.wait_for_function(
-            "() => /^Nothing has come/.test(document.getElementById('control').textContent)"
-        )
+        says(page, "Nothing has come")
         time.sleep(0.2)
         assert device.read(0.0).tip_velocity is None
         assert device.held.broken == (0, "")  # the page has let go
         page.keyboard.down("ArrowUp")
         time.sleep(0.2)
         assert device.read(0.0).tip_velocity is None
-    page.wait_for_function("() => /^It has ended/.test(document.getElementById('control').textContent)")
+    says(page, "It has ended")
     assert page.locator("[data-axis]:disabled").count() == 6
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.end_stop import FixedThreshold, SequentialDetection, simulate_traverses
-from stickslip_fit.capture.emulator.acoustics import Acoustics, compute_powers
+from benchmarks.end_stop import FixedThreshold, SequentialDetection, compute_powers, simulate_traverses
+from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.tuning import (
     CHECKS_PER_TRAVERSE,
     FALSE_STOPS_PER_TRAVERSE,

@@ -12,15 +12,14 @@ import pytest
 from stickslip_fit import causes
 from stickslip_fit.causes import covariates, library
 from stickslip_fit.causes.parameters import candidate_moments
-from stickslip_fit.logs import Log, read_log
+from stickslip_fit.logs import Log
 from stickslip_fit.units import UNITS
 from tests.causes.table import LAWS, MACHINE, NAMED, own_values
 
 
 @pytest.fixture(scope="module")
-def log(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> Log:
+def log(campaign: Callable[..., pd.DataFrame], read_table: Callable[..., Log]) -> Log:
     """Two sessions with everything in them that a cause may ask for."""
-    path = tmp_path_factory.mktemp("logs") / "log.csv"
     table = campaign(directions=("-", "+", "+"), replicates=1)
     rng = np.random.default_rng(3)
     n = len(table)
@@ -33,8 +32,7 @@ def log(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> Log:
     table["pressure"] = rng.normal(1013, 5, n)
     part = (table["joint"] == 3) & (np.arange(n) % 3 == 0)
     table.loc[part, ["from_mm", "to_mm"]] = table.loc[part, ["from_mm", "to_mm"]] / 2
-    table.to_csv(path, index=False)
-    return read_log(path)
+    return read_table(table)
 
 
 ALL = [cause.name for cause in library()] + ["covariate:pressure"]

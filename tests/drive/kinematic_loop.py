@@ -12,7 +12,7 @@ import numpy as np
 
 from stickslip_fit.drive.state import DriveState, HomingAdvice, Screen
 from stickslip_fit.machine import Machine, forward, jacobian
-from stickslip_fit.moves.arm import error_radius
+from stickslip_fit.moves.error_ellipsoid import error_radius
 
 TICK = 0.01  # s
 RELATIVE_ERROR = 0.01

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stickslip_fit.capture.protocols import VirtualClock
+from stickslip_fit.capture.protocols import ConnectionLost, VirtualClock
 from stickslip_fit.drive.state import DriveState, VelocityInput
 
 
@@ -21,8 +21,6 @@ class Steps:
         self.stopped = 0
 
     def step(self, joint: int, steps: int) -> None:
-        from stickslip_fit.capture.protocols import ConnectionLost
-
         if len(self.made) >= self.fails_after:
             raise ConnectionLost("the plug is out")
         self.made.append((self.clock.now(), joint, steps))

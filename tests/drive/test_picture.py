@@ -8,10 +8,11 @@ from math import cos, degrees, hypot, pi, radians, sin
 import numpy as np
 import pytest
 
-from stickslip_fit.drive.picture import MARKS, draw_arm, error_ellipse, round_down, view_arm
+from stickslip_fit.drive.picture import MARKS, draw_arm, round_down, view_arm
 from stickslip_fit.drive.state import DriveState
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import load_machine
+from stickslip_fit.moves.error_ellipsoid import error_ellipse
 
 A1, L2 = 0.0125, 0.0375  # of the nominal machine
 COVARIANCE = np.array([[9.0, 2.0, 0.0], [2.0, 4.0, -1.0], [0.0, -1.0, 1.0]]) * 1e-12

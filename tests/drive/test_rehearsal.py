@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import stickslip_fit as ssf
 from stickslip_fit.errors import InputError
@@ -28,21 +29,30 @@ def test_the_tip_goes_where_the_script_says(fitted):
     assert table["error_um"].iloc[-1] < 2 * table["radius_um"].iloc[-1]
 
 
-def test_the_radius_holds_most_of_other_truths(fitted):
-    short = [(0, 0, 0, 60), (2, 0, 0, 0)]
-    ends = [ssf.rehearse_drive(fitted, START, short, seed=seed).table.iloc[-1] for seed in range(12)]
-    inside = sum(end["error_um"] < end["radius_um"] for end in ends)
-    assert inside >= 9  # of 12 at 95 %, 8 or fewer has a chance of 2e-3; the seeds are fixed
-    assert len({end["error_um"] for end in ends}) == 12
+def test_errors_of_other_truths_are_as_large_as_their_covariance_says(fitted):
+    """Each drive's squared error over its covariance is chi-square with 3 degrees of freedom.
+
+    The sum over the drives lies between the ends of 99.8 % of its distribution.
+    """
+    drives = 32
+    ends = [
+        ssf.rehearse_drive(fitted, START, [(0, 30, 30, -30), (0.6, 0, 0, 0)], seed=k) for k in range(drives)
+    ]
+    errors = np.array([end.true_tips[-1] - end.states[-1].tip for end in ends])
+    covariance = np.array([end.states[-1].tip_covariance for end in ends])
+    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
+    low, high = chi2.ppf([0.001, 0.999], 3 * drives)
+    assert low < squares.sum() < high
+    assert len(set(squares)) == drives
 
 
 @pytest.mark.parametrize(
     ("script", "said"),
     [
-        ([(0, 1, 2), (1, 0, 0)], "time_s, vx_um_s"),
-        ([(0, 1, 2, 3)], "two rows"),
-        ([(1, 1, 2, 3), (0, 0, 0, 0)], "increase"),
-        ([(0, np.nan, 2, 3), (1, 0, 0, 0)], "two rows"),
+        ([(0, 1, 2), (1, 0, 0)], "line 1: has 3 cells, not 4"),
+        ([(0, 1, 2, 3)], "fewer than two lines"),
+        ([(1, 1, 2, 3), (0, 0, 0, 0)], "line 2, column time_s.* increase"),
+        ([(0, np.nan, 2, 3), (1, 0, 0, 0)], "column vx_um_s, value 'nan': give a number"),
     ],
 )
 def test_a_faulty_script_is_refused(fitted, script, said):

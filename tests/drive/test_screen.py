@@ -11,8 +11,9 @@ import time
 import numpy as np
 import pytest
 
-from stickslip_fit.drive.screen import Screens, ScreenThread, TerminalScreen, format_line, semi_axes
+from stickslip_fit.drive.screen import Screens, ScreenThread, TerminalScreen, format_line
 from stickslip_fit.drive.state import DriveState, HomingAdvice
+from stickslip_fit.moves.error_ellipsoid import semi_axes
 
 
 def state(now=1.0, **changes):
@@ -85,8 +86,8 @@ def test_the_ellipsoid_holds_95_percent():
     shape = rng.standard_normal((3, 3))
     covariance = shape @ shape.T
     errors = rng.multivariate_normal(np.zeros(3), covariance, 20_000)
-    along = errors @ np.linalg.eigh(covariance)[1][:, ::-1]
-    inside = np.sum((along / semi_axes(covariance)) ** 2, axis=1) <= 1
+    variances, axes = np.linalg.eigh(covariance)
+    inside = np.sum((errors @ axes / semi_axes(variances)) ** 2, axis=1) <= 1
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.05 * 0.95 / 20_000))
 
 

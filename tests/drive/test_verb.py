@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from stickslip_fit.cli._app import app
 from stickslip_fit.errors import InputError
+from stickslip_fit.logs import read_log
 
 SCRIPT = "time_s,vx_um_s,vy_um_s,vz_um_s,home\n0,20,0,0,\n3,0,10,-30,\n6,0,0,0,\n"
 
@@ -72,6 +74,18 @@ def test_a_drive_goes_on_from_its_journal(folder):
     assert re.search(r"in 12\.\d s", second)
     moved = tip_of(second, "Tip at") - tip_of(first, "Tip at")
     assert moved == pytest.approx([60e-6, 30e-6, -90e-6], abs=8e-6)
+
+
+def test_a_joint_that_went_home_is_in_the_log_with_the_time_of_today(folder):
+    (folder / "home.csv").write_text(
+        "time_s,vx_um_s,vy_um_s,vz_um_s,home\n0,0,0,-20,\n0.5,0,0,0,3\n1,0,0,0,\n"
+    )
+    began = datetime.now(UTC)
+    said = drive(folder, "--emulate", "--at", "0.0,-70,0.1", "--script", "home.csv", "--log", "log.csv")
+    assert "joint 3 is at its stop" in said
+    (row,) = read_log(folder / "log.csv").rows.itertuples()
+    assert (row.joint, row.direction, row.status) == (3, "-", "excluded")
+    assert -1.0 < (row.time - began).total_seconds() < 120.0
 
 
 @pytest.mark.parametrize(

@@ -94,10 +94,9 @@ def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, t
     assert 0 < chart["surprising"].sum() < checked
 
 
-def test_earlier_limits_are_those_that_were_seen_then(drifting, tmp_path):
+def test_earlier_limits_are_those_that_were_seen_then(drifting, read_table):
     """No session's limits know of a later one."""
-    drifting(1.0).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+    log = read_table(drifting(1.0))
     chart = control_chart(fit_closed_form(log))
     for session in log.sessions[3:]:
         then = latest_control(fit_closed_form(log.select(log.rows["session"] <= session)))
@@ -126,8 +125,7 @@ def test_one_usual_session_in_a_hundred_has_a_point_outside(drifting, tmp_path):
     assert binom.ppf(0.001, sessions, 0.01) <= outside <= binom.ppf(0.999, sessions, 0.01)
 
 
-def test_what_all_sessions_share_has_no_chart(drifting, tmp_path):
-    drifting(1.0).to_csv(tmp_path / "log.csv", index=False)
-    chart = control_chart(fit_least_squares(read_log(tmp_path / "log.csv"), shared=["b"]))
+def test_what_all_sessions_share_has_no_chart(drifting, read_table):
+    chart = control_chart(fit_least_squares(read_table(drifting(1.0)), shared=["b"]))
     assert set(chart["name"]) == {"a", "c"}
     assert chart["expected_low"].notna().sum() == 4 * 7

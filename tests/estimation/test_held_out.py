@@ -44,7 +44,6 @@ def test_what_the_law_lacks_is_seen_where_it_acts(exact, tmp_path):
     assert (found.loc[[1, 2], "p_value"] > 1e-3).all()
 
 
-def test_without_replicates_there_is_nothing_to_compare_with(campaign, tmp_path):
-    campaign(replicates=1, sessions=("2012-03-05",)).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+def test_without_replicates_there_is_nothing_to_compare_with(campaign, read_table):
+    log = read_table(campaign(replicates=1, sessions=("2012-03-05",)))
     assert assess_held_out(log, fit_closed_form(log)).empty

@@ -7,20 +7,11 @@ from scipy.optimize import least_squares as scipy_least_squares
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 
 
 @pytest.fixture(scope="module")
-def log(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("fit") / "campaign.csv"
-    campaign().to_csv(path, index=False)
-    return read_log(path)
-
-
-def read(table: pd.DataFrame, folder):
-    path = folder / "log.csv"
-    table.to_csv(path, index=False)
-    return read_log(path)
+def log(campaign, read_table):
+    return read_table(campaign())
 
 
 def estimates(result, joint, direction, session):
@@ -31,8 +22,8 @@ def estimates(result, joint, direction, session):
     return subset.set_index("name")
 
 
-def test_known_truth_is_recovered_without_noise(campaign, tmp_path):
-    exact = fit_least_squares(read(campaign(repeatability=0.0, check_every=1, replicates=1), tmp_path))
+def test_known_truth_is_recovered_without_noise(campaign, read_table):
+    exact = fit_least_squares(read_table(campaign(repeatability=0.0, check_every=1, replicates=1)))
     found = estimates(exact, 3, "+", "2012-03-05")["estimate"]
     assert found["a"] * 1e9 == pytest.approx(976.0, rel=2e-5)
     assert found["b"] == pytest.approx(0.30, abs=2e-5)
@@ -76,10 +67,10 @@ def test_repeatability_is_found(log):
             assert found.value == pytest.approx(0.0027, rel=4 / np.sqrt(2 * found.df))
 
 
-def test_intervals_cover(campaign, tmp_path):
+def test_intervals_cover(campaign, read_table):
     """Twelve sessions, each an independent trial of every interval."""
     sessions = tuple(f"2012-03-{day:02d}" for day in range(1, 13))
-    result = fit_least_squares(read(campaign(sessions=sessions, seed=5), tmp_path))
+    result = fit_least_squares(read_table(campaign(sessions=sessions, seed=5)))
     truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
     truth |= {("a", "-"): 903e-9, ("gamma0_q3_0", "+"): 95e-6, ("gamma0_reach_0", "+"): 97e-6}
     table = result.si.parameters.set_index(["name", "direction"])
@@ -90,27 +81,27 @@ def test_intervals_cover(campaign, tmp_path):
     assert share == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / 84))
 
 
-def test_predictions_hold_for_a_new_replicate(campaign, log, tmp_path):
-    fresh = read(campaign(seed=99), tmp_path).usable
+def test_predictions_hold_for_a_new_replicate(campaign, log, read_table):
+    fresh = read_table(campaign(seed=99)).usable
     found = fit_least_squares(log).si.predict(fresh)
     steps = fresh["steps"] - 2.5
     inside = float(np.mean((found["low"] < steps) & (steps < found["high"])))
     assert inside == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / len(fresh)))
 
 
-def test_interrupted_and_excluded_traverses_are_not_fitted(campaign, tmp_path):
+def test_interrupted_and_excluded_traverses_are_not_fitted(campaign, read_table):
     table = campaign(sessions=("2012-03-05",))
-    clean = fit_least_squares(read(table, tmp_path)).si.parameters["estimate"]
+    clean = fit_least_squares(read_table(table)).si.parameters["estimate"]
     spoilt = pd.concat([table, table.iloc[:6].assign(steps=5000)], ignore_index=True)
     spoilt["status"] = [""] * len(table) + ["interrupted", "excluded"] * 3
     spoilt.loc[len(table):, "time"] = [f"2012-03-05T23:0{minute}:00" for minute in range(6)]  # fmt: skip
-    again = fit_least_squares(read(spoilt, tmp_path)).si.parameters["estimate"]
+    again = fit_least_squares(read_table(spoilt)).si.parameters["estimate"]
     assert again.to_numpy() == pytest.approx(clean.to_numpy(), rel=1e-12)
 
 
-def test_a_log_without_a_gravity_free_traverse_names_what_is_missing(campaign, tmp_path):
+def test_a_log_without_a_gravity_free_traverse_names_what_is_missing(campaign, read_table):
     settings = ({"joint": 3, "q2_deg": 0.0}, {"joint": 3, "q2_deg": -90.0, "psi_deg": -60.0})
-    result = fit_least_squares(read(campaign(settings=settings, directions=("+",)), tmp_path))
+    result = fit_least_squares(read_table(campaign(settings=settings, directions=("+",))))
     flag = next(flag for flag in result.flags if flag.flag == "not_identified")
     assert flag.parameters == ("a", "b", "c")
     assert "q2 = -90°" in flag.message
@@ -119,9 +110,9 @@ def test_a_log_without_a_gravity_free_traverse_names_what_is_missing(campaign, t
     assert all("not_identified" in flags for flags in table["flags"])
 
 
-def test_what_is_known_is_given_though_another_parameter_is_not(campaign, tmp_path):
+def test_what_is_known_is_given_though_another_parameter_is_not(campaign, read_table):
     settings = ({"joint": 3, "q2_deg": -90.0}, {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0})
-    result = fit_least_squares(read(campaign(settings=settings), tmp_path))
+    result = fit_least_squares(read_table(campaign(settings=settings)))
     table = estimates(result, 3, "+", "2012-03-05")
     assert table.loc["a", "estimate"] * 1e9 == pytest.approx(976, rel=0.01)
     assert table.loc["b", "estimate"] == pytest.approx(0.30, rel=0.05)
@@ -131,30 +122,30 @@ def test_what_is_known_is_given_though_another_parameter_is_not(campaign, tmp_pa
     assert "theta = 0°" in message
 
 
-def test_one_traverse_per_parameter_gives_no_error_bars_and_says_so(campaign, tmp_path):
+def test_one_traverse_per_parameter_gives_no_error_bars_and_says_so(campaign, read_table):
     settings = (
         {"joint": 3, "q2_deg": -90.0},
         {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
         {"joint": 3, "q2_deg": 0.0},
     )
-    result = fit_least_squares(read(campaign(("2012-03-05",), settings, replicates=1), tmp_path))
+    result = fit_least_squares(read_table(campaign(("2012-03-05",), settings, replicates=1)))
     table = result.si.parameters
     assert table["estimate"].notna().all()
     assert table["standard_error"].isna().all()
     assert {flag for flags in table["flags"] for flag in flags} == {"few_replicates"}
 
 
-def test_a_log_without_usable_rows_is_refused(campaign, tmp_path):
+def test_a_log_without_usable_rows_is_refused(campaign, read_table):
     table = campaign(("2012-03-05",)).assign(status="excluded")
     with pytest.raises(InputError, match="no usable traverse"):
-        fit_least_squares(read(table, tmp_path))
+        fit_least_squares(read_table(table))
 
 
-def test_joint_1_at_one_reach_has_constants(campaign, tmp_path):
+def test_joint_1_at_one_reach_has_constants(campaign, read_table):
     settings = tuple(
         {"joint": 1, "q2_deg": -90.0, "q3_mm": 0.0, "theta_deg": theta} for theta in (0.0, -90.0)
     )
-    result = fit_least_squares(read(campaign(settings=settings, repeatability=0.0, check_every=1), tmp_path))
+    result = fit_least_squares(read_table(campaign(settings=settings, repeatability=0.0, check_every=1)))
     table = estimates(result, 1, "+", "2012-03-05")
     assert list(table.index) == ["gamma0_reach_0", "d_reach_0"]
     assert table.loc["gamma0_reach_0", "estimate"] * 1e6 == pytest.approx(97 - 0.05 * 37.5, rel=1e-4)

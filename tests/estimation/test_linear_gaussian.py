@@ -11,7 +11,6 @@ from stickslip_fit.bayes.priors import build_group_data
 from stickslip_fit.estimation import fit_closed_form
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import Parameter, Prismatic, traverse_length
-from stickslip_fit.logs import read_log
 
 CALIBRATION = (
     {"joint": 3, "q2_deg": -90.0},
@@ -64,10 +63,9 @@ def generalised_least_squares(rows, repeatability, width):
 
 
 @pytest.fixture
-def log(campaign, tmp_path, request):
+def log(campaign, request, read_table):
     table = campaign(SESSIONS, CALIBRATION, ("+",), replicates=request.param)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    return read_log(tmp_path / "log.csv")
+    return read_table(table)
 
 
 @pytest.mark.parametrize("log", [1], indirect=True)

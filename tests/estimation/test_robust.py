@@ -5,20 +5,13 @@ import pytest
 
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
-from stickslip_fit.logs import read_log
 
 
-def read(table, folder):
-    path = folder / "log.csv"
-    table.to_csv(path, index=False)
-    return read_log(path)
-
-
-def test_a_misheard_end_stop_pulls_little(campaign, tmp_path):
+def test_a_misheard_end_stop_pulls_little(campaign, read_table):
     table = campaign(seed=4)
     spoilt = table.index[(table.joint == 3) & (table.direction == "+")][[3, 20, 40]]
     table.loc[spoilt, "steps"] = (table.loc[spoilt, "steps"] * 0.7 // 5 * 5).astype(int)
-    log = read(table, tmp_path)
+    log = read_table(table)
     truth = {"a": 976e-9, "b": 0.30, "c": 438e-9}
     off = {}
     for name, result in (
@@ -31,9 +24,9 @@ def test_a_misheard_end_stop_pulls_little(campaign, tmp_path):
     assert off["student"] < 0.008
 
 
-def test_maximises_the_likelihood_of_students_t(campaign, tmp_path):
+def test_maximises_the_likelihood_of_students_t(campaign, read_table):
     """The score of t5 at the fit vanishes: an independent condition, written out with numpy."""
-    log = read(campaign(sessions=("2012-03-05",), seed=8), tmp_path)
+    log = read_table(campaign(sessions=("2012-03-05",), seed=8))
     result = fit_least_squares(log, likelihood=StudentT(5.0))
     fit = result.joints[3]
     rows = log.usable[log.usable["joint"] == 3]
@@ -51,12 +44,12 @@ def test_maximises_the_likelihood_of_students_t(campaign, tmp_path):
 
 
 @pytest.mark.parametrize("likelihood", [StudentT(5.0)])
-def test_intervals_cover_under_heavy_tails(campaign, tmp_path, likelihood):
+def test_intervals_cover_under_heavy_tails(campaign, read_table, likelihood):
     sessions = tuple(f"2012-03-{day:02d}" for day in range(1, 13))
     table = campaign(sessions=sessions, repeatability=0.0, check_every=1)
     noise = np.random.default_rng(2).standard_t(5, len(table)) * 0.0027 / np.sqrt(5 / 3)
     table["steps"] = np.round(table["steps"] * np.exp(noise)).astype(int)
-    result = fit_least_squares(read(table, tmp_path), likelihood=likelihood)
+    result = fit_least_squares(read_table(table), likelihood=likelihood)
     truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
     rows = result.si.parameters.set_index(["name", "direction"])
     covered = [

@@ -8,14 +8,11 @@ import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
-from stickslip_fit.logs import read_log
 
 
 @pytest.fixture(scope="module")
-def log(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("save") / "campaign.csv"
-    campaign().to_csv(path, index=False)
-    return read_log(path)
+def log(campaign, read_table):
+    return read_table(campaign())
 
 
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
@@ -44,10 +41,9 @@ def test_the_file_lists_parameters_in_peoples_units(log, tmp_path):
     assert all(item["unit"] == "µrad/mm" and -0.1 < item["estimate"] < 0 for item in slopes)
 
 
-def test_an_unknown_number_is_null(campaign, tmp_path):
+def test_an_unknown_number_is_null(campaign, tmp_path, read_table):
     table = campaign(("2012-03-05",), ({"joint": 3, "q2_deg": -90.0},))
-    table.to_csv(tmp_path / "log.csv", index=False)
-    fit_least_squares(read_log(tmp_path / "log.csv")).save(tmp_path / "result.json")
+    fit_least_squares(read_table(table)).save(tmp_path / "result.json")
     text = (tmp_path / "result.json").read_text("utf-8")
     assert "NaN" not in text
     unknown = [item for item in json.loads(text)["parameters"] if item["name"] == "c"]

@@ -424,9 +424,8 @@ def test_a_function_in_a_saved_result_is_not_imported(log, lab, tmp_path):
     pd.testing.assert_frame_equal(back.si.predict(log.usable), result.si.predict(log.usable))
 
 
-def test_an_amplitude_starts_where_no_traverse_stalls(campaign, tmp_path):
+def test_an_amplitude_starts_where_no_traverse_stalls(campaign, read_table):
     table = campaign(("2012-03-05",), ({"joint": 1}, {"joint": 1, "from_deg": 60.0, "to_deg": -20.0}))
-    table.to_csv(tmp_path / "log.csv", index=False)
-    result = ssf.fit(ssf.read_log(tmp_path / "log.csv"), laws={1: ssf.Law("gamma ~ g*(1 + A*sin(q))")})
+    result = ssf.fit(read_table(table), laws={1: ssf.Law("gamma ~ g*(1 + A*sin(q))")})
     assert np.isfinite(result.joints[1].values).all()
     assert not any(flag.flag == "not_converged" for flag in result.flags)

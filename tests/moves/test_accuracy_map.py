@@ -5,16 +5,14 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit import InputError
-from stickslip_fit.moves.arm import error_radius
+from stickslip_fit.moves.error_ellipsoid import error_radius
 
 Z_95 = 1.96
 
 
 @pytest.fixture(scope="module")
-def fit(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("map") / "log.csv"
-    campaign().to_csv(path, index=False)
-    return ssf.fit(ssf.read_log(path))
+def fit(campaign, read_table):
+    return ssf.fit(read_table(campaign()))
 
 
 def test_each_place_is_a_planned_move_from_the_nearest_stops(fit):
@@ -48,10 +46,9 @@ def test_the_radius_holds_95_percent_of_draws(sds):
     assert inside == pytest.approx(0.95, abs=0.006)
 
 
-def test_a_joint_without_calibration_stays_still_and_it_says_so(campaign, tmp_path):
+def test_a_joint_without_calibration_stays_still_and_it_says_so(campaign, read_table):
     table = campaign()
-    table[table["joint"] == 3].to_csv(tmp_path / "log.csv", index=False)
-    found = ssf.map_accuracy(ssf.fit(ssf.read_log(tmp_path / "log.csv")), grid=(3, 3))
+    found = ssf.map_accuracy(ssf.fit(read_table(table[table["joint"] == 3])), grid=(3, 3))
     assert found.still == (1, 2)
     assert np.isnan(found.error_far).all()
     assert "Joints 1 and 2 have no calibration here and are left out." in " ".join(str(found).split())

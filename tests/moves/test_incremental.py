@@ -16,10 +16,8 @@ START = [0.2, -1.3, 0.004]
 
 
 @pytest.fixture(scope="module")
-def fit(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("drive") / "log.csv"
-    campaign(settings=CALIBRATION * 2).to_csv(path, index=False)
-    return fit_least_squares(read_log(path))
+def fit(campaign, read_table):
+    return fit_least_squares(read_table(campaign(settings=CALIBRATION * 2)))
 
 
 @pytest.fixture(scope="module")
@@ -150,12 +148,11 @@ def test_a_doubtful_burst_is_halfway_between_made_and_not_made(arm):
     assert 1.96 * drive.q_error[0] > 10 * moved / 2, "all may have been made, or none"
 
 
-def test_steps_lost_at_a_reversal(fit, campaign, tmp_path):
+def test_steps_lost_at_a_reversal(fit, campaign, read_table):
     from dataclasses import replace
 
-    campaign(settings=CALIBRATION + CALIBRATION[::-1]).to_csv(tmp_path / "log.csv", index=False)
     causes = [cause for cause in library() if cause.name == "reversal-loss"]
-    result = fit_least_squares(read_log(tmp_path / "log.csv"), causes=causes)
+    result = fit_least_squares(read_table(campaign(settings=CALIBRATION + CALIBRATION[::-1])), causes=causes)
     joints = {
         joint: replace(own, values=np.column_stack([own.values[:, :-1], np.full(len(own.values), 30.0)]))
         for joint, own in result.joints.items()

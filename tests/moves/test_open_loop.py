@@ -189,10 +189,8 @@ def test_noise_goes_with_the_way():
 
 
 @pytest.fixture(scope="module")
-def arm(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("open_loop") / "campaign.csv"
-    campaign().to_csv(path, index=False)
-    return calibrated_arm(fit_least_squares(read_log(path)), theta=-0.3, psi=0.2)
+def arm(campaign, read_table):
+    return calibrated_arm(fit_least_squares(read_table(campaign())), theta=-0.3, psi=0.2)
 
 
 def test_a_users_drives_and_those_of_many_moves_agree(arm):

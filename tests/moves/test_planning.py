@@ -5,7 +5,6 @@ import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 from stickslip_fit.machine import forward, load_machine
 from stickslip_fit.moves import (
     DriveCommand,
@@ -19,10 +18,8 @@ N_MOVES = 120
 
 
 @pytest.fixture(scope="module")
-def arm(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("moves") / "campaign.csv"
-    campaign().to_csv(path, index=False)
-    return calibrated_arm(fit_least_squares(read_log(path)))
+def arm(campaign, read_table):
+    return calibrated_arm(fit_least_squares(read_table(campaign())))
 
 
 def stepped(arm, q, joint, way, steps):
@@ -139,10 +136,9 @@ def test_positions_outside_the_range_are_refused(arm):
         plan_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.015]))
 
 
-def test_a_law_that_is_not_known_is_not_used(campaign, tmp_path):
+def test_a_law_that_is_not_known_is_not_used(campaign, read_table):
     table = campaign(settings=({"joint": 3, "q2_deg": -90.0},))
-    table.to_csv(tmp_path / "log.csv", index=False)
-    arm = calibrated_arm(fit_least_squares(read_log(tmp_path / "log.csv")))
+    arm = calibrated_arm(fit_least_squares(read_table(table)))
     with pytest.raises(InputError, match="b and c cannot be known"):
         plan_move(arm, np.array([0.0, -1.0, 0.0]), np.array([0.0, -1.0, 0.006]))
     with pytest.raises(InputError, match="joint 2 has no calibration"):

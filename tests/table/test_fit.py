@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ import pytest
 import statsmodels.api as sm
 
 import stickslip_fit as ssf
+from stickslip_fit.causes import TableRoles
 from stickslip_fit.estimation.result import compute_checksum
 from tests.table.bench import LAW, TRUE, bench, design
 
@@ -140,14 +142,15 @@ def test_what_is_loaded_is_what_was_saved(named, saved):
 def test_generic_causes_and_sessions_are_saved(tmp_path):
     frame = two_runs()
     frame["F"] += 0.3 * (frame["t"] % 100.0) ** 2
-    diagnosis = ssf.diagnose_table(frame, LAW, session="run", time="t", position="q", gain=False)
+    law = replace(LAW, units={**LAW.units, "t": "min"})
+    diagnosis = ssf.diagnose_table(frame, law, session="run", time="t", position="q", gain=False)
     fit = diagnosis.extended_law()
     assert diagnosis.verdict != "nothing wrong"
     assert fit.law.columns != fit.law.law.columns
     fit.save(tmp_path / "law.json")
-    pd.testing.assert_frame_equal(
-        fit.predict(frame), ssf.load_table_fit(tmp_path / "law.json").predict(frame)
-    )
+    again = ssf.load_table_fit(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(fit.predict(frame), again.predict(frame))
+    assert again.roles == TableRoles("run", "t", "q", time_unit="min")
 
 
 def edited(path, change):

@@ -1,8 +1,7 @@
-"""Acoustics: the sound of an emulated manipulator, as a waveform or as the powers of checks alone.
+"""Acoustics: the sound of an emulated manipulator.
 
-The sound is made of room noise, clicks of the steps, mains hum, the extra sound at a stop, and
-disturbances (bangs and speech). `compute_powers` gives the distribution of powers without the waveform,
-so that thousands of traverses can be simulated.
+It is made of room noise, clicks of the steps, mains hum, the extra sound at a stop, and disturbances (bangs
+and speech).
 """
 
 from __future__ import annotations
@@ -14,9 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._typing import Array
-from stickslip_fit.capture.audio import power_df
 from stickslip_fit.capture.protocols import Sound
-from stickslip_fit.capture.tuning import Tuning, select_band, select_reference
 
 BAND_WIDTH = 2000.0  # Hz, about the stop's peak; in it the signal-to-noise ratio is taken
 CORNER_FREQUENCY = 800.0  # Hz; below it the room's noise grows as 1/f
@@ -122,52 +119,6 @@ class Acoustics:
 
 def _integrate(density: Callable[[Array], Array], band: Array) -> float:
     return float(np.trapezoid(density(band), band))
-
-
-@dataclass(frozen=True)
-class PowerDistribution:
-    """Distribution of the power of some bins, over that of the moving joint: `mean` times chi2(df) / df."""
-
-    mean: float
-    df: float
-
-    def draw(self, number: int, rng: np.random.Generator) -> Array:
-        """So many independent checks, shape (number,)."""
-        return self.mean * rng.gamma(self.df / 2, 2 / self.df, number)
-
-
-@dataclass(frozen=True)
-class CheckPowers:
-    """Distributions of the powers of an emulated manipulator."""
-
-    band: PowerDistribution
-    reference: PowerDistribution
-    band_at_stop: PowerDistribution
-    reference_at_stop: PowerDistribution
-
-
-def compute_powers(acoustics: Acoustics, tuning: Tuning) -> CheckPowers:
-    """Distributions of the powers that `Tuning.powers` would find in the sound.
-
-    Of the tuning only the choice of the band matters; the levels are those of the acoustics.
-
-    Notes
-    -----
-    A sum of powers of Gaussian noise with means m_k over bins is very nearly sum(m) chi2(n) / n, where
-    n = 2 (sum m)^2 / sum(m^2), reduced by the window. Bangs, speech and drift are not included.
-    """
-    bins = tuning.frequencies[1:]
-    moving = acoustics.room_density(bins) + acoustics.click_density(bins)
-    rise = 1 + acoustics.stop_density(bins) / moving
-    band = select_band(bins, tuning.frequency, tuning.width)
-    reference = select_reference(bins, tuning.rate, tuning.frequency, tuning.width)
-    means = (np.ones(band.sum()), np.ones(reference.sum()), rise[band], rise[reference])
-    return CheckPowers(*(_make_distribution(part, tuning.samples) for part in means))
-
-
-def _make_distribution(means: Array, samples: int) -> PowerDistribution:
-    even = means.sum() ** 2 / (len(means) * np.sum(means**2))
-    return PowerDistribution(float(means.mean()), float(even * power_df(len(means), samples)))
 
 
 MAX_DISTURBANCE_SECONDS = 2  # longest duration
