@@ -54,19 +54,24 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
 def largest_strength(
     cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str
 ) -> float:
-    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
+    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs.
+
+    Of a cause that is tried at many values, the first norm that is large enough for a test.
+    """
     if cause.name == outlier_cause:
         return np.inf
-    largest = cause.largest_plausible()
-    strengths = [0.0]
+    largest, strongest = cause.largest_plausible(), 0.0
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
         sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
-        if version.session:
-            effects = compute_session_effects(sessions[version.session], version, sizes)
-        else:
-            effects = compute_effects(linearized, version, sizes)
-        strengths.append(float(np.linalg.norm(effects, axis=0).max()))
-    return max(strengths)
+        for some in filter(len, (sizes[:1], sizes[1:])):
+            if version.session:
+                effects = compute_session_effects(sessions[version.session], version, some)
+            else:
+                effects = compute_effects(linearized, version, some)
+            strongest = max(strongest, float(np.linalg.norm(effects, axis=0).max()))
+            if strongest >= MIN_TESTABLE_STRENGTH:
+                return strongest
+    return strongest
 
 
 def _always_fails(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit]) -> bool:
