@@ -50,8 +50,9 @@ def progress_bar(shown: bool, line_format: str, **options: Any) -> tqdm:
     """
     with warnings.catch_warnings():
         # A notebook without ipywidgets shows no warning.
-        warnings.filterwarnings("ignore", message="IProgress not found")
-        from tqdm.auto import tqdm
+        warnings.filterwarnings("ignore", message="IProgress not found|Using `tqdm.autonotebook")
+        # Unlike `tqdm.auto`, it imports nothing for asynchronous loops.
+        from tqdm.autonotebook import tqdm
 
     bar = tqdm(disable=None if shown else True, leave=False, **options)
     if not (shown and bar.disable):

@@ -102,7 +102,8 @@ class Quantity:
 class TomlTable(BaseModel):
     """A table of a TOML file: no other keys than its fields, no conversion between types."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    # Most commands read no file of most models, so that none is built before its first use.
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
     _written: dict[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod

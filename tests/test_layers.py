@@ -22,7 +22,7 @@ PACKAGE = ROOT / "stickslip_fit"
 LAYERS = (
     ("errors", "_typing"),
     ("units",),
-    ("_io", "_progress", "_input", "_format", "_expression", "_function"),
+    ("_io", "_progress", "_input", "_format", "_expression", "_function", "_root"),
     ("_export", "_json"),
     ("_summary", "_toml"),
     ("step",),
@@ -164,7 +164,7 @@ def test_what_starts_every_command_loads_no_heavy_library(module):
 
 def test_statistics_that_load_slowly_are_imported_where_they_are_used():
     """`scipy.stats` and its like take longer to load than most commands take to run."""
-    slow = ("scipy.stats", "statsmodels", "matplotlib.pyplot")
+    slow = ("scipy.optimize", "scipy.stats", "statsmodels", "matplotlib.pyplot", "joblib")
     top = {module: [*chain(*map(imported_names, tree_of(module).body))] for module in MODULES}
     assert not {
         module: names for module, names in top.items() if any(name.startswith(slow) for name in names)

@@ -90,9 +90,7 @@ def _periodic_alternatives(
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[clock].to_numpy(float)
     periods = choose_periods(values, session)
-    angles = 2 * np.pi * values[:, None] / periods
-    pairs = SMOOTH_SCALE * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    pairs /= linearized.scale[:, None, None]
+    pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     sign = linearized.direction_sign
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
     hypotheses: list[Hypothesis] = []
@@ -109,6 +107,18 @@ def _periodic_alternatives(
             version = replace(plain, mode=mode, period=float(periods[int(one.cause)]))
             hypotheses.append(replace(one, cause=f"unknown:{version}", version=version))
     return hypotheses
+
+
+def _cosines_and_sines(clock: Array, frequencies: Array) -> Array:
+    """Of evenly spaced frequencies, (m,), shape (n, m, 2): the first, turned, are the following ones."""
+    waves = np.empty((len(clock), len(frequencies)), dtype=complex)
+    waves[:, :1] = np.exp(2j * np.pi * clock[:, None] * frequencies[:1])
+    turn, known = np.exp(2j * np.pi * clock[:, None] * np.diff(frequencies[:2])), 1
+    while known < len(frequencies):
+        following = waves[:, known : 2 * known]
+        np.multiply(waves[:, : following.shape[1]], turn, out=following)
+        turn, known = turn**2, 2 * known
+    return waves.view(float).reshape(*waves.shape, 2)
 
 
 def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

@@ -22,9 +22,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq, minimize
 from scipy.sparse import csr_array
 
+from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
@@ -116,8 +116,7 @@ class Autocorrelation:
 
         if self.correlation_rows <= limit:
             return self
-        factor = brentq(lambda factor: drawn_in(factor).correlation_rows - limit, 0.0, 1.0, xtol=1e-6)
-        return drawn_in(float(factor))
+        return drawn_in(find_root(lambda factor: drawn_in(factor).correlation_rows - limit, 0.0, 1.0, 1e-6))
 
     def estimate(self, linearized: LinearizedFit) -> Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
@@ -317,6 +316,8 @@ class _RestrictedLikelihood:
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
         limit = float(np.arctanh(MAX_PARTIAL))
+        from scipy.optimize import minimize
+
         options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:

@@ -15,9 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import chdtrc, gammaln
 
+from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
@@ -249,7 +249,7 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
             return 0.0
-        return float(brentq(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, xtol=1e-4))
+        return find_root(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, 1e-4)
 
     high, middle, low = map(solve, QUANTILES_95)
     return Interval(middle, low, high)

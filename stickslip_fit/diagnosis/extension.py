@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
@@ -141,6 +140,13 @@ def compute_evidence(
     return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
 
 
+def add_candidates(misfit: Misfit, linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> Misfit:
+    """The evidence of `compute_evidence` with more effects of causes; no p-value."""
+    more = build_candidates(linearized, effects).hypotheses
+    hypotheses = drop_single_rows([*misfit.hypotheses, *more])
+    return compute_misfit(linearized, hypotheses, 0, np.random.default_rng(0))
+
+
 def compute_finer_effects(linearized: LinearizedFit, misfit: Misfit) -> list[FiniteEffects]:
     """The effects of trials between those that a test found likely, of causes that choose among trials."""
     found = []
@@ -196,6 +202,8 @@ def estimate_strength(shape: Hypothesis, residual: Array) -> float:
 
     It is the tau of `misfit`, the noise being 1: between strong shrinkage and none.
     """
+    from scipy.optimize import minimize_scalar
+
     squares, share = shape.coefficients(residual) ** 2, shape.prior_share
 
     def deviance(log_tau: float) -> float:

@@ -178,14 +178,16 @@ def _collect_errors(
     workers: int,
     progress: SplitProgress | None,
 ) -> Array:
-    from joblib import Parallel, delayed
-
     open_splits = [number for number, errors in enumerate(known) if errors is None]
-    tasks = (delayed(compute)(splits[number], seed=(seed, number)) for number in open_splits)
+    tasks = [partial(compute, splits[number], seed=(seed, number)) for number in open_splits]
     # Starting a process takes as long as the selection in several folds of a small log.
-    n_jobs = workers if n_rows > MAX_SERIAL_ROWS and len(open_splits) > 1 else 1
+    if n_rows > MAX_SERIAL_ROWS and len(open_splits) > 1:
+        from joblib import Parallel, delayed
+
+        results = Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
+    else:
+        results = (task() for task in tasks)
     errors = dict(enumerate(known))
-    results = Parallel(n_jobs=n_jobs, return_as="generator")(tasks)
     for done, (number, split_errors) in enumerate(zip(open_splits, results, strict=True), start=1):
         errors[number] = split_errors
         if progress is not None:

@@ -31,6 +31,7 @@ VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction 
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
+AT_ONCE = 100  # directions whose rows are put in another order
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
 
@@ -163,43 +164,46 @@ class DirectionGroup:
 
 def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
+    key_of: dict[int, bytes] = {}
     rows_of: dict[bytes, IntArray | slice] = {}
     sign_of: dict[bytes, Array] = {}
     directions: dict[bytes, dict[int, Array]] = {}
-    places: dict[bytes, list[int]] = {}
-    indices: dict[bytes, list[int]] = {}
-    signed: dict[bytes, list[bool]] = {}
+    uses: dict[bytes, list[tuple[int, int, int, bool]]] = {}
     least: dict[bytes, list[float]] = {}
     begins: dict[int, int] = {}  # of each block among the directions of its group
     first, sizes = 0, Counter[bytes]()
     for hypothesis in hypotheses:
         for rows, block in hypothesis.blocks:
-            key = b"" if isinstance(rows, slice) else rows.tobytes()
-            rows_of.setdefault(key, rows)
-            if hypothesis.sign is not None:
-                sign_of.setdefault(key, hypothesis.sign[rows])
-            group, width = directions.setdefault(key, {}), block.shape[1]
-            if id(block) not in group:
-                group[id(block)], begins[id(block)] = block.T, sizes[key]
+            if id(rows) not in key_of:
+                key = key_of[id(rows)] = b"" if isinstance(rows, slice) else rows.tobytes()
+                if rows_of.setdefault(key, rows) is rows:
+                    directions[key], uses[key], least[key] = {}, [], []
+            key, width, is_signed = key_of[id(rows)], block.shape[1], hypothesis.sign is not None
+            if hypothesis.sign is not None and key not in sign_of:
+                sign_of[key] = hypothesis.sign[rows]
+            if id(block) not in directions[key]:
+                directions[key][id(block)], begins[id(block)] = block.T, sizes[key]
                 sizes[key] += width
-                least.setdefault(key, []).extend([0.0 if hypothesis.one_sided else -np.inf] * width)
-            begin = begins[id(block)]
-            places.setdefault(key, []).extend(range(first, first := first + width))
-            indices.setdefault(key, []).extend(range(begin, begin + width))
-            signed.setdefault(key, []).extend([hypothesis.sign is not None] * width)
+                least[key].extend([0.0 if hypothesis.one_sided else -np.inf] * width)
+            uses[key].append((first, begins[id(block)], width, is_signed))
+            first += width
     groups = []
     for key, rows in rows_of.items():
         joined, n_positive = np.concatenate(list(directions[key].values())), None
         if key in sign_of:
             order = np.argsort(-sign_of[key], kind="stable")
             rows = np.arange(len(order))[rows][order] if isinstance(rows, slice) else rows[order]
-            joined, n_positive = joined[:, order], int(np.sum(sign_of[key] > 0))
+            n_positive = int(np.sum(sign_of[key] > 0))
+            for some in np.split(joined, range(AT_ONCE, len(joined), AT_ONCE)):
+                some[:] = some[:, order]  # a copy of all of them would take as much memory again
+        firsts, beginnings, widths, signed = np.array(uses[key], dtype=np.intp).T
+        inside = np.arange(widths.sum()) - np.repeat(np.cumsum(widths) - widths, widths)
         groups.append(
             DirectionGroup(
                 rows,
                 joined,
-                np.array(places[key], dtype=np.intp),
-                np.array(indices[key], dtype=np.intp) + len(joined) * np.array(signed[key], dtype=np.intp),
+                np.repeat(firsts, widths) + inside,
+                np.repeat(beginnings + len(joined) * signed, widths) + inside,
                 np.array(least[key])[:, None],
                 n_positive,
             )

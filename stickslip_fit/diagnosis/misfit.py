@@ -18,9 +18,10 @@ the simulated ones.
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
-bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). Where the noise was
-found heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does
-both tests in this order.
+bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples); there are no more
+samples once so many exceed it that no decision depends on the rest. Where the noise was found
+heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
+tests in this order.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, poch, softmax
 
+from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
     AR1,
@@ -64,7 +65,8 @@ SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
 # Of few samples a single one would decide: with so few of them above the statistic, there are more.
 MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
-BATCH_SIZE, MAX_ELEMENTS = 500, 25_000_000  # bootstrap samples at a time, and residuals in them
+# Bootstrap samples at a time, and coefficients in them; for larger arrays the system clears memory each time.
+BATCH_SIZE, MAX_ELEMENTS = 250, 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,9 +269,10 @@ class Misfit:
 
     def best_subspace(self, cause: str) -> Hypothesis:
         """As `best_hypothesis`, autoregressions left out."""
-        subspaces = [k for k, one in enumerate(self.hypotheses) if isinstance(one, Hypothesis)]
-        own = [k for k in subspaces if classify_cause(self.hypotheses[k]) == cause]
-        best = self.hypotheses[max(own or subspaces, key=lambda k: self.log_evidence[k])]
+        for places in (self._places.get(cause, ()), range(len(self.hypotheses))):
+            if own := [k for k in places if isinstance(self.hypotheses[k], Hypothesis)]:
+                break
+        best = self.hypotheses[max(own, key=lambda k: self.log_evidence[k])]
         assert isinstance(best, Hypothesis)
         return best
 
@@ -476,4 +479,4 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
         return 0.0
     if evidence(MAX_DETECTION_LENGTH) < critical:  # too few rows for any effect to be detected
         return MAX_DETECTION_LENGTH
-    return float(brentq(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, xtol=1e-3))
+    return find_root(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, 1e-3)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.unevenness import contaminate, log_student_t
@@ -100,6 +99,8 @@ def fit_skewness(deviation: Array) -> Skewness | None:
 
 
 def _minimize(function: Any, start: Array, more: tuple[float, ...], options: Any) -> Any:
+    from scipy.optimize import minimize
+
     simplex = np.vstack([start, start + 0.2 * np.eye(len(start))])
     return minimize(
         function, start, more, method="Nelder-Mead", options=options | {"initial_simplex": simplex}

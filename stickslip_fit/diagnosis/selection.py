@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.extension import (
     OUTLIER_ALPHA_SHARE,
     Extension,
     SelectedCause,
+    add_candidates,
     assess_residuals,
     compute_evidence,
     compute_finer_effects,
@@ -48,7 +49,9 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
 MAX_CAUSES = 4
-MAX_EXCEEDANCES = 50  # bootstrap samples above the statistic, after which a second cause is ruled out
+# Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
+# share of the rate, at most 22 lie above, so that no decision depends on the rest.
+MAX_EXCEEDANCES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +129,9 @@ def select_causes(
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
         misfires = [select_outliers(problem, outlier_p_value)]
-    first = last = assess_residuals(linearized, problem, n_bootstrap, rng, effects=effects)
+    first = last = assess_residuals(
+        linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
+    )
     del effects  # of the baseline's laws; as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
@@ -241,7 +246,7 @@ def _reestimate_noise(
         if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
-            misfit = compute_evidence(linearized, problem, effects=effects)
+            misfit = add_candidates(misfit, linearized, finer)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         noise = problem.estimate_noise(linearized, left)
         problem = problem.with_noise(noise)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
+from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.extension import assess_residuals
@@ -36,8 +36,10 @@ from stickslip_fit.diagnosis.testability import explain_too_small, find_untestab
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.machine import Machine
-from stickslip_fit.simulation import LawValues, simulate
 from stickslip_fit.units import from_si
+
+if TYPE_CHECKING:
+    from stickslip_fit.simulation import LawValues
 
 SCHEMA = "stickslip-fit/separability/1"
 MAX_CONFUSION = 0.02  # rate below which a log separates two causes
@@ -186,7 +188,7 @@ class SeparabilityMatrix:
         def excess(strength: float) -> float:
             return self.pair_confusion(one, other, strength) - MAX_CONFUSION_DESIGN
 
-        return float(brentq(excess, 0.0, MAX_STRENGTH, xtol=1e-2)) if excess(MAX_STRENGTH) < 0 else np.inf
+        return find_root(excess, 0.0, MAX_STRENGTH, 1e-2) if excess(MAX_STRENGTH) < 0 else np.inf
 
     def pairs(self) -> list[tuple[str, str, float]]:
         """Every pair with the strength it needs, hardest first."""
@@ -306,6 +308,8 @@ def problem_from_plan(
     InputError
         If the plan cannot be simulated, or has too few traverses for a test.
     """
+    from stickslip_fit.simulation import simulate
+
     log = simulate(plan, truth, machine)
     assert plan.noise is not None
     problem, missing = problem_from_log(log, causes)

@@ -97,16 +97,20 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     # A machine without the published geometry has no gravity load.
     load = (LOAD,) if rows["before_load"].notna().any() else ()
     names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, *columns, *history))
-    values = {name: np.full((n, len(NODES)), np.nan) for name in names}
+    states = []
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
         if joint is None:
             continue
         start, stop = (np.asarray(table[end], dtype=float)[:, None] for end in ("start", "stop"))
-        state = state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
-        for name, array in values.items():
-            array[part.rows] = carrier_values(state, name)
-    carriers = [_make_carrier(name, array) for name, array in values.items()]
+        states.append((part.rows, state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)))
+    carriers = []
+    for name in names:
+        known = [(places, carrier_values(state, name)) for places, state in states]
+        values = np.full((n, max((each.shape[1] for _, each in known), default=1)), np.nan)
+        for places, each in known:
+            values[places] = each
+        carriers.append(_make_carrier(name, values))
     return [carrier for carrier in carriers if carrier is not None]
 
 

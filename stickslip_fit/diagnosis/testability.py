@@ -55,24 +55,28 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
 def largest_strength(
     cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str
 ) -> float:
-    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs."""
+    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs.
+
+    Of a cause that is tried at many values, the first norm that is large enough for a test.
+    """
     if cause.name == outlier_cause:
         return np.inf
-    largest = cause.largest_plausible()
-    strengths = [0.0]
+    largest, strongest = cause.largest_plausible(), 0.0
     for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
         scaled = np.arange(values.shape[1]) == 0  # the size is the first parameter, or each if they combine
         factor = np.where(scaled | cause.combine_trials, cause.max_trial_factor, 1.0)
         sizes = values if largest else values * factor
-        if version.session:
-            effects = compute_session_effects(sessions[version.session], version, sizes)
-        else:
-            effects = compute_effects(linearized, version, sizes)
         combined = cause.combine_trials and not largest
-        strengths.append(
-            _largest_combination(effects) if combined else float(np.linalg.norm(effects, axis=0).max())
-        )
-    return max(strengths)
+        for some in [sizes] if combined else filter(len, (sizes[:1], sizes[1:])):
+            if version.session:
+                effects = compute_session_effects(sessions[version.session], version, some)
+            else:
+                effects = compute_effects(linearized, version, some)
+            own = _largest_combination(effects) if combined else np.linalg.norm(effects, axis=0).max()
+            strongest = max(strongest, float(own))
+            if strongest >= MIN_TESTABLE_STRENGTH:
+                return strongest
+    return strongest
 
 
 def _largest_combination(effects: Array) -> float:

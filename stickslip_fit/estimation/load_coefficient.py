@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.optimize.elementwise import find_root
 
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation.identifiability import is_full
@@ -53,6 +52,7 @@ def solve_load_coefficient(
     >>> print((d * 1e6).round(2))
     [25.91]
     """
+    from scipy.optimize.elementwise import find_root
 
     def excess(d: Array, counts: Array, gamma0: Array, amplitude: Array, *path: Array) -> Array:
         return harmonic_counts(gamma0, d * amplitude, *path)[0] - counts

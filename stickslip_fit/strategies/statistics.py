@@ -15,9 +15,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.optimize import brentq
 from scipy.special import digamma, polygamma, stdtr, stdtrit
 
+from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.estimation._optimize import RANK_TOL, mean_step_sizes
@@ -183,7 +183,9 @@ def shrink_variances(variance: Array, df: int, max_df: int) -> tuple[Array, floa
     if excess <= polygamma(1, np.exp(MAX_LOG_PRIOR_DF)):
         return np.full(len(variance), np.exp(log.mean())), float(max_df)
     half_prior_df = np.exp(
-        brentq(lambda size: float(polygamma(1, np.exp(size))) - excess, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF)
+        find_root(
+            lambda size: float(polygamma(1, np.exp(size))) - excess, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF, 1e-9
+        )
     )
     prior_variance = np.exp(log.mean() + digamma(half_prior_df) - np.log(half_prior_df))
     shrunk = (2.0 * half_prior_df * prior_variance + df * variance) / (2.0 * half_prior_df + df)
