@@ -18,7 +18,14 @@ from scipy.special import chdtrc, logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.changes.detection import Change, Changes
-from stickslip_fit.diagnosis.stage_change import CREDIBLE, PRIOR_SD, QUANTITIES, StageChange, choose_credible
+from stickslip_fit.diagnosis.stage_change import (
+    CREDIBLE,
+    PRIOR_SD,
+    QUANTITIES,
+    StageChange,
+    choose_credible,
+    order_changes,
+)
 from stickslip_fit.units import Interval
 
 REGIMES = ("friction-limited", "velocity-limited")
@@ -105,15 +112,14 @@ def _compare(values: Array, errors: Array, responds: Array) -> StageDifference:
         fits[key] = size, sd, float(np.sum((target - slope * size) ** 2))
     total = logsumexp(list(log_evidence.values()))
     share = {key: float(np.exp(value - total)) for key, value in log_evidence.items()}
-    changes = [_change(quantity, share, fits) for quantity in QUANTITIES]
-    changes.sort(key=lambda change: -change.probability)
+    changes = order_changes(_change(quantity, share, fits) for quantity in QUANTITIES)
     best = max(share, key=lambda key: share[key])
     regimes = {
         way: sum(p for (_, of), p in share.items() if of == way) for way in dict.fromkeys(w for _, w in share)
     }
     likely = [way for way, probability in regimes.items() if probability > CREDIBLE]
     p_value = float(chdtrc(len(values) - 1, fits[best][2]))
-    return StageDifference(tuple(changes), likely[0] if likely else "", p_value)
+    return StageDifference(changes, likely[0] if likely else "", p_value)
 
 
 def _change(

@@ -16,7 +16,7 @@ of step size and response of each joint and direction by itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,7 @@ COURSE_COLUMNS = {
 }
 SAME_COURSE = 0.6  # correlation of two findings that are one change
 QUANTITIES = ("friction", "mass", "voltage", "ramp time")
+SAME_TRACE = {"mass": "friction"}  # of which counts cannot tell one from the other
 CREDIBLE = 0.95
 NO_FIT = 0.001  # p-value below which none of the changes suffices
 MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
@@ -73,22 +74,36 @@ class StageChange:
     probability: float
     size: Interval
 
+    @property
+    def trace(self) -> str:
+        """The quantity of which the same trace is known by: friction's, of a change of mass."""
+        return SAME_TRACE.get(self.quantity, self.quantity)
+
 
 def choose_credible(changes: Sequence[StageChange], p_value: float) -> tuple[StageChange, ...]:
-    """The smallest set of changes, likeliest first, that holds the true one with 95 %; equals stay together.
+    """The smallest set of `changes`, in their order, that holds the true one with 95 %.
 
-    Empty where none suffices: `p_value` is that of the likeliest.
+    Those of one trace stay together. Empty where none suffices: `p_value` is that of the likeliest.
     """
     if p_value < NO_FIT:
         return ()
     total = 0.0
     chosen: list[StageChange] = []
     for change in changes:
-        if total >= CREDIBLE and change.probability < chosen[-1].probability * (1 - 1e-9):
+        if total >= CREDIBLE and change.trace != chosen[-1].trace:
             break
         chosen.append(change)
         total += change.probability
     return tuple(chosen)
+
+
+def order_changes(changes: Iterable[StageChange]) -> tuple[StageChange, ...]:
+    """Likeliest trace first; those of one trace together."""
+    changes = tuple(changes)
+    total = {
+        one.trace: sum(other.probability for other in changes if other.trace == one.trace) for one in changes
+    }
+    return tuple(sorted(changes, key=lambda one: (-total[one.trace], one.trace, -one.probability)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +114,7 @@ class StageReading:
     ----------
     causes : tuple of str
     changes : tuple of StageChange
-        Likeliest first.
+        Of the likeliest trace first.
     fingerprint : DataFrame
         joint, direction; unloaded and response, the relative changes of the step size without load and of the
         response to load, each with ``_error``; friction_limited, the probability of this regime.
@@ -254,18 +269,18 @@ def _combine(
     log_total = logsumexp([*log_mass.values(), log_mass["friction"]])
     changes = []
     for name in QUANTITIES:
-        source = "friction" if name == "mass" else name
+        source = SAME_TRACE.get(name, name)
         weights = np.exp(log_posterior[source] - log_mass[source])
         middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
         ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
         probability = float(np.exp(log_mass[source] - log_total))
         changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
-    changes.sort(key=lambda change: -change.probability)
-    best = "friction" if changes[0].quantity == "mass" else changes[0].quantity
+    ordered = order_changes(changes)
+    best = ordered[0].trace
     limited = _friction_limited(prints, terms, log_posterior)
     excess, free = _excess_deviance(prints, terms, best, log_posterior[best])
     table = pd.DataFrame([_fingerprint_row(one, float(p)) for one, p in zip(prints, limited, strict=True)])
-    return StageReading(causes, tuple(changes), table, float(chdtrc(free, excess)), left_out)
+    return StageReading(causes, ordered, table, float(chdtrc(free, excess)), left_out)
 
 
 def _log_likelihoods(one: Fingerprint, change: str) -> Array:

@@ -59,7 +59,9 @@ def largest_strength(
         return np.inf
     largest = cause.largest_plausible()
     strengths = [0.0]
-    for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
+    versions = getattr(cause, "versions", (cause,))  # more than one where the log leaves a law's regime open
+    tried = [(one, np.array(largest)) for one in versions] if largest else cause.trials(linearized.rows)
+    for version, values in tried:
         sizes = values if largest else values * np.r_[cause.max_trial_factor, np.ones(values.shape[1] - 1)]
         if version.session:
             effects = compute_session_effects(sessions[version.session], version, sizes)
