@@ -142,11 +142,8 @@ class StageReading:
 
     @property
     def regime(self) -> str:
-        """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
-        limited = self.fingerprint["friction_limited"]
-        if (limited > CREDIBLE).all():
-            return "friction-limited"
-        return "velocity-limited" if (limited < 1 - CREDIBLE).all() else ""
+        """See `find_regime`."""
+        return find_regime(self.fingerprint["friction_limited"])
 
 
 def read_stage(
@@ -261,23 +258,9 @@ def _combine(
 ) -> StageReading:
     """The posterior over changes, with lambda of each joint and direction integrated out."""
     terms = {name: [_log_likelihoods(one, name) for one in prints] for name in SINGLE}
-    log_posterior = {
-        name: -0.5 * (SIZES / PRIOR_SD) ** 2 + sum(logsumexp(each, axis=0) for each in own)
-        for name, own in terms.items()
-    }
-    log_mass = {name: float(logsumexp(values)) for name, values in log_posterior.items()}
-    log_total = logsumexp([*log_mass.values(), log_mass["friction"]])
-    changes = []
-    for name in QUANTITIES:
-        source = SAME_TRACE.get(name, name)
-        weights = np.exp(log_posterior[source] - log_mass[source])
-        middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
-        ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
-        probability = float(np.exp(log_mass[source] - log_total))
-        changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
-    ordered = order_changes(changes)
+    ordered, log_posterior = weigh_changes(terms)
     best = ordered[0].trace
-    limited = _friction_limited(prints, terms, log_posterior)
+    limited = friction_limited([one.ratios for one in prints], terms, log_posterior)
     excess, free = _excess_deviance(prints, terms, best, log_posterior[best])
     table = pd.DataFrame([_fingerprint_row(one, float(p)) for one, p in zip(prints, limited, strict=True)])
     return StageReading(causes, ordered, table, float(chdtrc(free, excess)), left_out)
@@ -287,23 +270,67 @@ def _log_likelihoods(one: Fingerprint, change: str) -> Array:
     """Of each size of a change at each lambda, with the prior of lambda, shape (m, sizes)."""
     fits = [fits[change] for fits in one.fits]
     deviance = [fit.deviance + fit.information[0, 0] * (SIZES - fit.size[0]) ** 2 for fit in fits]
-    return np.log(prior_shares(one.ratios))[:, None] - np.array(deviance) / (2 * one.spread)
+    return np.log(prior_shares(one.ratios))[:, None] - one.log_ratio(np.array(deviance) - one.least) / 2
 
 
-def _friction_limited(
-    prints: Sequence[Fingerprint], terms: dict[str, list[Array]], log_posterior: dict[str, Array]
+def weigh_changes(
+    terms: Mapping[str, Sequence[Array]],
+) -> tuple[tuple[StageChange, ...], dict[str, Array]]:
+    """The posterior over changes.
+
+    Parameters
+    ----------
+    terms : mapping of str to sequence of array, shape (m, sizes)
+        By change, of each joint and direction the log likelihood, with the prior of lambda, at its lambdas
+        and at `SIZES`.
+
+    Returns
+    -------
+    changes : tuple of StageChange
+        Of the likeliest trace first.
+    log_posterior : dict of str to array, shape (sizes,)
+        By change, but for a constant.
+    """
+    log_posterior = {
+        name: -0.5 * (SIZES / PRIOR_SD) ** 2 + sum(logsumexp(each, axis=0) for each in own)
+        for name, own in terms.items()
+    }
+    log_mass = {name: float(logsumexp(values)) for name, values in log_posterior.items()}
+    log_total = logsumexp([log_mass[SAME_TRACE.get(name, name)] for name in QUANTITIES])
+    changes = []
+    for name in QUANTITIES:
+        source = SAME_TRACE.get(name, name)
+        weights = np.exp(log_posterior[source] - log_mass[source])
+        middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
+        ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
+        probability = float(np.exp(log_mass[source] - log_total))
+        changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
+    return order_changes(changes), log_posterior
+
+
+def friction_limited(
+    ratios: Sequence[Array], terms: Mapping[str, Sequence[Array]], log_posterior: Mapping[str, Array]
 ) -> list[float]:
     """The probability of lambda > 1, half of that of lambda = 1, of each joint and direction."""
     total = logsumexp(list(log_posterior.values()))
     limited = []
-    for place, one in enumerate(prints):
-        above = (one.ratios > 1.0) + 0.5 * (one.ratios == 1.0)
+    for place, own_ratios in enumerate(ratios):
+        above = (own_ratios > 1.0) + 0.5 * (own_ratios == 1.0)
         probability = 0.0
         for name, values in log_posterior.items():
             own = terms[name][place]
-            probability += float(above @ np.exp(own - logsumexp(own, axis=0)) @ np.exp(values - total))
+            whole = logsumexp(own, axis=0)
+            share = np.exp(own - np.where(np.isfinite(whole), whole, 0.0))
+            probability += float(above @ share @ np.exp(values - total))
         limited.append(probability)
     return limited
+
+
+def find_regime(limited: Sequence[float] | pd.Series[float]) -> str:
+    """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
+    if all(share > CREDIBLE for share in limited):
+        return "friction-limited"
+    return "velocity-limited" if all(share < 1 - CREDIBLE for share in limited) else ""
 
 
 def _excess_deviance(
@@ -315,7 +342,7 @@ def _excess_deviance(
         best = int(np.argmax(own[:, at]))
         fit, other = one.fits[best][change], one.fits[best][FREE]
         deviance = fit.deviance + fit.information[0, 0] * (SIZES[at] - fit.size[0]) ** 2
-        excess += max(deviance - other.deviance, 0.0) / one.spread
+        excess += float(one.log_ratio(deviance - other.deviance))
         free += int(np.linalg.matrix_rank(other.information))
     return excess, max(free, 1)
 

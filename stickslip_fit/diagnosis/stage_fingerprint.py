@@ -81,10 +81,19 @@ class Fingerprint:
     df: int
 
     @property
+    def least(self) -> float:
+        """The deviance that a free change leaves."""
+        return min(fits[FREE].deviance for fits in self.fits)
+
+    @property
     def spread(self) -> float:
         """Variance of the residuals beside the noise's; at least 1."""
-        least = min(fits[FREE].deviance for fits in self.fits)
-        return max(1.0, least / max(self.df, 1))
+        return max(1.0, self.least / max(self.df, 1))
+
+    def log_ratio(self, excess: Array) -> Array:
+        """Twice the log likelihood ratio of deviances that differ so; `df` residuals tell the noise."""
+        df = max(self.df, 1)
+        return df * np.log1p(np.maximum(excess, 0.0) / (df * self.spread))
 
 
 def fit_changes(
