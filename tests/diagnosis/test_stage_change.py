@@ -12,6 +12,8 @@ import stickslip_fit as ssf
 from stickslip_fit.causes import PayloadChange, SessionJump, Wear
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
+from stickslip_fit.diagnosis.extension import open_changes
+from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
 from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, order_changes, read_stage
 from stickslip_fit.diagnosis.stage_fingerprint import StageEffects
 from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
@@ -109,6 +111,27 @@ def test_a_law_is_chosen_anew_only_where_it_becomes_another(elbow):
     for highest, is_same in ((10.0, True), (0.9, False)):
         open_law.plausible = (0.5, highest), (0.5, highest)
         assert (found.choose_laws_anew({2: open_law}) is None) == is_same
+
+
+def test_what_lambda_leaves_open_of_a_cause_is_no_second_finding(elbow):
+    """In each direction by itself; what the cause does in the other regime is in the span of what is open."""
+    linearized, (one, *_) = elbow.selection.problem.linearize(), elbow.selection.law_causes
+    own = replace(one.version, form="friction", assumed=())
+    versions, values = [own, replace(own, assumed=((2, 0.4, 0.4),))], one.start
+    effects = [linearized.whiten(compute_changes(linearized, version, values[None])) for version in versions]
+    shapes = [
+        make_hypothesis(own.name, version, values, linearized.project(effect))
+        for version, effect in zip(versions, effects, strict=True)
+    ]
+    difference = effects[1] - effects[0]
+    assert np.linalg.norm(difference) > 10
+    for known, is_open in ((shapes, True), (shapes[:1], False)):
+        selected = replace(one, version=own, misfit=replace(one.misfit, hypotheses=tuple(known)))
+        basis = open_changes(linearized, selected)
+        for sign in (1.0, -1.0):
+            column = np.where(linearized.direction_sign[:, None] == sign, difference, 0.0)
+            left = np.linalg.norm(column - basis @ (basis.T @ column))
+            assert (left < 1e-6) == is_open
 
 
 def test_the_headline_says_that_one_change_explains_several_findings(elbow):
