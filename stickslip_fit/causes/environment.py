@@ -15,9 +15,9 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
-from stickslip_fit.causes.friction import stage_effect
+from stickslip_fit.causes.friction import StageCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes, fill_empty, missing_column
-from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.laws import State
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 
@@ -124,7 +124,7 @@ class Temperature(ColumnCause):
 
 
 @dataclass(frozen=True)
-class Humidity(ColumnCause):
+class Humidity(StageCause, ColumnCause):
     """gamma times 1 + k (x - mean x), x the relative humidity."""
 
     name = "humidity"
@@ -140,10 +140,6 @@ class Humidity(ColumnCause):
     parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
     scale = (0.05,)
     largest_sizes = ((0.5,),)
-
-    def under(self, law: StepLaw) -> Cause:
-        """See `Cause.under`: it changes friction."""
-        return stage_effect(self, law)
 
 
 @dataclass(frozen=True)

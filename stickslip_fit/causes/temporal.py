@@ -18,8 +18,8 @@ from stickslip_fit.causes.friction import (
     RAMP_TIME,
     STEP,
     VOLTAGE,
-    distinct_quantities,
-    stage_effect,
+    StageCause,
+    distinct_changes,
 )
 from stickslip_fit.causes.parameters import (
     CauseParameter,
@@ -98,7 +98,7 @@ class Drift(FactorCause):
 
 
 @dataclass(frozen=True)
-class SessionJump(FactorCause):
+class SessionJump(StageCause):
     """gamma times 1 + A from one moment of one session on.
 
     Attributes
@@ -107,13 +107,10 @@ class SessionJump(FactorCause):
         In which it happens; empty for any.
     form : {"step", "friction", "voltage", "ramp time", ""}
         What is multiplied under a physical law, see `causes.friction`; empty for any.
-    tried : tuple of str
-        The forms that an empty one stands for.
     """
 
     session: str = ""
     form: str = STEP
-    tried: tuple[str, ...] = ()
 
     name = "session-jump"
     phrase = "something jumped within a session"
@@ -131,36 +128,37 @@ class SessionJump(FactorCause):
     @property
     def sentence(self) -> str:  # type: ignore[override]
         """See `Cause`."""
-        subject = "Steps {A:grow|shrink}" if self.form in ("", STEP) else f"The {self.form} {{A:grows|falls}}"
+        subject = "Steps {A:grow|shrink}" if self.form == STEP else f"The {self.form} {{A:grows|falls}}"
         return subject + " by {A} {moment} into session {session}, and stay so"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
-        what = "step size" if self.form in ("", STEP) else self.form
+        what = "step size" if self.form == STEP else self.form
         return (
             CauseParameter("A", "%", f"change of the {what}", session=self.session),
             moment_parameter(self.session),
         )
 
+    @property
+    def quantity(self) -> str:
+        """See `StageCause`."""
+        return self.form
+
+    def with_quantity(self, quantity: str) -> Self:
+        """See `StageCause`."""
+        return replace(self, form=quantity)
+
     def for_laws(self, laws: Iterable[StepLaw]) -> Self:
         """See `Cause.for_laws`: of what laws know, anything may jump."""
-        if self.form != STEP or len(tried := distinct_quantities(laws)) == 1:
+        if self.form != STEP or len(tried := distinct_changes(laws)) == 1:
             return self
-        return replace(self, form="", tried=tried)
+        return replace(self, tried=tried)
 
-    def under(self, law: StepLaw) -> Cause:
-        """See `Cause.under`: it changes a quantity of the stage."""
-        return stage_effect(self, law, self.form or STEP)
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
+    def own_trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `StageCause.own_trials`."""
         return [
-            (
-                replace(self, session=session, form=form, tried=()),
-                np.column_stack([np.full(len(moments), 0.01), moments]),
-            )
-            for form in self.tried or (self.form,)
+            (replace(self, session=session), np.column_stack([np.full(len(moments), 0.01), moments]))
             for session, moments in candidate_moments(rows)
             if self.session in ("", session)
         ]
@@ -185,7 +183,7 @@ WEAR_SCALES = np.array([1e4, 1e5, 1e6])
 
 
 @dataclass(frozen=True)
-class Wear(FactorCause):
+class Wear(StageCause):
     """gamma times 1 + k log(1 + n / n0), n the joint's own logged steps so far, not reset by a session."""
 
     name = "wear"
@@ -216,10 +214,6 @@ class Wear(FactorCause):
         """See `Cause.quantities`: for a tenfold of steps, and where it began to the order of magnitude."""
         begin = 10 ** round(log10(sizes["n0"].size.estimate))
         return {"k": sizes["k"].times(log(10)), "begin": f"{begin:,}"}
-
-    def under(self, law: StepLaw) -> Cause:
-        """See `Cause.under`: it changes friction."""
-        return stage_effect(self, law)
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""

@@ -10,7 +10,7 @@ are one family of tests, see `difference`.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,17 +25,21 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.changes.difference import Difference, SessionEstimates, compare_means
 from stickslip_fit.errors import InputError, check_rate
 from stickslip_fit.estimation import Flag, Result, fit_least_squares
+from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.identifiability import configuration_rows
 from stickslip_fit.estimation.result import Provenance
 from stickslip_fit.estimation.reweighting import OUTLIER, PATTERN
-from stickslip_fit.laws import Laws, StepLaw, is_published
+from stickslip_fit.laws import Laws, Prismatic, StepLaw, choose_laws, is_published
 from stickslip_fit.laws.base import traverse_length
+from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 STEP_SIZE = "step size"
-ROLES = {"a": "unloaded", "gamma0": "unloaded", "c": "response", "d": "response"}  # of published parameters
+UNLOADED, RESPONSE, SHARE = "unloaded", "response", "share"
+# Of published and physical parameters.
+ROLES = {"a": UNLOADED, "gamma0": UNLOADED, "c": RESPONSE, "d": RESPONSE, "r": SHARE}
 MAX_CONFIGURATIONS = 50  # of a law without calibration configurations
 SCHEMA = "stickslip-fit/changes/1"
 DECIMALS = 9  # of a configuration's features that make it another
@@ -59,8 +63,9 @@ class Change:
         That of step sizes, which are geometric means, is relative to the old one.
     is_significant : bool
         Whether its adjusted p-value is below the rate of false alarms.
-    role : {"unloaded", "response", ""}
-        Of a parameter of a published law: whether it is a step size without load, or a response to load.
+    role : {"unloaded", "response", "share", ""}
+        Of a parameter of a published or physical law: whether it is a step size without load, a response to
+        load, or the load as a share of friction.
     """
 
     joint: int
@@ -96,6 +101,10 @@ class Changes(Summarized):
         Of the two fits, where they concern single counts.
     machine : Machine
     provenance : tuple of (Provenance, Provenance)
+    laws : mapping of int to StepLaw
+        By joint, of those that were compared.
+    loads : mapping of (int, str) to array, shape (k,)
+        By joint and direction, under which steps were counted: against the motion, as shares of the full one.
     """
 
     alpha: float
@@ -105,6 +114,8 @@ class Changes(Summarized):
     flags: tuple[Flag, ...]
     machine: Machine
     provenance: tuple[Provenance, Provenance]
+    laws: Mapping[int, StepLaw]
+    loads: Mapping[tuple[int, str], Array]
 
     @property
     def significant(self) -> tuple[Change, ...]:
@@ -165,6 +176,7 @@ def detect_changes(
         raise InputError("the logs are of two machines; read both with the same machine file")
     if set(map(tuple, _keys(old))) & set(map(tuple, _keys(new))):
         raise InputError("the logs have traverses in common; name two logs of different sessions")
+    laws = _choose_together((old, new), laws)
     fits = (
         fit_least_squares(old, laws=laws, command=command),
         fit_least_squares(new, laws=laws, command=command),
@@ -183,7 +195,30 @@ def detect_changes(
     flags = tuple(flag for fit in fits for flag in fit.flags if flag.flag in (OUTLIER, PATTERN))
     sessions = (old.sessions, new.sessions)
     provenance = (fits[0].provenance, fits[1].provenance)
-    return Changes(alpha, sessions, changes, tuple(apart), flags, old.machine, provenance)
+    compared = {drive.law.joint: drive.law for drive in drives}
+    loads = {(drive.law.joint, drive.direction): _loads(drive, (old, new)) for drive in drives}
+    return Changes(alpha, sessions, changes, tuple(apart), flags, old.machine, provenance, compared, loads)
+
+
+def _loads(drive: _Drive, logs: tuple[Log, Log]) -> Array:
+    """The loads of joint 3's traverses, each once; a rotary joint passes through those of either sign."""
+    both, joint = np.array([-1.0, 0.0, 1.0]), drive.law.joint
+    if not (drive.law.prismatic and drive.machine.has_published_geometry):
+        return both
+    rows = pd.concat([log.usable for log in logs], ignore_index=True)
+    rows = rows[(rows["joint"] == joint) & (rows["direction"] == drive.direction)]
+    sign = 1.0 if drive.direction == "+" else -1.0
+    loads = np.unique((sign * Prismatic().features(rows)[:, 1]).round(DECIMALS))
+    return loads if len(loads) > 1 else both
+
+
+def _choose_together(logs: tuple[Log, Log], laws: Laws | None) -> Laws | None:
+    """The laws, physical ones with the lambda that both logs together make likely: else r means another."""
+    if laws is None:
+        return None
+    rows = pd.concat([usable_rows(log) for log in logs], ignore_index=True)
+    together = choose_laws(rows, logs[0].machine, laws)
+    return {**laws, **{joint: law for joint, law in together.items() if isinstance(law, Physical)}}
 
 
 def _keys(log: Log) -> Array:
@@ -325,7 +360,7 @@ def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> C
 
 
 def _find_role(law: StepLaw, parameter: str) -> str:
-    return ROLES.get(parameter.split("_")[0], "") if is_published(law) else ""
+    return ROLES.get(parameter.split("_")[0], "") if is_published(law) or isinstance(law, Physical) else ""
 
 
 def _of_sizes(log_size: Difference) -> Difference:

@@ -24,6 +24,7 @@ WORDS = {
     "voltage": "drive voltage",
     "ramp time": "ramp time",
 }
+MAX_ODDS = 10.0  # of two changes that a log does not tell apart
 UNKNOWN_ERROR = 0.5  # of a change, beyond which a fingerprint says nothing of it
 
 
@@ -68,10 +69,25 @@ def describe_reading(reading: StageReading, *, intervals: bool = True) -> str:
         )
     if intervals and {change.quantity for change in changes} == {"friction", "mass"}:
         return f"{text} Counts cannot tell friction from mass."
+    if intervals and _is_friction_or_ramp_time(changes):
+        return (
+            f"{text} Friction and ramp time cannot be told apart in this log: traverses at a higher drive "
+            "voltage, at which friction limits the step, or the ramp on an oscilloscope would."
+        )
     if intervals and len(changes) > 1:
         shares = ", ".join(f"{one.quantity} {100 * one.probability:.0f} %" for one in changes)
         return f"{text} Counts cannot tell which of them: {shares}."
     return text
+
+
+def _is_friction_or_ramp_time(changes: Sequence[StageChange]) -> bool:
+    """Whether it is one of these two, about as likely, as in velocity-limited steps."""
+    total = {one.trace: 0.0 for one in changes}
+    for one in changes:
+        total[one.trace] += one.probability
+    if set(total) != {"friction", "ramp time"}:
+        return False
+    return max(total.values()) < MAX_ODDS * min(total.values())
 
 
 def describe_changes(changes: Sequence[StageChange], *, intervals: bool) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.friction import StageCause
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
 from stickslip_fit.diagnosis.hypotheses import (
@@ -32,6 +33,7 @@ OUTLIER_ALPHA_SHARE = 0.25
 # Noisy configurations and gross errors are chosen by the same residuals; the misfit test then rejects about
 # twice as often (`benchmarks/README.md`).
 SELECTION_FACTOR = 2
+MIN_OPEN = 0.5  # whitened norm of what lambda leaves open in an effect
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
 MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
@@ -119,7 +121,7 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
 
     def linearize(problem: DiagnosisProblem) -> LinearizedFit:
         plain = problem.linearize_extended(fit)
-        forms = [alternative_forms(plain, one) for one in causes]
+        forms = [form for one in causes for form in (alternative_forms(plain, one), open_changes(plain, one))]
         return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
 
     linearized = linearize(problem)
@@ -227,6 +229,36 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
+    """What the choice of lambda leaves open in a selected cause's effect, whitened, shape (n, m).
+
+    The differences from its effect with lambda well within either regime, of each joint and direction by
+    itself: those may differ in what they are.
+    """
+    version, misfit = selected.version, selected.misfit
+    assert misfit is not None
+    if not isinstance(version, StageCause):
+        return np.zeros((len(linearized), 0))
+    others = dict.fromkeys(
+        one.version
+        for one in misfit.hypotheses
+        if isinstance(one.version, StageCause) and replace(one.version, assumed=version.assumed) == version
+    )
+    own = compute_changes(linearized, version, selected.start[None])
+    columns = [np.zeros((len(linearized), 0))]
+    for other in others:
+        difference = compute_changes(linearized, other, selected.start[None]) - own
+        for part in linearized.parts:
+            for sign in (1.0, -1.0):
+                rows = part.rows[linearized.direction_sign[part.rows] == sign]
+                column = np.zeros_like(difference)
+                column[rows] = difference[rows]
+                columns.append(column)
+    changes = linearized.whiten(np.concatenate(columns, axis=1))
+    left, singular, _ = np.linalg.svd(changes, full_matrices=False)
+    return left[:, singular > MIN_OPEN]
 
 
 def _other_shapes(linearized: LinearizedFit, selected: SelectedCause, misfit: Misfit) -> list[Array]:

@@ -29,6 +29,7 @@ from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.result import AxesArray, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
+from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
@@ -254,7 +255,7 @@ class Diagnosis(Summarized):
         Returns
         -------
         mapping of int to StepLaw or None
-            None where they are the same.
+            None where they are the same, or the log leaves those of the diagnosis open.
         """
         courses = find_courses(self.selection)
         if not courses or laws is None:
@@ -262,7 +263,7 @@ class Diagnosis(Summarized):
         log = self._without(list(courses))
         chosen = choose_laws(usable_rows(log), log.machine, laws)
         before = {part.law.joint: part.law for part in self.selection.problem.parts}
-        is_same = all(_describe(law) == _describe(before[joint]) for joint, law in chosen.items())
+        is_same = all(_is_same(law, before[joint]) for joint, law in chosen.items())
         return None if is_same else chosen
 
     def methods(self) -> str:
@@ -377,6 +378,13 @@ class Diagnosis(Summarized):
         from stickslip_fit.plotting.diagnosis import plot_gain
 
         return collect_axes(plot_gain(self))
+
+
+def _is_same(law: StepLaw, before: StepLaw) -> bool:
+    """Whether a law is no other, but for a lambda that the log leaves open."""
+    if isinstance(law, Physical) and isinstance(before, Physical) and any(law.plausible):
+        return law.allows(before.ratios)
+    return _describe(law) == _describe(before)
 
 
 def _describe(law: StepLaw) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
+    PAIR_MIN_LOG_BAYES_FACTOR,
     find_exchange,
     first_of_pair,
     name_combinations,
@@ -153,8 +154,10 @@ def select_causes(
             combinations.append((following.cause, *pair.others))
         support = assess_support(linearized, last, following.cause)
         if support.too_narrow:
-            influential = support.outlying if problem.skewness is None else influential
-            following = make_selected(last, form_cause_set(last, UNKNOWN))
+            broad = find_broad_cause(linearized, last, following.cause)
+            if broad == UNKNOWN and problem.skewness is None:
+                influential = support.outlying
+            following = make_selected(last, form_cause_set(last, broad), refits.starts)
         if following.cause == UNKNOWN:
             selected.append(following)
             break
@@ -188,6 +191,17 @@ def select_causes(
     if len(explained := explain_outliers(selection, every, outliers)):
         return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
     return selection
+
+
+def find_broad_cause(linearized: LinearizedFit, misfit: Misfit, narrow: str) -> str:
+    """The likeliest cause after one that rests on few rows, likelier than `UNKNOWN`, that does not."""
+    evidence = misfit.log_evidence_by_cause
+    least = evidence.get(UNKNOWN, 0.0) + PAIR_MIN_LOG_BAYES_FACTOR
+    others = sorted(evidence.keys() - {UNKNOWN, narrow}, key=lambda cause: (-evidence[cause], cause))
+    for cause in others:
+        if evidence[cause] > least and not assess_support(linearized, misfit, cause).too_narrow:
+            return cause
+    return UNKNOWN
 
 
 def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:

@@ -16,7 +16,7 @@ of step size and response of each joint and direction by itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,7 @@ COURSE_COLUMNS = {
 }
 SAME_COURSE = 0.6  # correlation of two findings that are one change
 QUANTITIES = ("friction", "mass", "voltage", "ramp time")
+SAME_TRACE = {"mass": "friction"}  # of which counts cannot tell one from the other
 CREDIBLE = 0.95
 NO_FIT = 0.001  # p-value below which none of the changes suffices
 MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
@@ -73,22 +74,36 @@ class StageChange:
     probability: float
     size: Interval
 
+    @property
+    def trace(self) -> str:
+        """The quantity of which the same trace is known by: friction's, of a change of mass."""
+        return SAME_TRACE.get(self.quantity, self.quantity)
+
 
 def choose_credible(changes: Sequence[StageChange], p_value: float) -> tuple[StageChange, ...]:
-    """The smallest set of changes, likeliest first, that holds the true one with 95 %; equals stay together.
+    """The smallest set of `changes`, in their order, that holds the true one with 95 %.
 
-    Empty where none suffices: `p_value` is that of the likeliest.
+    Those of one trace stay together. Empty where none suffices: `p_value` is that of the likeliest.
     """
     if p_value < NO_FIT:
         return ()
     total = 0.0
     chosen: list[StageChange] = []
     for change in changes:
-        if total >= CREDIBLE and change.probability < chosen[-1].probability * (1 - 1e-9):
+        if total >= CREDIBLE and change.trace != chosen[-1].trace:
             break
         chosen.append(change)
         total += change.probability
     return tuple(chosen)
+
+
+def order_changes(changes: Iterable[StageChange]) -> tuple[StageChange, ...]:
+    """Likeliest trace first; those of one trace together."""
+    changes = tuple(changes)
+    total = {
+        one.trace: sum(other.probability for other in changes if other.trace == one.trace) for one in changes
+    }
+    return tuple(sorted(changes, key=lambda one: (-total[one.trace], one.trace, -one.probability)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +114,7 @@ class StageReading:
     ----------
     causes : tuple of str
     changes : tuple of StageChange
-        Likeliest first.
+        Of the likeliest trace first.
     fingerprint : DataFrame
         joint, direction; unloaded and response, the relative changes of the step size without load and of the
         response to load, each with ``_error``; friction_limited, the probability of this regime.
@@ -127,11 +142,8 @@ class StageReading:
 
     @property
     def regime(self) -> str:
-        """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
-        limited = self.fingerprint["friction_limited"]
-        if (limited > CREDIBLE).all():
-            return "friction-limited"
-        return "velocity-limited" if (limited < 1 - CREDIBLE).all() else ""
+        """See `find_regime`."""
+        return find_regime(self.fingerprint["friction_limited"])
 
 
 def read_stage(
@@ -246,49 +258,79 @@ def _combine(
 ) -> StageReading:
     """The posterior over changes, with lambda of each joint and direction integrated out."""
     terms = {name: [_log_likelihoods(one, name) for one in prints] for name in SINGLE}
-    log_posterior = {
-        name: -0.5 * (SIZES / PRIOR_SD) ** 2 + sum(logsumexp(each, axis=0) for each in own)
-        for name, own in terms.items()
-    }
-    log_mass = {name: float(logsumexp(values)) for name, values in log_posterior.items()}
-    log_total = logsumexp([*log_mass.values(), log_mass["friction"]])
-    changes = []
-    for name in QUANTITIES:
-        source = "friction" if name == "mass" else name
-        weights = np.exp(log_posterior[source] - log_mass[source])
-        middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
-        ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
-        probability = float(np.exp(log_mass[source] - log_total))
-        changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
-    changes.sort(key=lambda change: -change.probability)
-    best = "friction" if changes[0].quantity == "mass" else changes[0].quantity
-    limited = _friction_limited(prints, terms, log_posterior)
+    ordered, log_posterior = weigh_changes(terms)
+    best = ordered[0].trace
+    limited = friction_limited([one.ratios for one in prints], terms, log_posterior)
     excess, free = _excess_deviance(prints, terms, best, log_posterior[best])
     table = pd.DataFrame([_fingerprint_row(one, float(p)) for one, p in zip(prints, limited, strict=True)])
-    return StageReading(causes, tuple(changes), table, float(chdtrc(free, excess)), left_out)
+    return StageReading(causes, ordered, table, float(chdtrc(free, excess)), left_out)
 
 
 def _log_likelihoods(one: Fingerprint, change: str) -> Array:
     """Of each size of a change at each lambda, with the prior of lambda, shape (m, sizes)."""
     fits = [fits[change] for fits in one.fits]
     deviance = [fit.deviance + fit.information[0, 0] * (SIZES - fit.size[0]) ** 2 for fit in fits]
-    return np.log(prior_shares(one.ratios))[:, None] - np.array(deviance) / (2 * one.spread)
+    return np.log(prior_shares(one.ratios))[:, None] - one.log_ratio(np.array(deviance) - one.least) / 2
 
 
-def _friction_limited(
-    prints: Sequence[Fingerprint], terms: dict[str, list[Array]], log_posterior: dict[str, Array]
+def weigh_changes(
+    terms: Mapping[str, Sequence[Array]],
+) -> tuple[tuple[StageChange, ...], dict[str, Array]]:
+    """The posterior over changes.
+
+    Parameters
+    ----------
+    terms : mapping of str to sequence of array, shape (m, sizes)
+        By change, of each joint and direction the log likelihood, with the prior of lambda, at its lambdas
+        and at `SIZES`.
+
+    Returns
+    -------
+    changes : tuple of StageChange
+        Of the likeliest trace first.
+    log_posterior : dict of str to array, shape (sizes,)
+        By change, but for a constant.
+    """
+    log_posterior = {
+        name: -0.5 * (SIZES / PRIOR_SD) ** 2 + sum(logsumexp(each, axis=0) for each in own)
+        for name, own in terms.items()
+    }
+    log_mass = {name: float(logsumexp(values)) for name, values in log_posterior.items()}
+    log_total = logsumexp([log_mass[SAME_TRACE.get(name, name)] for name in QUANTITIES])
+    changes = []
+    for name in QUANTITIES:
+        source = SAME_TRACE.get(name, name)
+        weights = np.exp(log_posterior[source] - log_mass[source])
+        middle, low, high = np.interp([0.5, 0.025, 0.975], np.cumsum(weights), SIZES)
+        ends = (-middle, -high, -low) if name == "mass" else (middle, low, high)
+        probability = float(np.exp(log_mass[source] - log_total))
+        changes.append(StageChange(name, probability, Interval(*map(float, np.expm1(ends)))))
+    return order_changes(changes), log_posterior
+
+
+def friction_limited(
+    ratios: Sequence[Array], terms: Mapping[str, Sequence[Array]], log_posterior: Mapping[str, Array]
 ) -> list[float]:
     """The probability of lambda > 1, half of that of lambda = 1, of each joint and direction."""
     total = logsumexp(list(log_posterior.values()))
     limited = []
-    for place, one in enumerate(prints):
-        above = (one.ratios > 1.0) + 0.5 * (one.ratios == 1.0)
+    for place, own_ratios in enumerate(ratios):
+        above = (own_ratios > 1.0) + 0.5 * (own_ratios == 1.0)
         probability = 0.0
         for name, values in log_posterior.items():
             own = terms[name][place]
-            probability += float(above @ np.exp(own - logsumexp(own, axis=0)) @ np.exp(values - total))
+            whole = logsumexp(own, axis=0)
+            share = np.exp(own - np.where(np.isfinite(whole), whole, 0.0))
+            probability += float(above @ share @ np.exp(values - total))
         limited.append(probability)
     return limited
+
+
+def find_regime(limited: Sequence[float] | pd.Series[float]) -> str:
+    """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
+    if all(share > CREDIBLE for share in limited):
+        return "friction-limited"
+    return "velocity-limited" if all(share < 1 - CREDIBLE for share in limited) else ""
 
 
 def _excess_deviance(
@@ -300,7 +342,7 @@ def _excess_deviance(
         best = int(np.argmax(own[:, at]))
         fit, other = one.fits[best][change], one.fits[best][FREE]
         deviance = fit.deviance + fit.information[0, 0] * (SIZES[at] - fit.size[0]) ** 2
-        excess += max(deviance - other.deviance, 0.0) / one.spread
+        excess += float(one.log_ratio(deviance - other.deviance))
         free += int(np.linalg.matrix_rank(other.information))
     return excess, max(free, 1)
 

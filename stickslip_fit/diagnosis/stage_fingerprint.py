@@ -18,11 +18,11 @@ from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, lineariz
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.drive_ratio import laws_by_width, stack_ratios, start_at
 from stickslip_fit.laws import FRICTION_LIMITED
-from stickslip_fit.laws.physical import Physical
+from stickslip_fit.laws.physical import POWERS, Physical
 from stickslip_fit.machine import Machine
 
 FREE = "free"
-SINGLE = ("friction", "voltage", "ramp time")  # of mass is friction's with the sign reversed
+SINGLE = tuple(POWERS)  # of mass is friction's with the sign reversed
 COARSE = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, FRICTION_LIMITED)
 REFINEMENTS = 2
 UNLIKELY = 60.0  # deviance beyond the least, in units of the noise, of a lambda that is not looked at
@@ -81,10 +81,19 @@ class Fingerprint:
     df: int
 
     @property
+    def least(self) -> float:
+        """The deviance that a free change leaves."""
+        return min(fits[FREE].deviance for fits in self.fits)
+
+    @property
     def spread(self) -> float:
         """Variance of the residuals beside the noise's; at least 1."""
-        least = min(fits[FREE].deviance for fits in self.fits)
-        return max(1.0, least / max(self.df, 1))
+        return max(1.0, self.least / max(self.df, 1))
+
+    def log_ratio(self, excess: Array) -> Array:
+        """Twice the log likelihood ratio of deviances that differ so; `df` residuals tell the noise."""
+        df = max(self.df, 1)
+        return df * np.log1p(np.maximum(excess, 0.0) / (df * self.spread))
 
 
 def fit_changes(
@@ -230,13 +239,11 @@ class StageEffects:
             See `ChangeFit`.
         course : array, shape (n,)
         """
-        own, none = np.log1p(np.expm1(size[0]) * course), np.zeros(len(course))
-        unit, share, ratio = {  # logarithms of what a_f T1^2, r and lambda are multiplied by
-            "friction": (own, -own, -own),
-            "voltage": (none, none, own),
-            "ramp time": (2 * own, none, -2 * own),
-            FREE: (own, np.log1p(np.expm1(size[-1]) * course), none),
-        }[change]
+        own, other = (np.log1p(np.expm1(each) * course) for each in (size[0], size[-1]))
+        # Logarithms of what a_f T1^2, r and lambda are multiplied by.
+        unit, share, ratio = (
+            (own, other, 0.0 * own) if change == FREE else (power * own for power in POWERS[change])
+        )
         now, values = self.ratio * np.exp(ratio), self.values.copy()
         values[:, 0] *= np.exp(unit) * np.minimum(now, 1.0) / min(self.ratio, 1.0)
         values[:, self.shares] *= np.exp(share)[:, None]

@@ -62,7 +62,9 @@ def largest_strength(
     if cause.name == outlier_cause:
         return np.inf
     largest, strongest = cause.largest_plausible(), 0.0
-    for version, values in [(cause, np.array(largest))] if largest else cause.trials(linearized.rows):
+    versions = getattr(cause, "versions", (cause,))  # more than one where the log leaves a law's regime open
+    tried = [(one, np.array(largest)) for one in versions] if largest else cause.trials(linearized.rows)
+    for version, values in tried:
         scaled = np.arange(values.shape[1]) == 0  # the size is the first parameter, or each if they combine
         factor = np.where(scaled | cause.combine_trials, cause.max_trial_factor, 1.0)
         sizes = values if largest else values * factor

@@ -19,7 +19,13 @@ from stickslip_fit.estimation._optimize import Groups, Minimum
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Problem, single_problem
 from stickslip_fit.laws import Rows, StepLaw
 from stickslip_fit.laws.base import Model
-from stickslip_fit.laws.physical import FRICTION_LIMITED, Physical, physical_law_with
+from stickslip_fit.laws.physical import (
+    DEEP,
+    FRICTION_LIMITED,
+    VELOCITY_LIMITED,
+    Physical,
+    physical_law_with,
+)
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior
@@ -77,6 +83,14 @@ class RatioProfile:
         inside = self.ratios[(self.likelihood > NEGLIGIBLE) & (self.ratios != self.best)]
         at = np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MAX_OTHERS)).round().astype(int))
         return tuple(map(float, inside[at]))
+
+    def within(self, regime: str) -> float:
+        """A lambda well within a regime, where none there is very unlikely; else the best."""
+        inside = self.ratios < VELOCITY_LIMITED if regime == "velocity-limited" else self.ratios > DEEP
+        own = np.where(inside, self.probability, 0.0)
+        if inside[self.ratios == self.best].any() or self.likelihood[inside].max() < NEGLIGIBLE:
+            return self.best
+        return float(self.ratios[np.searchsorted(np.cumsum(own), own.sum() / 2)])
 
     @property
     def noise(self) -> float:
@@ -136,6 +150,14 @@ def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     law = physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
     up, down = (profiles[way].others if way in profiles else () for way in "+-")
     law.plausible = up, down
+    regimes = {}
+    for regime in ("velocity-limited", "friction-limited"):
+        up_in, down_in = (
+            profiles[way].within(regime) if way in profiles else FRICTION_LIMITED for way in "+-"
+        )
+        if (up_in, down_in) != law.ratios:
+            regimes[regime] = up_in, down_in
+    law.regimes = regimes
     return law
 
 
@@ -330,7 +352,7 @@ def _from_nearest(known: Mapping[float, Array], law: StepLaw, ratio: float) -> A
     """The values of the nearest other lambda, with the response to load that they have there."""
     nearest = min((other for other in known if other != ratio), key=lambda other: abs(np.log(other / ratio)))
     start = known[nearest].copy()
-    start[:, _shares(law)] *= min(nearest, 2.0) / min(ratio, 2.0)
+    start[:, _shares(law)] *= min(nearest, DEEP) / min(ratio, DEEP)
     return start
 
 

@@ -184,6 +184,35 @@ def _eccentric_anomaly(e: Array, root: Array, q: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class DriveChange:
+    """What a change of the stage multiplies, under a law that knows the stage (`laws.physical`).
+
+    Arrays of a shape as of `State`.
+
+    Attributes
+    ----------
+    unit, share, ratio : array
+        On a_f T1^2, on r and on lambda.
+    before : array
+        lambda before the change.
+    """
+
+    unit: Array
+    share: Array
+    ratio: Array
+    before: Array
+
+    def after(self, other: DriveChange | None) -> DriveChange:
+        """Both changes; lambda before them is that of this one."""
+        if other is None:
+            return self
+        return replace(
+            self,
+            **{name: getattr(self, name) * getattr(other, name) for name in ("unit", "share", "ratio")},
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """The manipulator at k positions of each of n traverses of one joint.
 
@@ -203,6 +232,8 @@ class State:
         Other quantities of each traverse, e.g. ``session_seconds``.
     override_load, override_recoil : array or None
         In place of those that follow from the angles.
+    drive_change : DriveChange or None
+        None where the stage is as it was calibrated.
     """
 
     joint: int
@@ -215,6 +246,7 @@ class State:
     row: Mapping[str, Any]
     override_load: Array | None = None
     override_recoil: Array | None = None
+    drive_change: DriveChange | None = None
 
     @cached_property
     def load(self) -> Array:
@@ -254,7 +286,7 @@ def state_at(joint: int, row: Mapping[str, Any], position: Array) -> State:
     def column(name: str) -> Array:
         return np.asarray(row.get(name, unknown), dtype=float)[:, None]
 
-    pose = {name: column(name) for name in ("q1", "q2", "q3", "theta", "psi")}
+    pose: dict[str, Any] = {name: column(name) for name in ("q1", "q2", "q3", "theta", "psi")}
     if f"q{joint}" in pose:
         pose[f"q{joint}"] = position
     return State(joint, position, **pose, row=row)

@@ -23,6 +23,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from stickslip_fit.laws.base import (
     float_column,
     traverse_length,
 )
-from stickslip_fit.laws.integration import State
+from stickslip_fit.laws.integration import DriveChange, State
 from stickslip_fit.laws.published import Base, BaseAtOneReach, Elbow, Prismatic, Rotary, published_law
 from stickslip_fit.machine import Machine
 from stickslip_fit.step import relative_step
@@ -46,11 +47,16 @@ from stickslip_fit.units import PRISMATIC
 MAX_SHARE = 0.9  # of friction, by which the load may act
 FRICTION_LIMITED = 10.0  # lambda that no load within MAX_SHARE tells from a greater one
 START_SHARE = 0.15
+DEEP = 2.0  # lambda above which no load changes the regime; the response to load is that of lambda r there
 INERTIA = (-0.1, 0.3)  # gained from one end of the arm's range to the other, as a share
 VELOCITY_LIMITED = 0.75  # lambda below which a few per cent of inertia leave no trace
 PANELS, NODES = 3, 10  # of each smooth stretch of a rotary traverse, at most
 MODERATE, NEAREST_ZERO, QUADRATURE = 0.4, 0.6, 1e-10  # shares of friction; error of a stretch
 
+POWERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
+    {"friction": (1, -1, -1), "voltage": (0, 0, 1), "ramp time": (2, 0, -2)}
+)
+"""To which a_f T1^2, r and lambda are multiplied, by the quantity of the stage that is multiplied."""
 Ratios = tuple[float, float]
 """lambda in `+` and in `-`."""
 RatioCounter = Callable[[Array, Array], tuple[Array, Array]]
@@ -91,6 +97,35 @@ def evaluate_step(unloaded: Array, share: Array, inertia: Array | float, ratio: 
     )
 
 
+def change_step(
+    step: UnitStep, share: Array, inertia: Array | float, ratio: Array, change: DriveChange | None
+) -> UnitStep:
+    """The step of `evaluate_step` after a change of the stage.
+
+    With another lambda before the change than the law's, r is what makes the same response to load of it, and
+    the step is multiplied by what the change makes of one at that lambda.
+    """
+    if change is None:
+        return step
+    scale = np.minimum(ratio, DEEP) / np.minimum(change.before, DEEP)
+    own = np.clip(scale * share, -MAX_SHARE, MAX_SHARE)
+    before = relative_step(change.before * inertia, own)
+    after = relative_step(change.before * change.ratio * inertia, own * change.share)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = change.unit * after.step / before.step
+        by_share = scale * (change.share * after.by_share / after.step - before.by_share / before.step)
+        by_ratio = change.before * (
+            change.ratio * after.by_ratio / after.step - before.by_ratio / before.step
+        )
+    gamma = factor * step.gamma
+    return UnitStep(
+        gamma=gamma,
+        by_unloaded=factor * step.by_unloaded,
+        by_share=factor * step.by_share + gamma * by_share,
+        by_inertia=factor * step.by_inertia + gamma * by_ratio,
+    )
+
+
 class Physical(StepLaw):
     """A slider driven by Coulomb friction; `ratios` is lambda in `+` and in `-`.
 
@@ -98,15 +133,18 @@ class Physical(StepLaw):
     ----------
     plausible : tuple of tuple of float
         In `+` and in `-`, other lambdas that the log from which they were chosen does not rule out.
+    regimes : mapping of str to tuple of float
+        Of each regime that such a log leaves open beside `ratios`, lambda in `+` and `-` well within it.
     """
 
     ratios: Ratios
     plausible: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    regimes: Mapping[str, Ratios] = MappingProxyType({})
 
     @property
     def has_kinks(self) -> bool:  # type: ignore[override]
         """See `StepLaw`."""
-        return min(self.ratios) < 2.0
+        return min(min(ratios) for ratios in (self.ratios, *self.regimes.values())) < DEEP
 
     def describe(self) -> dict[str, Any]:
         """What `restore_physical` needs to build the law again, as plain JSON types."""
@@ -115,6 +153,11 @@ class Physical(StepLaw):
     def ratio(self, sign: Array) -> Array:
         """The lambda of traverses whose direction has this sign."""
         return np.where(sign > 0, *self.ratios)
+
+    def allows(self, ratios: Ratios) -> bool:
+        """Whether the log from which lambda was chosen leaves these open, one in each direction."""
+        known = [(own, *others) for own, others in zip(self.ratios, self.plausible, strict=True)]
+        return all(min(own) <= ratio <= max(own) for ratio, own in zip(ratios, known, strict=True))
 
     def counter(self, rows: Rows) -> Counter:
         """See `StepLaw.counter`; NaN where the slider does not move forward."""
@@ -182,15 +225,22 @@ class PhysicalPrismatic(Physical):
 
     def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
         sign = state.direction_sign
-        return self._evaluate(state.recoil, state.load, sign, values[:, None, :], self.ratio(sign))
+        place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
-        self, recoil: Array, load: Array, sign: Array, values: Array, ratio: Array
+        self,
+        recoil: Array,
+        load: Array,
+        sign: Array,
+        values: Array,
+        ratio: Array,
+        change: DriveChange | None = None,
     ) -> tuple[Array, Array]:
         """Step size, and its derivatives on a last axis."""
         a, b, r = np.moveaxis(values, -1, 0)
         kept, against = 1.0 - b * recoil, sign * load
-        step = evaluate_step(a, r * against, 1.0, ratio)
+        step = change_step(evaluate_step(a, r * against, 1.0, ratio), r * against, 1.0, ratio, change)
         slopes = (kept * step.by_unloaded, -recoil * step.gamma, kept * step.by_share * against)
         # Far from any minimum both factors may be below 0.
         gamma = np.where(kept > 0, kept * step.gamma, np.nan)
@@ -290,15 +340,24 @@ class PhysicalRotary(Physical):
 
     def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
         sign = state.direction_sign
-        return self._evaluate(state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign))
+        place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
-        self, q2: Array, q3: Array, load: Array, sign: Array, values: Array, ratio: Array
+        self,
+        q2: Array,
+        q3: Array,
+        load: Array,
+        sign: Array,
+        values: Array,
+        ratio: Array,
+        change: DriveChange | None = None,
     ) -> tuple[Array, Array]:
         """Step size, shape (n, k), and derivatives, (n, k, p)."""
         share, inertia, weights, gain = self._share_and_inertia(q2, q3, sign, values)
         against = sign * load
         step = evaluate_step(values[..., 0], share * against, inertia, ratio)
+        step = change_step(step, share * against, inertia, ratio, change)
         slopes = [step.by_unloaded]
         if gain is not None:
             slopes.append(step.by_inertia * gain)

@@ -28,11 +28,11 @@ theta_deg = [-90, 0]
 def make_log(tmp_path_factory):
     """A log of so many days of a month, in which `a` of direction + is so much larger than it should be.
 
-    `scale` multiplies a and c of both directions.
+    `scale` multiplies a and c of both directions; `truth` are a law and its values in place of the usual.
     """
     folder = tmp_path_factory.mktemp("plans")
 
-    def make(days, *, month=3, seed=0, change=0.0, day_to_day=0.005, scale=(1.0, 1.0)):
+    def make(days, *, month=3, seed=0, change=0.0, day_to_day=0.005, scale=(1.0, 1.0), truth=None):
         path = folder / f"{days}-{month}.toml"
         path.write_text(
             PLAN.format(dates=", ".join(f"2012-{month:02d}-{day:02d}" for day in range(5, 5 + days)))
@@ -41,7 +41,11 @@ def make_log(tmp_path_factory):
         values[3, "+", None][0] *= 1 + change
         for value in values.values():
             value[[0, 2]] *= scale
-        truth = LawValues({3: Prismatic()}, values, {(3, way): day_to_day for way in TRUTH})
-        return simulate(read_plan(path, load_machine()), truth, load_machine(), seed)
+        law = Prismatic()
+        if truth is not None:
+            law, own = truth
+            values = dict.fromkeys(values, own)
+        made = LawValues({3: law}, values, {(3, way): day_to_day for way in TRUTH})
+        return simulate(read_plan(path, load_machine()), made, load_machine(), seed)
 
     return make

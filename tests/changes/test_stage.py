@@ -1,46 +1,75 @@
-"""Which change of the stage stands behind a change of an actuator: from what each does to a and c."""
+"""Which change of the stage stands behind a change of an actuator: logs of stages before and after it."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+import stickslip_fit as ssf
 from stickslip_fit.changes import detect_changes, read_stage_difference
 from stickslip_fit.changes._summary import summarize_changes
+from stickslip_fit.laws.physical import PhysicalPrismatic
+from stickslip_fit.step import step_size
 
-FRICTION = {"friction", "mass"}
+GRAVITY = 9.80665
+# Of a stage: friction over mass, ramp time, travel of the foot over what friction allows.
+FRICTION, RAMP, RATIO = 45.0, 1.45e-4, {"friction-limited": 3.0, "velocity-limited": 0.5}
 SIZE = 0.1
-# a and c times; quantities, regime, and the size of the first of them
-GROWN, TWICE = 1 + SIZE, (1 + SIZE) ** 2
-CASES = {
-    "friction, friction-limited": ((GROWN, 1.0), FRICTION, "friction-limited", SIZE),
-    "ramp time, friction-limited": ((TWICE, TWICE), {"ramp time"}, "friction-limited", SIZE),
-    "voltage, velocity-limited": ((GROWN, TWICE), {"voltage"}, "velocity-limited", SIZE),
-    "friction, velocity-limited": ((1.0, 1 / TWICE), {*FRICTION, "ramp time"}, "velocity-limited", SIZE),
+FRICTION_OR_MASS = {"friction", "mass"}
+CASES = {  # what changed, in which regime: what is told
+    ("friction", "friction-limited"): FRICTION_OR_MASS,
+    ("ramp time", "friction-limited"): {"ramp time"},
+    ("voltage", "velocity-limited"): {"voltage"},
+    ("friction", "velocity-limited"): {*FRICTION_OR_MASS, "ramp time"},
 }
 
 
-def compare(make_log, scale, change=0.0):
-    return detect_changes(make_log(6), make_log(6, month=4, seed=1, scale=scale, change=change))
+def stage(regime, quantity="", factor=1.0):
+    """The law of a stage and its values: step without load, recoil, weight over friction."""
+    throw = RATIO[regime] * FRICTION * RAMP**2
+    each = {"friction": FRICTION, "ramp time": RAMP, "voltage": throw}
+    friction, ramp, throw = (value * (factor if name == quantity else 1.0) for name, value in each.items())
+    ratio = throw / friction / ramp**2
+    return PhysicalPrismatic((ratio, ratio)), np.array(
+        [step_size(friction, ramp, throw), 0.3, GRAVITY / friction]
+    )
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_change_of_a_and_c_is_read(make_log, case):
-    scale, quantities, regime, size = CASES[case]
-    changes = compare(make_log, scale)
+def compare(make_log, before, after, laws=None):
+    return detect_changes(make_log(6, truth=before), make_log(6, month=4, seed=1, truth=after), laws=laws)
+
+
+@pytest.mark.parametrize("laws", [None, {3: ssf.physical_law}], ids=["published", "physical"])
+@pytest.mark.parametrize(("quantity", "regime"), CASES)
+def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
+    changes = compare(make_log, stage(regime), stage(regime, quantity, 1 + SIZE), laws)
     found = read_stage_difference(changes)
-    assert {one.quantity for one in found.credible} == quantities
+    expected = CASES[quantity, regime]
+    assert {one.quantity for one in found.credible} == expected
     assert found.regime == regime
-    first = next(one for one in found.credible if one.quantity in ("friction", "ramp time", "voltage"))
-    assert first.size.low < size < first.size.high
+    (read,) = (one for one in found.credible if one.quantity == quantity)
+    assert read.size.low < SIZE < read.size.high
+    assert read.size.high - read.size.low < 0.1
     assert f"{regime} steps" in summarize_changes(changes).headline[-1]
 
 
+def test_both_logs_have_one_lambda(make_log):
+    """Chosen by each for itself it would make another law of r."""
+
+    def choose(joint, rows, machine):
+        months = {session[5:7] for session in rows["session"]}
+        return PhysicalPrismatic(({1: 0.4, 2: 0.5}[len(months)],) * 2)
+
+    changes = compare(make_log, stage("velocity-limited"), stage("velocity-limited"), {3: choose})
+    assert changes.laws[3].ratios == (0.5, 0.5)
+
+
 def test_a_change_of_one_direction_alone_is_no_change_of_the_stage(make_log):
-    changes = compare(make_log, (1.0, 1.0), change=0.1)
+    changes = detect_changes(make_log(6), make_log(6, month=4, seed=1, change=0.1))
     assert changes.significant
     assert read_stage_difference(changes).credible == ()
     assert summarize_changes(changes).headline[-1].startswith("No single change of friction")
 
 
 def test_where_nothing_changed_nothing_is_read(make_log):
-    assert read_stage_difference(compare(make_log, (1.0, 1.0))) is None
+    assert read_stage_difference(detect_changes(make_log(6), make_log(6, month=4, seed=1))) is None

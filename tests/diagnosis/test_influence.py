@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.causes import SessionJump
+from stickslip_fit.diagnosis import diagnose, selection
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
@@ -62,3 +64,26 @@ def test_a_cause_that_predicts_worse_becomes_unknown_with_a_note(named):
         answer.summary().headline
     )
     assert diagnosis_to_json(answer)["findings"][0]["note"] == left[0].note
+
+
+def test_counts_that_a_cause_explains_take_part_again(campaign, read, monkeypatch):
+    """Outlying beside an effect that the first test knows in part only; a count that is off stays out."""
+    table = campaign(("2012-03-05", "2012-03-06"), replicates=2)
+    table = table[table["joint"] == 3].reset_index(drop=True)
+    late = (table["session"] == "2012-03-06") & (table.index > 0.75 * len(table))
+    table.loc[late, "steps"] = (table.loc[late, "steps"] / 1.03 / 5).round().astype(int) * 5
+    off, explained = int(np.flatnonzero(late)[2]), int(np.flatnonzero(late)[-2])
+    table.loc[off, "steps"] = round(table.loc[off, "steps"] * 1.03 / 5) * 5
+    rounds = []
+
+    def find(linearized, *others):
+        test = find_outliers(linearized, *others)
+        rounds.append(len(linearized))
+        return replace(test, p_value=0.0, rows=np.array([off, explained]))
+
+    find_outliers = selection.find_outliers
+    monkeypatch.setattr(selection, "find_outliers", find)
+    found = diagnose(read(table, "jump.csv"), causes=[SessionJump()], gain=False)
+    assert rounds == [len(table)] * 2
+    assert found.selection.outliers.tolist() == [off]
+    assert {one.cause for one in found.findings} == {"end-stop-misfire", "session-jump"}

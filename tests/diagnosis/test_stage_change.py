@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +12,9 @@ import stickslip_fit as ssf
 from stickslip_fit.causes import PayloadChange, SessionJump, Wear
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
-from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, read_stage
+from stickslip_fit.diagnosis.extension import open_changes
+from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
+from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, order_changes, read_stage
 from stickslip_fit.diagnosis.stage_fingerprint import StageEffects
 from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.step import step_size
@@ -84,17 +88,62 @@ def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read):
     assert read_stage(found.selection, found.findings, log.machine) == ()
 
 
-def test_a_law_is_chosen_anew_only_where_it_becomes_another(read):
-    """A choice that stays the same is no reason to search again."""
-    table = drive_stage("session", Stage("friction"), "preload", 0.1, seed=1).table
-    log = read(table[table["joint"] == 2], "elbow.csv")
-    found = diagnose(log, laws={2: ssf.physical_law}, causes=[SessionJump()], gain=False)
+@pytest.fixture(scope="module")
+def elbow(tmp_path_factory):
+    """Joint 2's traverses of a stage whose preload changed, diagnosed."""
+    hidden = drive_stage("session", Stage("friction"), "preload", 0.1, seed=1)
+    path = tmp_path_factory.mktemp("elbow") / "elbow.csv"
+    hidden.table[hidden.table["joint"] == 2].to_csv(path, index=False)
+    found = diagnose(ssf.read_log(path), laws={2: ssf.physical_law}, causes=[SessionJump()], gain=False)
     assert [one.cause for one in found.findings][:1] == ["session-jump"]
+    return found
+
+
+def test_a_law_is_chosen_anew_only_where_it_becomes_another(elbow):
+    """A choice that stays the same is no reason to search again, nor is one that the log leaves open."""
+    found, machine = elbow, elbow.log.machine
     assert found.choose_laws_anew(None) is None
     assert found.choose_laws_anew({2: found.selection.problem.parts[0].law}) is None
     assert found.choose_laws_anew({2: lambda joint, rows, machine: PhysicalElbow(machine)}) is None
     other = {2: lambda joint, rows, machine: PhysicalElbow(machine, (0.8, 0.8))}
     assert found.choose_laws_anew(other)[2].ratios == (0.8, 0.8)
+    open_law = PhysicalElbow(machine, (0.8, 0.8))
+    for highest, is_same in ((10.0, True), (0.9, False)):
+        open_law.plausible = (0.5, highest), (0.5, highest)
+        assert (found.choose_laws_anew({2: open_law}) is None) == is_same
+
+
+def test_what_lambda_leaves_open_of_a_cause_is_no_second_finding(elbow):
+    """In each direction by itself; what the cause does in the other regime is in the span of what is open."""
+    linearized, (one, *_) = elbow.selection.problem.linearize(), elbow.selection.law_causes
+    own = replace(one.version, form="friction", assumed=())
+    versions, values = [own, replace(own, assumed=((2, 0.4, 0.4),))], one.start
+    effects = [linearized.whiten(compute_changes(linearized, version, values[None])) for version in versions]
+    shapes = [
+        make_hypothesis(own.name, version, values, linearized.project(effect))
+        for version, effect in zip(versions, effects, strict=True)
+    ]
+    difference = effects[1] - effects[0]
+    assert np.linalg.norm(difference) > 10
+    for known, is_open in ((shapes, True), (shapes[:1], False)):
+        selected = replace(one, version=own, misfit=replace(one.misfit, hypotheses=tuple(known)))
+        basis = open_changes(linearized, selected)
+        for sign in (1.0, -1.0):
+            column = np.where(linearized.direction_sign[:, None] == sign, difference, 0.0)
+            left = np.linalg.norm(column - basis @ (basis.T @ column))
+            assert (left < 1e-6) == is_open
+
+
+def test_the_headline_says_that_one_change_explains_several_findings(elbow):
+    one = replace(reading(("friction", 0.5, 0.1), ("mass", 0.5, -0.09)), causes=("session-jump", "wear"))
+    said = (
+        "One change of the stage explains session-jump and wear together, so that there is one fault to look "
+        "for: where it acts most, 10.0 % more friction or preload or 9.0 % less moving mass "
+        "(friction-limited steps)."
+    )
+    assert describe_reading(one, intervals=False) == said
+    assert said in replace(elbow, stage=(one,)).summary().headline
+    assert said not in replace(elbow, stage=(replace(one, p_value=1e-4),)).summary().headline
 
 
 def reading(*changes, p_value=0.5, limited=(1.0, 1.0)):
@@ -116,6 +165,14 @@ def test_the_set_is_the_smallest_that_holds_the_change_and_never_parts_equals():
     assert reading(("voltage", 1.0, 0.1), p_value=1e-4).credible == ()
 
 
+def test_friction_and_mass_count_together_against_ramp_time():
+    changes = [
+        StageChange(name, p, Interval(0.1, 0.09, 0.11))
+        for name, p in (("ramp time", 0.36), ("mass", 0.32), ("voltage", 0.0), ("friction", 0.32))
+    ]
+    assert [one.quantity for one in order_changes(changes)] == ["mass", "friction", "ramp time", "voltage"]
+
+
 def test_what_is_said_of_a_change():
     told = reading(("friction", 0.5, 0.1), ("mass", 0.5, -0.09))
     assert describe_reading(told) == (
@@ -125,6 +182,10 @@ def test_what_is_said_of_a_change():
     )
     assert "friction-limited" not in describe_reading(reading(("voltage", 1.0, 0.1), limited=(1.0, 0.6)))
     assert "acts as no single change" in describe_reading(reading(("voltage", 1.0, 0.1), p_value=1e-4))
+    both = reading(("friction", 0.3, 0.1), ("mass", 0.3, -0.09), ("ramp time", 0.4, 0.1), limited=(0.0, 0.0))
+    assert "Friction and ramp time cannot be told apart in this log" in describe_reading(both)
+    uneven = reading(("friction", 0.47, 0.1), ("mass", 0.47, -0.09), ("ramp time", 0.06, 0.1))
+    assert "cannot tell which of them: friction 47 %, mass 47 %, ramp time 6 %" in describe_reading(uneven)
     ((section,), nothing) = stage_sections([told]), stage_sections([])
     assert nothing == ()
     assert [row[1:3] for row in section.tables[0].rows] == [("10.0 ± 1.0", "0.0 ± 2.0"), ("10.0 ± 1.0", "–")]

@@ -159,18 +159,38 @@ def _by_column(acts: Acts, name: str) -> Callable[[Campaign, np.random.Generator
     return make
 
 
-def _wear(c: Campaign, rng: np.random.Generator) -> Effect:
-    worn = np.log(1 + c.steps_before / 2e5)
-    return _changed(worn / worn.max(), _scaled("friction"), 0.1, sized("wear", "%", 100))
+def _by_use(acts: Acts) -> Callable[[Campaign, np.random.Generator], Effect]:
+    """With the logarithm of the steps made."""
+
+    def make(c: Campaign, rng: np.random.Generator) -> Effect:
+        worn = np.log(1 + c.steps_before / 2e5)
+        return _changed(worn / worn.max(), acts, 0.1, sized("wear", "%", 100))
+
+    return make
+
+
+QUANTITIES = {"friction": _scaled("friction"), "voltage": _scaled("throw"), "ramp time": _scaled("ramp")}
+
+
+def make_change(change: str, acts: Acts) -> Callable[[Campaign, np.random.Generator], Effect | None]:
+    """With the course of one of `CHANGES`, whatever it acts on."""
+    if change == "wear":
+        return _by_use(acts)
+    if change == "friction:humidity":
+        return _by_column(acts, "humidity_pct")
+    return _since(acts, {"payload": "mass", "ramp-time": "ramp time"}.get(change, change))
 
 
 CHANGES: dict[str, Callable[[Campaign, np.random.Generator], Effect | None]] = {
-    "preload": _since(_scaled("friction"), "preload"),
-    "friction:humidity": _by_column(_scaled("friction"), "humidity_pct"),
-    "voltage": _since(_scaled("throw"), "voltage"),
-    "payload": _since(_heavier, "mass"),
-    "ramp-time": _since(_scaled("ramp"), "ramp time"),
-    "wear": _wear,
+    change: make_change(change, acts)
+    for change, acts in {
+        "preload": QUANTITIES["friction"],
+        "friction:humidity": QUANTITIES["friction"],
+        "voltage": QUANTITIES["voltage"],
+        "payload": _heavier,
+        "ramp-time": QUANTITIES["ramp time"],
+        "wear": QUANTITIES["friction"],
+    }.items()
 }
 
 

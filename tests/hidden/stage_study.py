@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import stickslip_fit as ssf
+from stickslip_fit.diagnosis.stage_change import read_stage
 from tests.hidden.slip import Bristles
 from tests.hidden.stage import CHANGES, Stage, drive_stage
 
@@ -97,9 +98,10 @@ def diagnose_stage(case: StageCase) -> StageScore:
         hidden.write(path)
         log = ssf.read_log(path)
     laws = {joint: ssf.physical_law for joint in log.joints}
-    found = ssf.diagnose(log, laws=laws)
+    found = ssf.diagnose(log, laws=laws, gain=False).measure_gain()
+    stage = read_stage(found.selection, found.findings, log.machine)
     names = tuple(one.cause for one in found.findings)
-    reading = found.stage[0] if found.stage else None
+    reading = stage[0] if stage else None
     limited = reading.fingerprint["friction_limited"] if reading else ()
     return StageScore(
         case,
@@ -133,9 +135,10 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--logs", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=None)
     arguments = parser.parse_args()
     done = []
-    with ProcessPoolExecutor() as pool:
+    with ProcessPoolExecutor(arguments.processes) as pool:
         for score in pool.map(diagnose_stage, stage_cases(arguments.logs, arguments.first)):
             print(score.case, score.found, score.credible, score.regimes.count(False), flush=True)
             done.append(score)

@@ -7,6 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
+from tests.hidden.stage_optimum import compute_optimum
 from tests.hidden.stage_study import WITHOUT_TRACE, StageCase, StageScore, diagnose_stage, stage_cases
 
 LOGS = 200
@@ -35,3 +36,20 @@ def test_scores_know_what_is_right():
     wrong = StageScore(payload, ("side-load",), True, ("voltage",), (False,))
     assert (right.holds, right.is_family) == (True, True)
     assert (wrong.holds, wrong.is_family) == (False, False)
+
+
+def test_one_who_knows_the_stage_tells_what_can_be_told():
+    """Voltage, and in friction-limited steps all; friction from ramp time hardly in velocity-limited ones."""
+    voltage, ramp_time, preload = (
+        compute_optimum(StageCase(regime, change, False, seed))
+        for regime, change, seed in (
+            ("velocity", "voltage", 1),
+            ("friction", "ramp-time", 2),
+            ("velocity", "preload", 3),
+        )
+    )
+    assert voltage.calibrated["voltage"] > 0.999
+    assert ramp_time.calibrated["ramp time"] > 0.999
+    assert preload.strength > 8
+    assert 0.1 < preload.calibrated["ramp time"] < 0.9
+    assert preload.calibrated["voltage"] < 1e-3
