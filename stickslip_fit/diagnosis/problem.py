@@ -18,7 +18,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, covariates, explain_missing, library
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives, number_configurations
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -28,6 +28,7 @@ from stickslip_fit.diagnosis.linearized import (
     linearize_fit,
     whiten,
 )
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing

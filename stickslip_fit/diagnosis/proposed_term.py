@@ -26,8 +26,9 @@ from stickslip_fit.causes.proposed import (
     ProposedTerm,
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.hypotheses import AR1, EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
