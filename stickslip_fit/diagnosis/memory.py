@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import solve_triangular
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
@@ -28,9 +27,10 @@ AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 # Of one direction on the residual before, which may be as far below as above it.
 LAG_COEFFICIENTS = (-1.5, -0.8, -0.4, 0.4, 0.8, 1.5)
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
-# Nats, below which memory counts for nothing, also if the refit adds twice as much as it does to independent
-# noise: it is then left out, since in long logs it takes most of the time.
-NEGLIGIBLE = -50.0
+# Nats, below which memory counts for nothing, also if the refit adds twice what it does to white noise: it is
+# then left out, since in long logs it takes most of the time.
+NEGLIGIBLE, LEAST_SHARE = -30.0, 1e-12
+MAX_FEW = 0.2  # of the logs in which it counts, for which sums are made anew
 RANK_TOL = 1e-6  # of the square of a direction that rows left out have not determined
 
 
@@ -100,6 +100,11 @@ class Sequences:
         return csr_array(step + step.T)
 
     @cached_property
+    def neighbour_squares(self) -> float:
+        """Squared Frobenius norm of (S + S') B: over c^2, the squares that a refit takes off white noise."""
+        return float(np.sum((self._neighbours @ self.basis).data ** 2))
+
+    @cached_property
     def _split(self) -> tuple[list[_CalibrationPart], _CalibrationPart]:
         """Parts of the calibration, and what is shared by all rows."""
         n, every = len(self.before), csc_array(self.basis)
@@ -136,18 +141,21 @@ class Sequences:
     def refit(self, coefficient: float) -> CalibrationRefit:
         """The calibration under the correlation of a coefficient."""
         parts, shared = self._split
-        factors, crosses = [], []
-        shared_filtered = shared.filtered(coefficient)
-        left = np.eye(shared.basis.shape[1]) + shared.basis.T @ shared_filtered
+        solvers, crosses, log_determinant = [], [], 0.0
+        filtered = shared.filtered(coefficient)
+        left = np.eye(shared.basis.shape[1]) + shared.basis.T @ filtered
         for part in parts:
-            factor = np.linalg.cholesky(
-                np.eye(part.basis.shape[1]) + part.basis.T @ part.filtered(coefficient)
-            )
-            cross = solve_triangular(factor, part.basis.T @ shared_filtered[part.rows], lower=True)
-            left -= cross.T @ cross
-            factors.append(factor)
-            crosses.append(cross)
-        return CalibrationRefit(coefficient, factors, crosses, np.linalg.cholesky(left))
+            width = part.basis.shape[1]
+            factor = np.linalg.cholesky(np.eye(width) + part.basis.T @ part.filtered(coefficient))
+            solvers.append(np.linalg.solve(factor, _products_of_sums(coefficient, width)))
+            crosses.append(np.linalg.solve(factor, part.basis.T @ filtered[part.rows]))
+            left -= crosses[-1].T @ crosses[-1]
+            log_determinant += 2.0 * float(np.log(factor.diagonal()).sum())
+        factor = np.linalg.cholesky(left)
+        log_determinant += 2.0 * float(np.log(factor.diagonal()).sum())
+        solvers.append(np.linalg.solve(factor, _products_of_sums(coefficient, len(factor))))
+        crosses = [np.linalg.solve(factor, cross.T) for cross in crosses]
+        return CalibrationRefit(solvers, crosses, log_determinant)
 
     def without(self, rows: IntArray) -> Sequences:
         """The sequences of the other rows, which go on after the rows left out."""
@@ -190,6 +198,11 @@ class LagSums:
     diagonal: Array
     products: Array
 
+    def select(self, which: BoolArray) -> LagSums:
+        """The sums of some logs."""
+        parts = self.squares[which], self.diagonal[which], self.products[which]
+        return LagSums(self.sequences, self.residuals[:, which], *parts)
+
     @cached_property
     def along(self) -> list[Array]:
         """As of `Sequences.sum_along`."""
@@ -198,21 +211,24 @@ class LagSums:
 
 def sum_lags(every: Iterable[Sequences], residuals: Array) -> dict[int, LagSums]:
     """Sums for sequences, by the `id` of each; residuals (n, k)."""
-    squares = residuals**2
-    total = squares.sum(axis=0)
-    products: dict[int, Array] = {}
+    unique = list({id(one): one for one in every}.values())
+    if not unique:
+        return {}
+    weights = [np.ones(len(residuals)), *(one.diagonal for one in unique)]
+    total, *diagonals = np.stack(weights) @ residuals**2
     sums: dict[int, LagSums] = {}
-    for one in every:
-        if id(one) in sums:
-            continue
-        if id(one.previous) not in products:
-            # The first row of a sequence times any other, which does not count.
-            products[id(one.previous)] = residuals * residuals[one.previous]
-        follows = (one.before >= 0).astype(float)
-        sums[id(one)] = LagSums(
-            one, residuals, total, one.diagonal @ squares, follows @ products[id(one.previous)]
-        )
+    for previous in {id(one.previous): one.previous for one in unique}.values():
+        own = [k for k, one in enumerate(unique) if one.previous is previous]
+        follows = np.stack([(unique[k].before >= 0).astype(float) for k in own])
+        # Of a first row it is the product with any other, which does not count.
+        for k, products in zip(own, follows @ (residuals * residuals[previous]), strict=True):
+            sums[id(unique[k])] = LagSums(unique[k], residuals, total, diagonals[k], products)
     return sums
+
+
+def _products_of_sums(coefficient: float, width: int) -> Array:
+    """What turns sums as of `Sequences.sum_along` into B' L'L r, shape (p, 2 p)."""
+    return np.concatenate([coefficient**2 * np.eye(width), -coefficient * np.eye(width)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,39 +237,27 @@ class CalibrationRefit:
 
     Attributes
     ----------
-    coefficient : float
-    factors : list of array, shape (p, p)
-        Cholesky factor of B' L'L B of each part.
-    crosses : list of array, shape (p, q)
-        The same solved for what all rows share.
-    shared : array, shape (q, q)
-        Cholesky factor of what is left of that.
+    solvers : list of array, shape (p, 2 p)
+        Of each part, then of what all rows share: sums to B' L'L r, solved by the factor of B' L'L B.
+    crosses : list of array, shape (q, p)
+        What all rows share loses by each part.
+    log_determinant : float
+        Logarithm of the determinant of B' L'L B.
     """
 
-    coefficient: float
-    factors: list[Array]
+    solvers: list[Array]
     crosses: list[Array]
-    shared: Array
-
-    @cached_property
-    def log_determinant(self) -> float:
-        """Logarithm of the determinant of B' L'L B."""
-        return 2.0 * sum(float(np.log(one.diagonal()).sum()) for one in (*self.factors, self.shared))
+    log_determinant: float
 
     def explained(self, sums: LagSums) -> Array:
         """What the refit takes off the sum of squares, shape (k,)."""
+        *solved, shared = (one @ along for one, along in zip(self.solvers, sums.along, strict=True))
         squares = np.zeros_like(sums.squares)
-        *products, shared = (self._products(one) for one in sums.along)
-        for factor, cross, own in zip(self.factors, self.crosses, products, strict=True):
-            solved = solve_triangular(factor, own, lower=True, check_finite=False)
-            squares += np.einsum("ij,ij->j", solved, solved)
-            shared = shared - cross.T @ solved
-        return np.asarray(squares + np.sum(np.linalg.solve(self.shared, shared) ** 2, axis=0))
-
-    def _products(self, along: Array) -> Array:
-        """B' L'L r, from the sums along the two directions of each column."""
-        diagonal, neighbours = np.split(along, 2)
-        return np.asarray(self.coefficient**2 * diagonal - self.coefficient * neighbours)
+        for cross, own in zip(self.crosses, solved, strict=True):
+            squares += np.einsum("ij,ij->j", own, own)
+            if len(shared):
+                shared = shared - cross @ own
+        return np.asarray(squares + np.einsum("ij,ij->j", shared, shared))
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,17 +289,19 @@ class AR1:
 
     def log_evidence(self, sums: LagSums, df: int) -> Array:
         """Log restricted likelihood ratio to white noise, the size of the noise unknown; shape (k,)."""
-        carried, n_parameters = self.coefficient, self.sequences.basis.shape[1]
-        squares = sums.squares - 2 * carried * sums.products + carried**2 * sums.diagonal
+        carried = self.coefficient
+        share = 1.0 + (carried**2 * sums.diagonal - 2 * carried * sums.products) / sums.squares
         stationary = 0.5 * self.sequences.n_stationary
         price = stationary * np.log1p(-(carried**2)) if stationary else 0.0
-        log = price - 0.5 * df * np.log(squares / sums.squares)
-        if np.all(log + 2.0 * carried**2 * n_parameters < NEGLIGIBLE):
-            return np.asarray(log)
-        squares -= self._refit.explained(sums)
-        return np.asarray(
-            price - 0.5 * self._refit.log_determinant - 0.5 * df * np.log(squares / sums.squares)
-        )
+        least = share - 2.0 * carried**2 * self.sequences.neighbour_squares / df
+        counts = price - 0.5 * df * np.log(np.maximum(least, LEAST_SHARE)) > NEGLIGIBLE
+        log = price - 0.5 * df * np.log(share)
+        if counts.any():
+            some = sums if counts.mean() > MAX_FEW else sums.select(counts)
+            where = slice(None) if some is sums else counts
+            left = share[where] - self._refit.explained(some) / some.squares
+            log[where] = price - 0.5 * self._refit.log_determinant - 0.5 * df * np.log(left)
+        return np.asarray(log)
 
     def shape(self, residual: Array) -> Array:
         """Prediction of each residual from the one before, shape (n,)."""
