@@ -120,9 +120,14 @@ class SmoothTerm(LinearFactor):
                 prior_sd=float(np.sqrt(share)) * sd,
             )
             for session, share in self._functions_of
-            for joint, direction in (self.on if self.each else ((None, None),))
+            for joint, direction in map(_only, self._groups if len(self._groups) > 1 else ((),))
             for number, sd in enumerate(self.sds, 1)
         )
+
+    @property
+    def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
+        """Joints and directions with a function of their own."""
+        return tuple((one,) for one in self.on) if self.each else (self.on,)
 
     @property
     def _functions_of(self) -> tuple[tuple[str | None, float], ...]:
@@ -157,7 +162,7 @@ class SmoothTerm(LinearFactor):
     def functions(self, state: State) -> Array:
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
-        waves = self.waves(values)
+        waves = self.waves(values, self.limits_of(state.joint))
         functions = np.stack(
             [
                 np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
@@ -167,8 +172,9 @@ class SmoothTerm(LinearFactor):
         )
         functions = np.nan_to_num(functions) * _sign(state, self.mode)[..., None]
         if self.on:
-            acts = np.stack([_acts(state, joint, way) for joint, way in self.on], axis=-1)[:, :, :, None]
-            acts = acts if self.each else acts.sum(axis=2, keepdims=True)
+            acts = np.stack(
+                [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups], axis=-1
+            )[:, :, :, None]
             functions = (functions[:, :, None, :] * acts).reshape(*functions.shape[:2], -1)
         if self.sessions:
             names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
@@ -176,12 +182,45 @@ class SmoothTerm(LinearFactor):
             functions = np.concatenate([functions, own], axis=-1) if self.common else own
         return np.asarray(functions)
 
-    def waves(self, values: Sequence[Array]) -> list[Array]:
+    def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
+        """Range of each carrier where this joint moves."""
+        return self.limits
+
+    def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order)."""
         return [
             cosines(one, low, high, max(order[place] for order in self.orders))
-            for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
+            for place, (one, (low, high)) in enumerate(zip(values, limits, strict=True))
         ]
+
+
+@dataclass(frozen=True)
+class TravelTerm(SmoothTerm):
+    """gamma times 1 + a smooth function of the position along each joint's own travel.
+
+    Attributes
+    ----------
+    on : tuple of (int, str)
+        As of a `SmoothTerm`; functions are shared by the directions of a joint, or by none if `each`.
+    travel : tuple of (int, float, float)
+        Joint and range of its positions.
+    """
+
+    travel: tuple[tuple[int, float, float], ...] = ()
+
+    name = "smooth-travel-term"
+    phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
+
+    @property
+    def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
+        if self.each:
+            return super()._groups
+        joints = dict.fromkeys(joint for joint, _ in self.on)
+        return tuple(tuple(one for one in self.on if one[0] == joint) for joint in joints)
+
+    def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
+        """See `SmoothTerm.limits_of`."""
+        return tuple((low, high) for number, low, high in self.travel if number == joint)
 
 
 @dataclass(frozen=True)
@@ -212,7 +251,7 @@ class PeriodicTerm(SmoothTerm):
             text = f"period of {self.period:.1f} traverses"
         return text + ", opposite" * (self.mode == "opposite")
 
-    def waves(self, values: Sequence[Array]) -> list[Array]:
+    def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
         angles = 2.0 * np.pi * clock[..., None] / self.period * np.arange(1, len(self.orders) // 2 + 1)
@@ -223,6 +262,15 @@ class PeriodicTerm(SmoothTerm):
         """The same with harmonics, each expected to be smaller in proportion to its order."""
         sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
         return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
+
+
+def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:
+    """The joint and the direction that all of a group have; None for several or for all."""
+    joints, ways = {joint for joint, _ in group}, {way for _, way in group}
+    return (
+        joints.pop() if len(joints) == 1 else None,
+        ways.pop() if len(ways) == 1 else None,
+    )
 
 
 def _sign(state: State, mode: Mode) -> Array:

@@ -86,7 +86,7 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Drive:
+class _DriveChange:
     """A joint and direction.
 
     Attributes
@@ -170,7 +170,7 @@ class _Line:
         self.fall = (step @ fit[1]) / self.middle
 
 
-def _drive(changes: Changes, joint: int, direction: str) -> _Drive | None:
+def _drive(changes: Changes, joint: int, direction: str) -> _DriveChange | None:
     """None where there is too little to be compared."""
     law = changes.laws[joint]
     own = [one for one in changes.changes if (one.joint, one.direction) == (joint, direction) and one.role]
@@ -192,7 +192,7 @@ def _drive(changes: Changes, joint: int, direction: str) -> _Drive | None:
         return None
     values, errors = np.array(logs)[used].T
     responds = np.array([own[k].role != UNLOADED for k in used])
-    return _Drive(values, errors, responds, isinstance(law, Physical), relative, loads, is_open)
+    return _DriveChange(values, errors, responds, isinstance(law, Physical), relative, loads, is_open)
 
 
 def _fall(ratio: float, share: float, loads: Array) -> float:

@@ -73,14 +73,18 @@ def describe_carrier(carrier: str) -> str:
     --------
     >>> describe_carrier("period of 41.2 min"), describe_carrier("time, joint 3")
     ('comes and goes with a period of 41.2 min', 'changes slowly with time, in joint 3')
+    >>> describe_carrier("memory-by-direction of each joint, + only")
+    'carries over from one traverse of each joint to the next in direction +'
     >>> describe_carrier("product of load and session_seconds, joint 3")
     'follows the product of the load and the time in the session, joint 3'
     """
     if carrier.startswith("period"):
         return f"comes and goes with a {carrier.replace(', opposite', OPPOSITE)}"
     if carrier.startswith("memory"):
-        joint = carrier.removeprefix("memory").strip() or "of any joint"
-        return f"carries over from one traverse {joint} to the next"
+        chain, _, direction = carrier.partition(", ")
+        joint = chain.removeprefix("memory-by-direction").removeprefix("memory").strip() or "of any joint"
+        onto = f" in direction {direction.removesuffix(' only')}" if direction else ""
+        return f"carries over from one traverse {joint} to the next{onto}"
     if carrier.startswith("time, joint"):
         return f"changes slowly with time, in {carrier.removeprefix('time, ')}"
     return CARRIER_PHRASES.get(carrier, f"follows {name_carrier(carrier)}")

@@ -1,4 +1,4 @@
-"""Unstructured alternatives, which stand for "unknown": in time, by configuration, harmonics, memory."""
+"""Unstructured alternatives, which stand for "unknown": in time, by configuration, harmonics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, Mode, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     Hypothesis,
     SessionFit,
     build_per_session_hypotheses,
@@ -24,21 +23,16 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.linearized import (
     LinearizedFit,
 )
+from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
-from stickslip_fit.logs.history import previous_rows
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.logs.schema import has_times
 from stickslip_fit.units import PRISMATIC
 
 N_WAVES = 6
 MAX_PERIODS = 250
-
-
 MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
 MIN_TRAVERSES_PER_PERIOD = 2.5
-
-
-AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
 def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypothesis | AR1]:
@@ -50,7 +44,7 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypot
     yield from build_smooth_alternatives(linearized)
     if has_times(rows):
         yield from _alternatives_in_time(linearized)
-        yield from _ar1_alternatives(rows)
+        yield from memory_alternatives(linearized)
 
 
 def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
@@ -187,12 +181,3 @@ def choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
     slowest, fastest = 2.0 / longest, 1.0 / (MIN_TRAVERSES_PER_PERIOD * step)
     number = min(MAX_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
     return np.asarray(1.0 / np.linspace(slowest, fastest, number))
-
-
-def _ar1_alternatives(rows: pd.DataFrame) -> Iterator[AR1]:
-    session = pd.factorize(rows["session"].astype(object))[0]
-    joint = rows["joint"].to_numpy()
-    for name, group in (("", session), (" of each joint", 10 * session + joint)):
-        before = previous_rows(group.astype(np.int64)).astype(np.intp)
-        for coefficient in AR1_COEFFICIENTS:
-            yield AR1(f"unknown:memory{name}", before, coefficient)

@@ -368,11 +368,12 @@ def _simulate_replicates(
 ) -> _SimulatedReplicates:
     m, k, responses = values.shape[1], len(campaign.slopes), Responses.of(campaign, values)
     squares, count = np.zeros((m, k + 1)), 0
+    # Splits have nearly all rows of a campaign in common: what favours a rival in one does so in the others.
+    spread = [
+        RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
+        for one in campaign.competing_causes
+    ]
     for operators in splits:
-        spread = [
-            RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
-            for one in campaign.competing_causes
-        ]
         sums = operators.training.sum_training(campaign, responses)
         results = np.stack(
             [simulate_selection(campaign, j, operators.training, sums, spread[j]) for j in range(k)], axis=1

@@ -2,8 +2,8 @@
 
 The effect of a hypothesis is a sum of orthonormal directions with independent normal coefficients (a
 low-rank prior covariance). Known causes give one hypothesis for each of their shapes. The alternatives
-without a cause stand for "unknown": smooth or periodic in time, by configuration, harmonics of q2, and
-AR(1) noise. Directions confined to a session are stored for its rows only.
+without a cause stand for "unknown": smooth or periodic in time, by configuration, harmonics of q2; memory has
+no directions (`memory`). Directions confined to a session are stored for its rows only.
 """
 
 from __future__ import annotations
@@ -527,67 +527,3 @@ def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]
     return Candidates(
         hypotheses, {cause: (number, tried[cause]) for cause, number in failed.items() if number}
     )
-
-
-@dataclass(frozen=True, eq=False)
-class LagSums:
-    """Sums over the rows of k logs, from which the likelihood of an AR(1) follows at any coefficient.
-
-    Attributes
-    ----------
-    squares, earlier, first : array, shape (k,)
-        Squares of all residuals, of those that have a successor, and of the first ones of the sequences.
-    products : array, shape (k,)
-        Each residual times the one before.
-    n_sequences : int
-    """
-
-    squares: Array
-    earlier: Array
-    first: Array
-    products: Array
-    n_sequences: int
-
-
-def sum_lags(before: npt.NDArray[np.intp], residuals: Array) -> LagSums:
-    """Sums for `before` as of an `AR1`; residuals (n, k)."""
-    follows = np.flatnonzero(before >= 0)
-    successors = np.bincount(before[follows], minlength=len(before))
-    squares, earlier, first = np.stack([np.ones(len(before)), successors, before < 0]) @ residuals**2
-    return LagSums(
-        squares,
-        earlier,
-        first,
-        np.einsum("ij,ij->j", residuals[follows], residuals[before[follows]]),
-        len(before) - len(follows),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class AR1:
-    """A first-order autoregression of the residuals, an unstructured alternative.
-
-    Attributes
-    ----------
-    cause : str
-    before : array of int, shape (n,)
-        The row before each row, -1 for the first of a sequence.
-    coefficient : float
-        Share of a residual that the next one keeps.
-    """
-
-    cause: str
-    before: npt.NDArray[np.intp]
-    coefficient: float
-    version: None = None
-    values: None = None
-
-    def log_evidence(self, sums: LagSums, df: int) -> Array:
-        """Log likelihood ratio to white noise, the size of the noise unknown; shape (k,)."""
-        phi = self.coefficient
-        innovations = sums.squares - 2 * phi * sums.products + phi**2 * (sums.earlier - sums.first)
-        return -0.5 * df * np.log(innovations / sums.squares) + 0.5 * sums.n_sequences * np.log1p(-(phi**2))
-
-    def shape(self, residual: Array) -> Array:
-        """Prediction of each residual from the one before, shape (n,)."""
-        return np.where(self.before >= 0, self.coefficient * residual[self.before], 0.0)

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import Misfit, batch_hypotheses
 
 MAX_INFLUENTIAL = 2  # rows

@@ -23,13 +23,12 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     VARIANCE_TOL,
     Hypothesis,
     make_hypothesis,
-    sum_lags,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
+from stickslip_fit.diagnosis.memory import AR1, sum_lags
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -370,20 +369,13 @@ class Look:
     def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
         """The evidence with that of each AR(1), whose sequences go on after the rows left out."""
         kept = np.setdiff1d(np.arange(len(left)), rows)
-        place = np.full(len(left) + 1, -1)
-        place[kept] = np.arange(len(kept))
-        is_out = np.zeros(len(left) + 1, dtype=bool)
-        is_out[rows] = True
-        sums = {}
-        for number, one in enumerate(self.misfit.hypotheses):
-            if not isinstance(one, AR1):
-                continue
-            if id(one.before) not in sums:
-                before = one.before[kept]
-                while np.any(inside := is_out[before]):
-                    before = np.where(inside, one.before[before], before)
-                sums[id(one.before)] = sum_lags(place[before], left[kept, None])
-            evidence[number] = one.log_evidence(sums[id(one.before)], df)[0]
+        ar1s = {k: one for k, one in enumerate(self.misfit.hypotheses) if isinstance(one, AR1)}
+        smaller = {id(one): one.without(rows) for one in {one.sequences for one in ar1s.values()}}
+        sums = sum_lags(smaller.values(), left[kept, None])
+        for number, one in ar1s.items():
+            sequences = smaller[id(one.sequences)]
+            own = replace(one, sequences=sequences).log_evidence(sums[id(sequences)], df)
+            evidence[number] = own[0]
         return evidence
 
     def select(self, cause: str, without: Misfit, rows: IntArray) -> SelectedCause:

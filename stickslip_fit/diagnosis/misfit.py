@@ -40,14 +40,12 @@ from scipy.special import logsumexp, poch, softmax
 from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     DirectionGroup,
     Hypothesis,
-    LagSums,
     group_directions,
-    sum_lags,
 )
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1, sum_lags
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
@@ -152,11 +150,8 @@ class HypothesisBatch:
         return log.reshape(-1, len(STRENGTHS), residuals.shape[1])
 
     def _ar1_log_evidence(self, residuals: Array) -> list[Array]:
-        sums: dict[int, LagSums] = {}  # the AR(1) of several coefficients have the same array `before`
-        for ar1 in self.ar1s:
-            if id(ar1.before) not in sums:
-                sums[id(ar1.before)] = sum_lags(ar1.before, residuals)
-        return [ar1.log_evidence(sums[id(ar1.before)], self.df)[None] for ar1 in self.ar1s]
+        sums = sum_lags((ar1.sequences for ar1 in self.ar1s), residuals)
+        return [ar1.log_evidence(sums[id(ar1.sequences)], self.df)[None] for ar1 in self.ar1s]
 
 
 def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:

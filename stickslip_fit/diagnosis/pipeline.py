@@ -5,7 +5,7 @@
 2. `gross_errors`: counts that are set aside before anything is estimated, and tested again at the end.
 3. `linearized`: whitened residuals and effects, the calibration parameters projected out.
 4. `hypotheses`: what could be wrong, each as a subspace of effects; `alternatives` without a cause
-   (`smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
+   (`memory`, `smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
 5. `noise`: repeatability, noisy configurations, outlying counts; `unevenness`: where noise is many times
    larger; `noise_shape`: skewed or coarsely rounded noise.
 6. `misfit`: is anything wrong? Bayes factors and the p-value.

@@ -19,7 +19,7 @@ from stickslip_fit.causes import Cause, covariates, explain_missing, library
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.expressions import Dictionary, build_log_dictionary
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.linearized import (
     linearize_fit,
     whiten,
 )
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing

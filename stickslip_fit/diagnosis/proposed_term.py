@@ -19,8 +19,9 @@ from stickslip_fit.causes.proposed import PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, compute_effects, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,

@@ -15,8 +15,9 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.extension import SelectedCause
-from stickslip_fit.diagnosis.hypotheses import AR1, compute_changes
+from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.laws import expected_steps

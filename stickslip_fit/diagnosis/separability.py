@@ -21,7 +21,6 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     Hypothesis,
     build_candidates,
     compute_effects,
@@ -29,6 +28,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     group_directions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.selection import allocate_alpha

@@ -9,7 +9,7 @@ stored for their rows only, and what is independent for each joint and direction
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -24,6 +24,7 @@ from stickslip_fit.causes.proposed import (
     POSITION,
     SMOOTH_SCALE,
     SmoothTerm,
+    TravelTerm,
     carrier_values,
 )
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
@@ -147,9 +148,9 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         ),
     ]
     profiles = [
-        (joint, *_smooth_functions(carrier, length))
+        (place, joint, *_smooth_functions(carrier, length))
         for joint, carrier in _positions(linearized, carriers)
-        for length in _lengths(carrier)
+        for place, length in enumerate(_lengths(carrier))
     ]
     builder = _Builder(linearized)
     hypotheses: list[Hypothesis] = []
@@ -157,9 +158,36 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         effects = builder.effects(functions)
         hypotheses += builder.shapes(name, term, effects)
         hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
-    for joint, term, functions in profiles:
-        hypotheses += builder.profiles(joint, term, builder.effects(functions))
-    return hypotheses
+    by_shape: dict[tuple[int, str], list[Hypothesis]] = {}
+    for place, joint, term, functions in profiles:
+        for ending, one in builder.profiles(joint, term, builder.effects(functions)).items():
+            hypotheses.append(one)
+            by_shape.setdefault((place, ending), []).append(one)
+    together = (_join_profiles(ending, ones) for (_, ending), ones in by_shape.items() if len(ones) > 1)
+    return [*hypotheses, *(one for one in together if one is not None)]
+
+
+def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The profiles of several joints at once; None where they have not the same functions.
+
+    As a cause in position acts on every joint, so may what is each session's own.
+    """
+    terms = [one.version for one in profiles]
+    if len({(one.orders, one.sds) for one in terms}) > 1:
+        return None
+    shared = {field.name: getattr(terms[0], field.name) for field in fields(terms[0])}
+    shared |= {"on": tuple(place for one in terms for place in one.on)}
+    shared |= {"sessions": tuple(dict.fromkeys(name for one in terms for name in one.sessions))}
+    travel = tuple((one.on[0][0], *one.limits[0]) for one in terms)
+    return replace(
+        profiles[0],
+        cause=f"unknown:{POSITION}, each joint, in each session{ending}",
+        version=TravelTerm(**shared, travel=travel),
+        blocks=tuple(block for one in profiles for block in one.blocks),
+        prior_share=np.concatenate([one.length**2 * one.prior_share for one in profiles])
+        / sum(one.length**2 for one in profiles),
+        length=float(np.sqrt(sum(one.length**2 for one in profiles))),
+    )
 
 
 def _positions(linearized: LinearizedFit, carriers: Sequence[Carrier]) -> Iterator[tuple[int, Carrier]]:
@@ -281,11 +309,15 @@ class _Builder:
             found.append(self.make(f"{name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
 
-    def profiles(self, joint: int, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
-        """The same of a joint's position, by direction, too, and around what the sessions have in common."""
-        found, rows = [], self.rows_of[joint]
+    def profiles(self, joint: int, term: SmoothTerm, effects: _Effects) -> dict[str, Hypothesis]:
+        """The same of a joint's position, by direction, too, and around what the sessions have in common.
+
+        By the end of their names.
+        """
+        found: dict[str, Hypothesis | None] = {}
+        rows, label = self.rows_of[joint], f"{POSITION}, joint {joint}, in each session"
         if len(self.session_of) > 1:
-            on, label = ((joint, "+"), (joint, "-")), f"{POSITION}, joint {joint}, in each session"
+            on = ((joint, "+"), (joint, "-"))
             ways = [rows[self.sign[rows] > 0], rows[self.sign[rows] < 0]]
             for ending, whole, groups, sign in (
                 ("", replace(term, on=on), [rows], None),
@@ -293,10 +325,10 @@ class _Builder:
                 (", each direction", replace(term, on=on, each=True), ways, None),
             ):
                 version, parts = self.of_sessions(effects, sign, groups, whole)
-                found.append(self.make(label + ending, version, parts))
-                nested = self.nested(effects, sign, groups, version)
-                found.append(self.make(f"{label}{ending}, in part", *nested) if nested else None)
-        return [one for one in found if one is not None]
+                found[ending] = self.make(label + ending, version, parts)
+                if nested := self.nested(effects, sign, groups, version):
+                    found[f"{ending}, in part"] = self.make(f"{label}{ending}, in part", *nested)
+        return {ending: one for ending, one in found.items() if one is not None}
 
     def of_sessions(
         self, effects: _Effects, sign: Array | None, groups: Sequence[IntArray], term: SmoothTerm

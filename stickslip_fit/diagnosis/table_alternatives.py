@@ -28,20 +28,19 @@ from stickslip_fit.causes.table_terms import (
     SmoothTableTerm,
 )
 from stickslip_fit.diagnosis.alternatives import (
-    AR1_COEFFICIENTS,
     MAX_ELEMENTS,
     choose_periods,
     smooth_in_time,
 )
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     Hypothesis,
     build_per_session_hypotheses,
     make_hypothesis,
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1, AR1_COEFFICIENTS, Sequences
 from stickslip_fit.logs.history import previous_rows
 
 DIRECTION_TOL = 1e-3  # of the largest singular value
@@ -158,7 +157,8 @@ class TableAlternatives:
             own = linearized.whiten(waves)[:, None]
             hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, own)
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
-            hypotheses += [AR1("unknown:memory", before, phi) for phi in AR1_COEFFICIENTS]
+            sequences = Sequences(before, linearized.basis)
+            hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
         periods = choose_periods(seconds, session)
         if self.sampled:
             periods = periods[periods < seconds.max() / MIN_CYCLES]

@@ -31,9 +31,10 @@ from stickslip_fit.diagnosis.effect_interval import (
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
-from stickslip_fit.diagnosis.hypotheses import AR1, Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -46,7 +47,7 @@ from stickslip_fit.diagnosis.misfit import (
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.units import Interval
 
-AR1_GRID = np.arange(0.0, 0.96, 0.05)
+AR1_GRID, LAG_GRID = np.arange(0.0, 0.96, 0.05), np.linspace(0.0, 4.0, 41)
 N_SIMULATIONS = 200
 N_DRAWS = 2000  # of the posterior distribution of a size
 N_ALTERNATIVES = 40  # likeliest ones, of which the mixture is made
@@ -241,34 +242,34 @@ def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
 
     Of `ar1` only the sign and the order of rows are used.
     """
-    sign = np.sign(ar1.coefficient)
-    observed = sign * _lag1_correlation(linearized.residual[:, None], ar1)[0]
-    noise = np.random.default_rng(0).standard_normal((len(linearized), N_SIMULATIONS))
-    simulated = [
-        sign * _lag1_correlation(linearized.project(_simulate_ar1(noise, ar1, sign * coefficient)), ar1)
-        for coefficient in AR1_GRID
-    ]
+    sign, noise = np.sign(ar1.coefficient), np.random.default_rng(0)
+    innovations = noise.standard_normal((len(linearized), N_SIMULATIONS))
+    observed = sign * _lag1_coefficient(linearized.residual[:, None], ar1)[0]
+    simulated, rms = [], []
+    for coefficient in AR1_GRID if ar1.sequences.onto is None else LAG_GRID:
+        series = _simulate_ar1(innovations, ar1, sign * coefficient)
+        simulated.append(sign * _lag1_coefficient(linearized.project(series), ar1))
+        rms.append(coefficient * _rms(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0)))
     limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)
-    high, middle, low = (float(np.interp(observed, limit, AR1_GRID)) for limit in limits)
-    return Interval(*(value / np.sqrt(1.0 - value**2) for value in (middle, low, high)))
+    high, middle, low = (float(np.interp(observed, limit, rms)) for limit in limits)
+    return Interval(middle, low, high)
 
 
-def _simulate_ar1(noise: Array, ar1: AR1, coefficient: float) -> Array:
-    """A stationary AR(1) sequence with these innovations, (n, k)."""
-    series = noise.copy()
+def _simulate_ar1(innovations: Array, ar1: AR1, coefficient: float) -> Array:
+    """An AR(1) sequence, (n, k); stationary where all rows follow the one before."""
+    series = innovations.copy()
     for row, before in enumerate(ar1.before):
         if before >= 0:
             series[row] += coefficient * series[before]
-        else:
+        elif ar1.sequences.onto is None:
             series[row] /= np.sqrt(1.0 - coefficient**2)
     return series
 
 
-def _lag1_correlation(residuals: Array, ar1: AR1) -> Array:
-    """Of each row with the one before, (n, k) -> (k,)."""
-    follows = ar1.before >= 0
-    products = residuals[follows] * residuals[ar1.before[follows]]
-    return np.asarray(products.sum(axis=0) / np.sum(residuals**2, axis=0))
+def _lag1_coefficient(residuals: Array, ar1: AR1) -> Array:
+    """Of the regression of each row on the one before, (n, k) -> (k,)."""
+    after, before = residuals[ar1.before >= 0], residuals[ar1.before[ar1.before >= 0]]
+    return np.asarray(np.sum(after * before, axis=0) / np.sum(before**2, axis=0))
 
 
 def _rms(values: Array) -> float:

@@ -20,7 +20,7 @@ from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
 from stickslip_fit.diagnosis._unknown_summary import name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
-from stickslip_fit.diagnosis.hypotheses import AR1
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
 from stickslip_fit.estimation.profile import follows_position

@@ -20,7 +20,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import ORDER, direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
 from stickslip_fit.diagnosis.extension import SelectedCause
-from stickslip_fit.diagnosis.hypotheses import AR1
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.residuals import (
     ResidualComparison,
     bin_residuals,

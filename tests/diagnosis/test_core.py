@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 from scipy.stats import kstest, multivariate_normal, ncx2, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnosis.effect_interval import noncentral_tail, strength_interval
-from stickslip_fit.diagnosis.hypotheses import AR1, make_hypothesis, sum_lags
+from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
+from stickslip_fit.diagnosis.memory import AR1, Sequences, sum_lags
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.laws import Prismatic
@@ -52,19 +54,36 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(rows, linearize):
     assert found == pytest.approx(expected, abs=0.02)
 
 
-def test_memory_is_judged_by_its_likelihood():
-    """An autoregression written out as a multivariate normal, its size at its best."""
-    rng, n, carried = np.random.default_rng(3), 60, 0.5
-    residual = rng.standard_normal(n)
-    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+@pytest.mark.parametrize("way", ["both", "one"])
+@pytest.mark.parametrize("shared", [False, True])
+def test_memory_is_judged_by_the_likelihood_of_what_calibration_leaves(rows, linearize, way, shared):
+    """A multivariate normal in coordinates orthogonal to the calibration, its size at its best."""
+    rng, n, carried = np.random.default_rng(3), len(rows), 0.5
+    linearized = linearize(NOISE * rng.standard_normal(n))
+    basis = linearized.basis
+    if shared:
+        column = linearized.project(np.linspace(-1.0, 1.0, n))
+        basis = csr_array(np.column_stack([basis.toarray(), column / np.linalg.norm(column)]))
+    residual = linearized.residual - basis @ (basis.T @ linearized.residual)
+    forward = np.arange(n) % 2 == 0
+    before = np.where(np.arange(n) % 100 == 0, -1, np.arange(n) - 1)
+    step = np.zeros((n, n))
+    step[before >= 0, before[before >= 0]] = carried
+    start = np.where((before < 0) & (way == "both"), np.sqrt(1.0 - carried**2), 1.0)
+    if way == "one":
+        step[~forward] = 0.0
+    root = np.linalg.inv(np.diag(start) - step)
+    left = np.linalg.svd(basis.toarray())[0][:, basis.shape[1] :]
 
-    def best(correlation):
-        scale2 = residual @ np.linalg.solve(correlation, residual) / n
-        return multivariate_normal.logpdf(residual, None, scale2 * correlation)
+    def best(covariance):
+        inside, along = left.T @ covariance @ left, left.T @ residual
+        scale2 = along @ np.linalg.solve(inside, along) / len(along)
+        return multivariate_normal.logpdf(along, None, scale2 * inside)
 
-    memory = AR1("unknown:memory", np.arange(n) - 1, carried)
-    found = float(memory.log_evidence(sum_lags(memory.before, residual[:, None]), n)[0])
-    assert found == pytest.approx(best(carried**lag) - best(np.eye(n)), rel=1e-6)
+    memory = AR1("unknown:memory", Sequences(before, basis, forward if way == "one" else None), carried)
+    sums = sum_lags([memory.sequences], residual[:, None])[id(memory.sequences)]
+    found = float(memory.log_evidence(sums, n - basis.shape[1])[0])
+    assert found == pytest.approx(best(root @ root.T) - best(np.eye(n)), rel=1e-6)
 
 
 @pytest.mark.parametrize("uneven", [pytest.param(False, marks=pytest.mark.nightly), True])

@@ -40,6 +40,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     predict_extension,
     prepare_calibration,
     prepare_split,
+    simulate_gain_interval,
     simulate_selection,
 )
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
@@ -449,3 +450,20 @@ def test_what_has_no_name_predicts_nothing_and_what_is_weak_is_not_seen():
         training = prepare_calibration(campaign.basis, np.arange(40), np.arange(40))
         sums = training.sum_training(campaign, Responses.of(campaign, responses))
         assert set(simulate_selection(campaign, 0, training, sums)) == {made}
+
+
+@pytest.mark.parametrize(("ahead", "reaches"), [(0.0, True), (-40.0, False)])
+def test_a_replicate_may_gain_nothing_where_a_rival_is_as_likely(ahead, reaches):
+    """What favours unknown structure in one fold of a campaign does so in all: gains do not average."""
+    n, strength = 400, 12.0
+    effect, ones = np.full((n, 1), strength / np.sqrt(n)), np.ones(n)
+    rivals = CompetingCauses(effect, np.array([ahead]), np.array([False]))
+    campaign = LinearizedCampaign(
+        csr_array((n, 1)), ones, ones, effect, (effect,), (np.zeros(1),), np.zeros(1), (rivals,)
+    )
+    folds = [np.arange(k, n, 10) for k in range(10)]
+    splits = [Split(*[np.setdiff1d(np.arange(n), fold)] * 2, fold) for fold in folds]
+    before = np.sqrt(1.0 + strength**2 / n)
+    low, high = simulate_gain_interval(campaign, splits, np.array([before, 1.0]), _rng(), 600)[:, -1]
+    assert low < before - 1.0 < high
+    assert (low < 0.1 * (before - 1.0)) == reaches

@@ -16,12 +16,12 @@ from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import (
-    AR1,
     build_per_session_hypotheses,
     make_hypothesis,
     split_sessions,
 )
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look, Refit, prepare_looks
+from stickslip_fit.diagnosis.memory import AR1, Sequences
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
@@ -47,12 +47,14 @@ def alternatives(study):
     session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
     waves = np.cos(rows["session_seconds"].to_numpy(float)[:, None] / np.array([900.0, 2000.0, 7000.0]))
     waves = waves / study.scale[:, None]
+    before, forward = previous_rows(session).astype(np.intp), study.direction_sign > 0
     name, sessions = "unknown:in each session", [*split_sessions(study).values()]
     return [
         make_hypothesis("unknown:wave", None, None, study.project(waves[:, :1])),
         make_hypothesis("unknown:waves", None, None, study.project(waves)),
         *build_per_session_hypotheses([name], len(rows), sessions, waves[:, None]),
-        AR1("unknown:memory", previous_rows(session).astype(np.intp), 0.4),
+        AR1("unknown:memory", Sequences(before, study.basis), 0.4),
+        AR1("unknown:memory-by-direction", Sequences(before, study.basis, forward), -0.4),
     ]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import Temperature, extend
-from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm
+from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
@@ -116,6 +116,8 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
     term = ProposedTerm((("sin(x)", "q1", 0.0, 1.0), ("x", "load", 0.0, 1.0)), ((3, "+"),))
     assert term.formula == "k sin(q1) x load, joint 3, + only"
     law = extend(extend(Prismatic(), smooth), term)
+    travel = TravelTerm(on=((2, "+"), (3, "+")), sessions=("a", "b"), travel=((2, -2.0, 0.5), (3, 0.0, 0.01)))
+    law = extend(law, travel)
     restored = restore(describe(law), machine)
     assert restored.causes == law.causes
 
@@ -145,6 +147,8 @@ def test_directions_that_hypotheses_share_are_evaluated_once_and_right(linearize
         "q2, joint 3, in each session",
         "position, joint 2, in each session, each direction",
         "position, joint 2, in each session, in part",
+        "position, each joint, in each session",
+        "position, each joint, in each session, each direction",
     ],
 )
 def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, alternatives, name):
