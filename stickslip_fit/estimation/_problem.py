@@ -105,6 +105,7 @@ DEFAULT_OPTIONS = FitOptions()
 # Of one pass: counts that a law suits take tens, and hundreds near a bound or with outliers; the next pass
 # of `reweighting` carries on where it stopped.
 MAX_ITERATIONS = 500
+LEAST_SCATTER = 1e-9  # of a response, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +141,8 @@ class Problem:
         if not len(self.penalised):
             return np.ones(len(self.y))
         scatter = self.y - self.model(self.start[self.groups.of_row])[0]
-        return np.full(len(self.y), 1.0 / np.mean(scatter**2))
+        least = (LEAST_SCATTER * float(np.abs(self.y).max())) ** 2  # as many parameters as rows leave none
+        return np.full(len(self.y), 1.0 / max(float(np.mean(scatter**2)), least))
 
     def minimize(self, weight: Array, start: Array, most: int = MAX_ITERATIONS) -> Minimum:
         """The minimum of the sum of weight (y - model)^2 and of the priors, in `most` iterations at most."""

@@ -209,6 +209,6 @@ def make_comparable(log: Log, fit: Result, versions: Sequence[Cause] = ()) -> Co
     command = fit.provenance.command
     try:
         extended = fit_least_squares(log, laws=laws, causes=[*others, *named], command=command)
-    except InputError:
+    except (InputError, np.linalg.LinAlgError):
         return ComparableFit(fit)  # the log cannot show a profile
     return ComparableFit(extended, f"{note}, so that another stretch is no difference.")
