@@ -82,10 +82,6 @@ class GenericCause(TableCause):
         """See `Cause`."""
         return (self.size,) * len(self.parameters)
 
-    @abstractmethod
-    def term(self, rows: Rows) -> Term:
-        """What is added to the response of these rows, the direction left out."""
-
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `Cause`."""
         return [(self, np.array([self.scale]))]
@@ -100,6 +96,19 @@ class GenericCause(TableCause):
         if not self.direction:
             return np.ones(count_rows(rows))
         return direction_sign(rows, self.direction, self.labels)
+
+    def bind_table(self, law: Any, frame: pd.DataFrame) -> GenericCause:
+        """The same: it is bound to a table already."""
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedTerm(GenericCause):
+    """Adds the same to the response whatever the law's parameters."""
+
+    @abstractmethod
+    def term(self, rows: Rows) -> Term:
+        """What is added to the response of these rows, the direction left out."""
 
     def signed_term(self, rows: Rows) -> Term:
         """What is added to the response of these rows."""
@@ -124,10 +133,6 @@ class GenericCause(TableCause):
         term, n = self.signed_term(rows), len(values)
         return np.stack([term(np.broadcast_to(trial, (n, len(trial))))[0] for trial in trials], axis=1)
 
-    def bind_table(self, law: Any, frame: pd.DataFrame) -> GenericCause:
-        """The same: it is bound to a table already."""
-        return self
-
 
 def linear_term(basis: Array) -> Term:
     """The term of a linear combination of columns, shape (n, q)."""
@@ -139,7 +144,7 @@ def linear_term(basis: Array) -> Term:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SteadyDrift(GenericCause):
+class SteadyDrift(AddedTerm):
     """k t, t from the session's first row."""
 
     longest: float = 1.0
@@ -226,7 +231,7 @@ class WarmUp(SteadyDrift):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SuddenChange(GenericCause):
+class SuddenChange(AddedTerm):
     """A from one moment of one session on."""
 
     session: str = ""
@@ -297,18 +302,11 @@ class SuddenChange(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ColumnDependence(GenericCause):
-    """f(column), f a polynomial over the table's range and constant beyond."""
+class CovariateCause(GenericCause):
+    """The response depends on a column that the law does not use."""
 
     column: str = ""
-    low: float = -1.0
-    high: float = 1.0
-    order: int = COVARIATE_ORDER
 
-    base_phrase = "the response follows a column of the table"
-    physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
-    shows_best = "one condition at the lowest and at the highest values of the column"
-    sentence = "The response follows the column {column}{opposite}"
     combine_trials = True
 
     @property
@@ -317,14 +315,28 @@ class ColumnDependence(GenericCause):
         return COVARIATE_PREFIX + self.column
 
     @property
-    def remedy(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return f"keeping {self.column} steady"
-
-    @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.column,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnDependence(CovariateCause, AddedTerm):
+    """f(column), f a polynomial over the table's range and constant beyond."""
+
+    low: float = -1.0
+    high: float = 1.0
+    order: int = COVARIATE_ORDER
+
+    base_phrase = "the response follows a column of the table"
+    physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
+    shows_best = "one condition at the lowest and at the highest values of the column"
+    sentence = "The response follows the column {column}{opposite}"
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """See `GenericCause`."""
+        return f"keeping {self.column} steady"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -379,7 +391,7 @@ class PositionDependence(ColumnDependence):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DirectionOffset(GenericCause):
+class DirectionOffset(AddedTerm):
     """d in one direction, -d in the other."""
 
     base_phrase = "the response is not the same in both directions"
@@ -411,7 +423,7 @@ class DirectionOffset(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SessionOffset(GenericCause):
+class SessionOffset(AddedTerm):
     """Each session has an offset of its own."""
 
     sessions: tuple[str, ...] = ()
@@ -447,7 +459,7 @@ class SessionOffset(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutlyingValues(GenericCause):
+class OutlyingValues(AddedTerm):
     """A few responses are off by a lot; the rest are right."""
 
     base_name = "outliers"

@@ -14,12 +14,11 @@ import pandas as pd
 
 from stickslip_fit._format import format_measured, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import GenericCause, Term, linear_term
+from stickslip_fit.causes.generic import AddedTerm, CovariateCause, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
 from stickslip_fit.causes.table_cause import Effect
 from stickslip_fit.errors import InputIssue, shorten
 from stickslip_fit.laws import Rows, TableLaw
-from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import TableUnit
 
 MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column; rows, on average
@@ -49,21 +48,19 @@ def explain_unusable_levels(cells: pd.Series) -> str | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LevelDependence(GenericCause):
-    """Each value of a column of texts has an offset of its own.
+class LevelCause(CovariateCause):
+    """Something differs between the values of a column of texts.
 
     Attributes
     ----------
-    column : str
     levels : tuple of str
-        Its values; the offsets are those beside the first.
+        Its values; what differs is said beside the first.
     law : TableLaw
-        Of the table, whose parameters `ParametersByLevel` changes.
+        Of the table.
     slopes : tuple of float
         Rms derivative of the response by each of the law's parameters.
     """
 
-    column: str
     levels: tuple[str, ...]
     law: TableLaw = field(repr=False)
     slopes: tuple[float, ...]
@@ -71,22 +68,39 @@ class LevelDependence(GenericCause):
     base_phrase = "the response is not the same at all values of a column"
     physics = "Whatever differs between them; the table alone shows that the response is not the same."
     shows_best = "one condition at every value of the column"
-    combine_trials = True
-
-    @property
-    def base_name(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return COVARIATE_PREFIX + self.column
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
         """See `GenericCause`."""
         return f"calibrating for each {self.column}"
 
-    @property
-    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `GenericCause`."""
-        return (self.column,)
+        others = join_words(list(self.levels[1:]), "or")
+        own = {"d": sizes["d"]} if "d" in sizes else {}
+        return {**own, "column": self.column, "first": self.levels[0], "others": others}
+
+    def find_unknown(self, frame: pd.DataFrame) -> list[InputIssue]:
+        """What keeps rows from being predicted: no such column, or a value of it that was never fitted."""
+        if self.column not in frame:
+            return [InputIssue("the table has no such column, and the law needs it", column=self.column)]
+        cells = frame[self.column].astype(object).astype(str).reset_index(drop=True)
+        unknown = cells[~cells.isin(self.levels)].drop_duplicates()
+        known = ", ".join(map(shorten, self.levels))
+        return [
+            InputIssue(f"row {row + 1}: the law was fitted to {known} only", column=self.column, value=value)
+            for row, value in unknown.items()
+        ]
+
+    def indicators(self, rows: Rows) -> Array:
+        """1 in the rows of each level but the first, shape (n, levels - 1)."""
+        cells = np.asarray(rows[self.column], dtype=object).astype(str)
+        return (cells[:, None] == np.array(self.levels[1:])).astype(float)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelDependence(LevelCause, AddedTerm):
+    """Each value of a column of texts has an offset of its own."""
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
@@ -107,33 +121,10 @@ class LevelDependence(GenericCause):
             for name, level in zip(names, self.levels[1:], strict=True)
         )
 
-    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
-        others = join_words(list(self.levels[1:]), "or")
-        own = {"d": sizes["d"]} if "d" in sizes else {}
-        return {**own, "column": self.column, "first": self.levels[0], "others": others}
-
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: offsets, and other parameters of the law."""
         versions: list[GenericCause] = [self, ParametersByLevel(**vars(self))]
         return [(one, np.diag(one.scale)) for one in versions]
-
-    def find_unknown(self, frame: pd.DataFrame) -> list[InputIssue]:
-        """What keeps rows from being predicted: no such column, or a value of it that was never fitted."""
-        if self.column not in frame:
-            return [InputIssue("the table has no such column, and the law needs it", column=self.column)]
-        cells = frame[self.column].astype(object).astype(str).reset_index(drop=True)
-        unknown = cells[~cells.isin(self.levels)].drop_duplicates()
-        known = ", ".join(map(shorten, self.levels))
-        return [
-            InputIssue(f"row {row + 1}: the law was fitted to {known} only", column=self.column, value=value)
-            for row, value in unknown.items()
-        ]
-
-    def indicators(self, rows: Rows) -> Array:
-        """1 in the rows of each level but the first, shape (n, levels - 1)."""
-        cells = np.asarray(rows[self.column], dtype=object).astype(str)
-        return (cells[:, None] == np.array(self.levels[1:])).astype(float)
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
@@ -141,7 +132,7 @@ class LevelDependence(GenericCause):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParametersByLevel(LevelDependence):
+class ParametersByLevel(LevelCause):
     """The law's parameters are not the same at all values of a column of texts."""
 
     @property
@@ -178,10 +169,6 @@ class ParametersByLevel(LevelDependence):
         ]
         how = f": {join_words(changes)}" if len(self.levels) == 2 and changes else ""
         return {**super().quantities({}), "how": how}
-
-    def term(self, rows: Rows) -> Term:
-        """Never called: the effect depends on the law's parameters."""
-        raise NotImplementedError
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
         """See `TableCause`: the law with other parameters less the law."""

@@ -7,20 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtri
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import GenericCause, Term, linear_term
+from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
+from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.laws import Rows
-from stickslip_fit.units import Interval, TableUnit
+from stickslip_fit.units import Z_95, Interval, TableUnit
 
 MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
-Z_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeriodicPosition(GenericCause):
+class PeriodicPosition(AddedTerm):
     """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
 
     column: str = ""
@@ -62,12 +61,12 @@ class PeriodicPosition(GenericCause):
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
-        phase = 2.0 * np.pi * (np.asarray(rows[self.column], float) - self.low) / self.period
-        return linear_term(np.column_stack([np.sin(phase), np.cos(phase)]))
+        waves = harmonics(np.asarray(rows[self.column], float) - self.low, self.period, 1)
+        return linear_term(waves[:, ::-1])
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeriodicTime(GenericCause):
+class PeriodicTime(AddedTerm):
     """A wave in time with its harmonics, of the table's only session.
 
     Attributes
@@ -106,8 +105,8 @@ class PeriodicTime(GenericCause):
         unit = TableUnit(self.unit)
         return tuple(
             CauseParameter(f"{name}{k}", unit, f"of the {wave} of 1/{k} of the period")
-            for name, wave in (("s", "sine"), ("c", "cosine"))
             for k in range(1, self.harmonics + 1)
+            for name, wave in (("c", "cosine"), ("s", "sine"))
         )
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
@@ -118,8 +117,8 @@ class PeriodicTime(GenericCause):
         """Amplitude of the wave and of each harmonic, of coefficients (q,) with their covariance (q, q)."""
         summary = []
         for k in range(self.harmonics):
-            own = [k, k + self.harmonics]
-            pair, amplitude = values[own], float(np.hypot(values[k], values[k + self.harmonics]))
+            own = [2 * k, 2 * k + 1]
+            pair, amplitude = values[own], float(np.linalg.norm(values[own]))
             slope = pair / max(amplitude, 1e-300)
             variance = float(slope @ covariance[np.ix_(own, own)] @ slope)
             error = Z_95 * np.sqrt(max(variance, 0.0))
@@ -130,13 +129,11 @@ class PeriodicTime(GenericCause):
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`."""
-        return [(self, self.size * np.diag(1.0 / np.tile(np.arange(1, self.harmonics + 1), 2)))]
+        return [(self, self.size * np.diag(1.0 / np.repeat(np.arange(1, self.harmonics + 1), 2)))]
 
     def functions(self, rows: Rows) -> Array:
-        """Sines, then cosines, shape (n, 2 harmonics)."""
-        rate = 2.0 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        angles = np.asarray(rows["session_seconds"], float)[:, None] * rate
-        return np.concatenate([np.sin(angles), np.cos(angles)], axis=1)
+        """See `smooth.harmonics`; shape (n, 2 harmonics)."""
+        return harmonics(np.asarray(rows["session_seconds"], float), self.period, self.harmonics)
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""

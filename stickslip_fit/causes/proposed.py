@@ -17,7 +17,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.causes.smooth import LinearFactor, cosines
+from stickslip_fit.causes.smooth import LinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.units import from_si
 
@@ -163,14 +163,7 @@ class SmoothTerm(LinearFactor):
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
-        functions = np.stack(
-            [
-                np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
-                for order in self.orders
-            ],
-            axis=-1,
-        )
-        functions = np.nan_to_num(functions) * _sign(state, self.mode)[..., None]
+        functions = np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
         if self.on:
             acts = np.stack(
                 [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups], axis=-1
@@ -254,9 +247,7 @@ class PeriodicTerm(SmoothTerm):
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
-        angles = 2.0 * np.pi * clock[..., None] / self.period * np.arange(1, len(self.orders) // 2 + 1)
-        waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return [waves.reshape(*clock.shape, -1)]
+        return [harmonics(clock, self.period, len(self.orders) // 2)]
 
     def with_harmonics(self) -> Self:
         """The same with harmonics, each expected to be smaller in proportion to its order."""

@@ -9,7 +9,7 @@ their evidence; the fit is penalised by the prior.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -77,6 +77,30 @@ def rough_prior_sds() -> Array:
     each = [prior_sds(length) for length in LENGTHS]
     longest = max(len(sds) for sds in each)
     return np.asarray(np.sqrt(np.mean([np.pad(sds, (0, longest - len(sds))) ** 2 for sds in each], axis=0)))
+
+
+def wave_products(waves: Sequence[Array], orders: Sequence[Sequence[int]]) -> Array:
+    """Products by their orders of the waves of carriers, each shape (..., highest order); shape (..., q)."""
+    return np.stack(
+        [
+            np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
+            for order in orders
+        ],
+        axis=-1,
+    )
+
+
+def harmonics(clock: Array, period: float, number: int) -> Array:
+    """Cosine and sine of a wave, then those of each harmonic, shape (...) -> (..., 2 number).
+
+    Examples
+    --------
+    >>> harmonics(np.array([0.0, 1.0]), 4.0, 2).round(3) + 0.0
+    array([[ 1.,  0.,  1.,  0.],
+           [ 0.,  1., -1.,  0.]])
+    """
+    angles = 2.0 * np.pi * clock[..., None] / period * np.arange(1, number + 1)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*np.shape(clock), -1)
 
 
 class LinearFactor(FactorCause):

@@ -16,10 +16,11 @@ import pandas as pd
 
 from stickslip_fit._format import format_significant
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import GenericCause, Term, linear_term
+from stickslip_fit.causes import proposed
+from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.proposed import N_HARMONICS
-from stickslip_fit.causes.smooth import cosines
+from stickslip_fit.causes.smooth import cosines, harmonics, wave_products
 from stickslip_fit.causes.table_cause import Effect, Stage
 from stickslip_fit.laws import Rows
 from stickslip_fit.units import TableUnit
@@ -93,21 +94,14 @@ class SmoothTableTerm(GenericCause):
             cosines(one, low, high, max(order[place] for order in self.orders))
             for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
         ]
-        each = [
-            np.prod([wave[:, k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
-            for order in self.orders
-        ]
-        return np.stack(each, axis=-1)
-
-    def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
-        return linear_term(self.functions(rows))
+        return wave_products(waves, self.orders)
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
         """See `TableCause`."""
-        if PREDICTION not in self.carriers:
-            return super().effect(rows, variable)
         sign = self.sign(rows)
+        if PREDICTION not in self.carriers:
+            term = linear_term(sign[:, None] * self.functions(rows))
+            return lambda state, values: (*term(values), {})
 
         def effect(state: Mapping[str, Array], values: Array) -> tuple[Array, Array, Mapping[str, Array]]:
             predicted = np.broadcast_to(state[self.response], len(values))
@@ -177,8 +171,7 @@ class PeriodicTableTerm(SmoothTableTerm):
     def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
         """See `SmoothTableTerm`: cosine and sine of each harmonic, session by session."""
         seconds = np.asarray(rows["session_seconds"], float)
-        angles = 2.0 * np.pi * seconds[:, None] / self.period * np.arange(1, len(self.orders) // 2 + 1)
-        waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(seconds), 1, -1)
+        waves = harmonics(seconds, self.period, len(self.orders) // 2)[:, None]
         inside = np.asarray(rows["session"], object).astype(str)[:, None] == np.array(self.sessions)
         return np.asarray((inside[:, :, None] * waves).reshape(len(seconds), -1))
 
@@ -228,15 +221,13 @@ class ColumnFunction:
 
 
 EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
-    "x": lambda x: x,
-    "x^2": np.square,
-    "|x|": np.abs,
+    **{expression: proposed.EXPRESSIONS[expression] for expression in ("x", "x^2", "|x|")},
     "log(x)": np.log,
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProposedTableTerm(GenericCause):
+class ProposedTableTerm(AddedTerm):
     """k times a product of one or two functions of a column each.
 
     Attributes

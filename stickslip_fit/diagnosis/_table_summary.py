@@ -35,6 +35,7 @@ from stickslip_fit.diagnosis._summary import (
     summarize_log_diagnosis,
 )
 from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
+from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -46,7 +47,6 @@ FEW_VALUES = 50  # independent ones
 MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
 SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
-MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 CARRIER_PHRASES = {
     "time": "changes slowly with time, in each session in its own way",

@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, load_machine, mean_load
-from stickslip_fit.units import from_si
+from stickslip_fit.units import Z_95, from_si
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 POSITION, LOAD = "position", "load"
 ANGLES = ("q1", "q2", "q3", "theta", "psi")
-Z_95 = 1.959964
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 OPPOSITE = ", with opposite signs in the two directions"
 CARRIER_PHRASES = {

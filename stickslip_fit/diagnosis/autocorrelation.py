@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.special import ndtri
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
@@ -34,7 +34,7 @@ MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
-MEDIAN_OF_NORMAL = 0.6745  # of the absolute values of standard normal noise
+MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
@@ -106,6 +106,8 @@ class Autocorrelation:
 
     def shorten(self) -> Autocorrelation:
         """The same with an autocorrelation time of at most a share of the longest sequence."""
+        from scipy.optimize import brentq
+
         starts = np.flatnonzero(np.diff(np.sort(self.sample), prepend=self.sample.min() - 2) != 1)
         longest = int(np.diff(starts, append=len(self.sample)).max())
         limit = max(MAX_SHARE_OF_SEQUENCE * longest, 1.0)
@@ -116,7 +118,8 @@ class Autocorrelation:
 
         if self.correlation_rows <= limit:
             return self
-        return drawn_in(find_root(lambda factor: drawn_in(factor).correlation_rows - limit, 0.0, 1.0, 1e-6))
+        factor = brentq(lambda factor: drawn_in(factor).correlation_rows - limit, 0.0, 1.0, xtol=1e-6)
+        return drawn_in(float(factor))
 
     def estimate(self, linearized: LinearizedFit) -> Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""

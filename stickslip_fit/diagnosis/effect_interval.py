@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, gammaln
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
@@ -25,10 +24,9 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
-from stickslip_fit.units import Interval
+from stickslip_fit.units import Z_95, Interval
 
 QUANTILES_95 = (0.025, 0.5, 0.975)
-Z_95 = 1.959964
 MAX_CONDITIONAL_STRENGTH = 12.0  # beyond, the alarm was certain and conditioning changes nothing
 DIFFERENCE_STEP = 1e-3  # of a parameter's scale
 MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
@@ -240,6 +238,8 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
         return Interval(*map(float, limits))
     threshold = min(threshold, z * (1 - 1e-9))
 
+    from scipy.optimize import brentq
+
     def cdf(strength: float) -> float:
         """Probability of less than `z`, given detection."""
         # By survival functions: far below the threshold, 1 - cdf would round to 0.
@@ -249,7 +249,7 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
             return 0.0
-        return find_root(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, 1e-4)
+        return float(brentq(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, xtol=1e-4))
 
     high, middle, low = map(solve, QUANTILES_95)
     return Interval(middle, low, high)

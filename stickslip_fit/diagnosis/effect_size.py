@@ -14,12 +14,11 @@ from scipy.special import betaincinv
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
-from stickslip_fit.causes.levels import LevelDependence
+from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.proposed import PeriodicTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.effect_interval import (
     QUANTILES_95,
-    Z_95,
     detection_threshold,
     estimate_effect,
     expected_covariance,
@@ -34,7 +33,7 @@ from stickslip_fit.diagnosis.selection import Selection, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.diagnosis.unknown_size import size_unknown
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
-from stickslip_fit.units import Interval
+from stickslip_fit.units import Z_95, Interval
 
 MIN_SQUARE = 1e-300
 
@@ -97,7 +96,7 @@ def _size_parameters(
     """A cause's parameters with intervals; of a smooth function its rms, not its coefficients."""
     if hasattr(version, "summarize"):
         return tuple(version.summarize(values, covariance))
-    if cause.startswith(COVARIATE_PREFIX) and not isinstance(version, LevelDependence):
+    if cause.startswith(COVARIATE_PREFIX) and not isinstance(version, LevelCause):
         return ()
     sudden = [getattr(parameter, "sudden", False) for parameter in version.parameters]
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))

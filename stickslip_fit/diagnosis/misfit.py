@@ -37,7 +37,6 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, poch, softmax
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
     DirectionGroup,
@@ -462,6 +461,7 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
 
     `n_shapes` is the number of shapes over which the evidence of the cause is averaged.
     """
+    from scipy.optimize import brentq
 
     def evidence(z: float) -> float:
         signal = STRENGTHS**2
@@ -474,4 +474,4 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
         return 0.0
     if evidence(MAX_DETECTION_LENGTH) < critical:  # too few rows for any effect to be detected
         return MAX_DETECTION_LENGTH
-    return find_root(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, 1e-3)
+    return float(brentq(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, xtol=1e-3))

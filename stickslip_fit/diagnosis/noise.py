@@ -17,7 +17,6 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc, digamma, polygamma, stdtrit
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
@@ -182,6 +181,8 @@ def shrink_variances(variance: Array, df: Array) -> Array:
     >>> shrink_variances(np.array([0.8, 1.2]), np.array([20.0, 20.0])).round(2)
     array([1.05, 1.05])
     """
+    from scipy.optimize import brentq
+
     known = df >= MIN_DRIVE_DF
     if not known.any():
         return variance
@@ -190,7 +191,7 @@ def shrink_variances(variance: Array, df: Array) -> Array:
     excess = float(np.var(log_variance, ddof=1)) if known.sum() > 1 else 0.0
     excess -= float(np.mean(polygamma(1, df[known] / 2)))
     excess = float(np.clip(excess, polygamma(1, most / 2), polygamma(1, least / 2)))
-    prior_df = find_root(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most, 1e-9)
+    prior_df = brentq(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most)
     mean = float(own @ variance) / (float(own.sum()) - 2.0)
     return np.asarray((own * variance + (prior_df - 2.0) * mean) / (own + prior_df - 2.0))
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import N_HARMONICS
+from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
@@ -29,12 +30,6 @@ def count_harmonics(period: float, interval: float, most: int) -> int:
     (4, 1)
     """
     return int(np.clip(period / (FASTEST * interval), 1, most))
-
-
-def _wave(seconds: Array, period: float, harmonics: int) -> Array:
-    """Sines and cosines of a wave and its harmonics, shape (n, 2 harmonics)."""
-    angles = 2.0 * np.pi * seconds[:, None] / period * np.arange(1, harmonics + 1)
-    return np.concatenate([np.sin(angles), np.cos(angles)], axis=1)
 
 
 def find_period(
@@ -64,7 +59,7 @@ def find_period(
         """The period whose wave explains most of what the law leaves, under some noise."""
         target, explained = _whiten(linearized.residual[:, None], noise), []
         for period in around:
-            wave = _wave(seconds, period, count_harmonics(period, interval, most))
+            wave = harmonics(seconds, period, count_harmonics(period, interval, most))
             columns = _whiten(linearized.project(linearized.whiten(wave)), noise)
             size = np.linalg.lstsq(columns, target, rcond=None)[0]
             explained.append(float(np.sum((columns @ size) ** 2)))
@@ -75,7 +70,7 @@ def find_period(
         return 1.0 / rates[rates > 0]
 
     period = search(finer(search(periods, independent, 2)), independent, 2)
-    wave = _wave(seconds, period, count_harmonics(period, interval, 2))
+    wave = harmonics(seconds, period, count_harmonics(period, interval, 2))
     with_wave = np.concatenate([effects, linearized.project(linearized.whiten(wave))], axis=1)
     cost = 0.5 * wave.shape[1] * np.log(len(sample)) + np.log(len(periods) * N_FINER)
     noise = Autocorrelation(sample, None, estimate_autoregression(linearized, with_wave, sample))

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.extension import assess_residuals
@@ -184,11 +183,12 @@ class SeparabilityMatrix:
 
     def strength_needed(self, one: str, other: str) -> float:
         """Strength above which a pair is confused in fewer than one log in twenty; infinite if none is."""
+        from scipy.optimize import brentq
 
         def excess(strength: float) -> float:
             return self.pair_confusion(one, other, strength) - MAX_CONFUSION_DESIGN
 
-        return find_root(excess, 0.0, MAX_STRENGTH, 1e-2) if excess(MAX_STRENGTH) < 0 else np.inf
+        return float(brentq(excess, 0.0, MAX_STRENGTH, xtol=1e-2)) if excess(MAX_STRENGTH) < 0 else np.inf
 
     def pairs(self) -> list[tuple[str, str, float]]:
         """Every pair with the strength it needs, hardest first."""

@@ -27,7 +27,6 @@ from stickslip_fit.causes.generic import SessionOffset
 from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
-from stickslip_fit.diagnosis.alternatives import choose_periods
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
@@ -38,10 +37,10 @@ from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import (
-    MIN_CYCLES,
     TableAlternatives,
     leading_directions,
     response_columns,
+    sampled_periods,
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
@@ -278,8 +277,7 @@ def _find_wave(
     if problem.rows["session"].nunique() > 1:
         return None
     seconds = problem.rows["session_seconds"].to_numpy(float)
-    periods = choose_periods(seconds, np.zeros(len(seconds), dtype=np.intp))
-    periods = periods[periods < seconds.max() / MIN_CYCLES]
+    periods = sampled_periods(seconds, np.zeros(len(seconds), dtype=np.intp))
     period = find_period(linearized, effects, sample, seconds, periods)
     if not np.isfinite(period):
         return None

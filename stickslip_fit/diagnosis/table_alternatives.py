@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
 from stickslip_fit.causes.smooth import LENGTHS, prior_sds
 from stickslip_fit.causes.table_terms import (
@@ -90,12 +90,15 @@ class TableAlternatives:
             prediction[part.rows] = part.law.predict(linearized.rows.iloc[part.rows], part.values)
         hypotheses: list[Hypothesis | AR1 | None] = []
         for name, term in self._terms(linearized, prediction):
-            functions = linearized.whiten(term.functions(linearized.columns, prediction) * term.sds)
-            hypotheses.append(make_hypothesis(f"unknown:{name}", term, None, linearized.project(functions)))
+            functions = term.functions(linearized.columns, prediction) * term.sds
+            versions = {"": term}
             if self.roles.direction:
                 opposite = replace(term, direction=self.roles.direction, labels=self.labels)
-                signed = linearized.project(opposite.sign(linearized.columns)[:, None] * functions)
-                hypotheses.append(make_hypothesis(f"unknown:{name} by direction", opposite, None, signed))
+                versions[" by direction"] = opposite
+            for ending, version in versions.items():
+                signed = linearized.whiten(version.sign(linearized.columns)[:, None] * functions)
+                effects = linearized.project(signed)
+                hypotheses.append(make_hypothesis(f"unknown:{name}{ending}", version, None, effects))
         hypotheses += self._groups(linearized)
         if self.roles.time:
             hypotheses += self._in_time(linearized)
@@ -155,13 +158,17 @@ class TableAlternatives:
             hypotheses.append(make_hypothesis("unknown:time, the same in each session", None, None, alike))
         if not self.sampled:
             own = linearized.whiten(waves)[:, None]
-            hypotheses += build_per_session_hypotheses(["unknown:time"], n, sessions, own)
+            slow = build_per_session_hypotheses(["unknown:time"], n, sessions, own)
+            if len(sessions) == 1:
+                orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
+                limits = ((0.0, float(seconds.max())),)
+                term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
+                slow = [replace(one, version=term) for one in slow]
+            hypotheses += slow
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
-        periods = choose_periods(seconds, session)
-        if self.sampled:
-            periods = periods[periods < seconds.max() / MIN_CYCLES]
+        periods = sampled_periods(seconds, session) if self.sampled else choose_periods(seconds, session)
         if not len(periods):
             return hypotheses
         angles = 2 * np.pi * seconds[:, None] / periods
@@ -219,6 +226,12 @@ class TableAlternatives:
             make,
             np.array([len(product) for product in products]),
         )
+
+
+def sampled_periods(seconds: Array, session: IntArray) -> Array:
+    """Periods that a sampled signal may show: those of which a session has many cycles."""
+    periods = choose_periods(seconds, session)
+    return periods[periods < seconds.max() / MIN_CYCLES]
 
 
 def _column_functions(name: str, values: Array) -> Iterator[ColumnFunction]:

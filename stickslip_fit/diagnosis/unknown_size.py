@@ -21,7 +21,6 @@ from stickslip_fit.diagnosis.effect_interval import (
     MAX_CONDITIONAL_STRENGTH,
     MIN_LENGTH,
     QUANTILES_95,
-    Z_95,
     LawEffect,
     detection_threshold,
     estimate_effect,
@@ -45,7 +44,7 @@ from stickslip_fit.diagnosis.misfit import (
     remove_structure,
 )
 from stickslip_fit.diagnosis.selection import Selection
-from stickslip_fit.units import Interval
+from stickslip_fit.units import Z_95, Interval
 
 AR1_GRID, LAG_GRID = np.arange(0.0, 0.96, 0.05), np.linspace(0.0, 4.0, 41)
 N_SIMULATIONS = 200

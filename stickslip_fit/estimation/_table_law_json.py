@@ -105,7 +105,7 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions, law: TableL
     if not (isinstance(restored, type) and issubclass(restored, generic.GenericCause)):
         raise ValueError(f"there is no cause {kind}")
     settings: Any = {name: _as_tuples(value) for name, value in own.items()}
-    if issubclass(restored, levels.LevelDependence):
+    if issubclass(restored, levels.LevelCause):
         settings["law"] = law
     return restored(**settings)
 

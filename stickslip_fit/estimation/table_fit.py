@@ -18,7 +18,7 @@ import pandas as pd
 from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.levels import LevelDependence
+from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation._table_law_json import describe_table_law
@@ -183,7 +183,7 @@ class TableFit(Summarized):
         needs_time = "session_seconds" in needed
         texts = {self.roles.direction, self.roles.group, self.roles.session}
         texts |= {getattr(getattr(cause, "source", None), "by", None) for cause in self._causes}
-        levels = [cause for cause in self._causes if isinstance(cause, LevelDependence)]
+        levels = [cause for cause in self._causes if isinstance(cause, LevelCause)]
         texts |= {cause.column for cause in levels}
         numbers = [name for name in needed if name not in (*OWN_COLUMNS, *texts)]
         roles = replace(

@@ -17,7 +17,6 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.special import digamma, polygamma, stdtr, stdtrit
 
-from stickslip_fit._root import find_root
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.estimation._optimize import RANK_TOL, mean_step_sizes
@@ -175,6 +174,8 @@ def shrink_variances(variance: Array, df: int, max_df: int) -> tuple[Array, floa
     >>> variance.round(2), df
     (array([1.78, 1.78, 1.78]), 6.0)
     """
+    from scipy.optimize import brentq
+
     if len(variance) < MIN_VARIANCES:
         return variance, float(df)
     half = df / 2.0
@@ -183,9 +184,7 @@ def shrink_variances(variance: Array, df: int, max_df: int) -> tuple[Array, floa
     if excess <= polygamma(1, np.exp(MAX_LOG_PRIOR_DF)):
         return np.full(len(variance), np.exp(log.mean())), float(max_df)
     half_prior_df = np.exp(
-        find_root(
-            lambda size: float(polygamma(1, np.exp(size))) - excess, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF, 1e-9
-        )
+        brentq(lambda size: float(polygamma(1, np.exp(size))) - excess, -MAX_LOG_PRIOR_DF, MAX_LOG_PRIOR_DF)
     )
     prior_variance = np.exp(log.mean() + digamma(half_prior_df) - np.log(half_prior_df))
     shrunk = (2.0 * half_prior_df * prior_variance + df * variance) / (2.0 * half_prior_df + df)

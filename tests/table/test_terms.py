@@ -173,3 +173,29 @@ def test_columns_of_very_different_sizes_do_not_stop_a_fit():
     found = ssf.diagnose_table(frame, "y ~ a + b*year", gain=False)
     assert [finding.cause for finding in found.findings] == ["covariate:load"]
     assert rms(found.extended_law().residuals["residual"]) == pytest.approx(0.05, rel=0.15)
+
+
+def test_an_alternative_by_direction_is_signed_before_the_noise_is_filtered():
+    rng = np.random.default_rng(7)
+    n = 300
+    x, way = rng.uniform(0.0, 10.0, n), rng.choice([-1.0, 1.0], n)
+    frame = pd.DataFrame({"t": np.arange(float(n)), "x": x, "way": way})
+    frame["y"] = 1.0 + 0.5 * x + swinging(8, [0.7], n)
+    found = ssf.diagnose_table(frame, "y ~ a + b*x", time="t", direction="way", gain=False)
+    problem = found.selection.problem
+    linearized = problem.linearize()
+    assert linearized.noise_filter is not None
+    (shape, *_) = [one for one in problem.alternatives(linearized) if one.cause == "unknown:x by direction"]
+    functions = shape.version.functions(linearized.columns)
+    expected = linearized.project(linearized.whiten(np.asarray(frame["way"])[:, None] * functions))
+    outside = shape.directions - expected @ np.linalg.lstsq(expected, shape.directions, rcond=None)[0]
+    assert np.abs(outside).max() < 1e-9
+
+
+def test_what_comes_and_goes_slowly_at_irregular_times_gets_a_law():
+    rng = np.random.default_rng(9)
+    t = np.sort(rng.uniform(0.0, 1000.0, 120))
+    y = 5.0 + np.sin(2.0 * np.pi * t / 900.0) + 0.2 * rng.standard_normal(120)
+    found = ssf.diagnose_table(pd.DataFrame({"t": t, "y": y}), "y ~ mean", time="t")
+    assert found.findings[-1].version is not None
+    assert found.gain.extended < 0.5 * found.gain.baseline
