@@ -16,11 +16,11 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.logs.history import previous_rows
 
 AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
@@ -35,25 +35,130 @@ RANK_TOL = 1e-6  # of the square of a direction that rows left out have not dete
 
 
 @dataclass(frozen=True, eq=False)
-class _CalibrationPart:
-    """Directions of the calibration that no sequence connects to others, orthonormal.
+class CalibrationParts:
+    """Parts of a calibration that have equally many directions; P parts, s rows, p directions.
 
     Attributes
     ----------
-    rows : array of int, shape (s,)
-        All rows that they and their neighbours have.
-    basis, diagonal, neighbours : array, shape (s, p)
-        The directions B, D B and (S + S') B, see `Sequences`.
+    rows : array of int, shape (P, s)
+        -1 beyond the last row of a part.
+    basis : array, shape (P, s, p)
+        Zero there.
     """
 
     rows: IntArray
     basis: Array
-    diagonal: Array
-    neighbours: Array
 
-    def filtered(self, coefficient: float) -> Array:
-        """L'L B less B, shape (s, p)."""
-        return coefficient**2 * self.diagonal - coefficient * self.neighbours
+    def orthonormal(self) -> CalibrationParts:
+        """The same directions, orthonormal in each part."""
+        return CalibrationParts(self.rows, self.basis @ _orthonormal_turn(self.basis))
+
+    def take(self, values: Array) -> Array:
+        """Rows of values, (n, k) -> (P, s, k); any row beyond a part's last, where the basis is 0."""
+        return np.asarray(values[self.rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Directions of a calibration, in parts that no sequence connects.
+
+    Attributes
+    ----------
+    stacks : tuple of CalibrationParts
+    shared : array, shape (n, q)
+        Directions that most rows share.
+    """
+
+    stacks: tuple[CalibrationParts, ...]
+    shared: Array
+
+    @classmethod
+    def of(cls, previous: IntArray, basis: csr_array) -> Calibration:
+        """The parts of a basis, shape (n, p), for rows of which each follows another or, if -1, none."""
+        n, every = len(previous), csc_array(basis)
+        is_shared = np.diff(every.indptr) > SHARED_FILL * n
+        own, shared = every[:, ~is_shared].tocoo(), every[:, is_shared].toarray()
+        width, follows = own.shape[1], np.flatnonzero(previous >= 0)
+        edges = np.r_[follows, own.coords[0]], np.r_[previous[follows], n + own.coords[1]]
+        graph = csr_array((np.ones(len(edges[0])), edges), shape=(n + width, n + width))
+        label: IntArray = np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+        own_labels, part = np.unique(label[n:], return_inverse=True)
+        n_rows, n_columns = np.bincount(label[:n], minlength=label.max() + 1)[own_labels], np.bincount(part)
+        row_place, column_place = _rank_within(label[:n]), _rank_within(part)
+        part_of_row = np.full(label.max() + 1, -1)
+        part_of_row[own_labels] = np.arange(len(own_labels))
+        part_of_row = part_of_row[label[:n]]
+        stacks, sizes = [], np.stack([n_columns, np.ceil(np.log2(n_rows)).astype(int)], axis=1)
+        for size in np.unique(sizes, axis=0):
+            inside = np.all(sizes == size, axis=1)
+            place = np.where(inside, np.cumsum(inside) - 1, -1)
+            rows = np.full((int(inside.sum()), int(n_rows[inside].max())), -1)
+            members = np.flatnonzero((part_of_row >= 0) & inside[part_of_row])
+            rows[place[part_of_row[members]], row_place[members]] = members
+            blocks = np.zeros((*rows.shape, int(size[0])))
+            entries = inside[part[own.coords[1]]]
+            row, column = own.coords[0][entries], own.coords[1][entries]
+            blocks[place[part[column]], row_place[row], column_place[column]] = own.data[entries]
+            stacks.append(CalibrationParts(rows, blocks))
+        return cls(tuple(stacks), shared)
+
+    def without(self, place: IntArray) -> Calibration:
+        """Of fewer rows, at their new places; `place` of shape (n + 1,), -1 for the others and at its end."""
+        stacks = []
+        for one in self.stacks:
+            rows = place[one.rows]
+            stacks.append(CalibrationParts(rows, np.where((rows >= 0)[..., None], one.basis, 0.0)))
+        return Calibration(tuple(stacks), self.shared[place[:-1] >= 0])
+
+    def orthonormal(self) -> Calibration:
+        """An orthonormal basis of the same directions."""
+        stacks, shared = tuple(one.orthonormal() for one in self.stacks), self.shared.copy()
+        for one in stacks:
+            along = one.basis @ (one.basis.transpose(0, 2, 1) @ one.take(shared))
+            inside = one.rows >= 0
+            shared[one.rows[inside]] -= along[inside]
+        return Calibration(stacks, shared @ _orthonormal_turn(shared))
+
+    def leverage(self) -> Array:
+        """Square of each row of the basis, shape (n,)."""
+        squares = np.sum(self.shared**2, axis=1)
+        for one in self.stacks:
+            inside = one.rows >= 0
+            squares[one.rows[inside]] += np.sum(one.basis[inside] ** 2, axis=1)
+        return np.asarray(squares)
+
+
+def _rank_within(kinds: IntArray) -> IntArray:
+    """Number of elements of the same kind before each."""
+    order = np.argsort(kinds, kind="stable")
+    first = np.flatnonzero(np.diff(kinds[order], prepend=-1))
+    rank = np.empty(len(kinds), dtype=np.intp)
+    rank[order] = np.arange(len(kinds)) - np.repeat(first, np.diff(first, append=len(kinds)))
+    return rank
+
+
+def _orthonormal_turn(columns: Array) -> Array:
+    """What turns columns, (..., s, p), into an orthonormal basis of their span and zeros; (..., p, p)."""
+    squares, right = np.linalg.eigh(np.swapaxes(columns, -1, -2) @ columns)
+    lengths = np.where(squares > RANK_TOL, np.sqrt(np.maximum(squares, RANK_TOL)), np.inf)
+    return np.asarray(right / lengths[..., None, :])
+
+
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Of directions B in part of the rows, with others C in all; see `Sequences` for D and S.
+
+    Attributes
+    ----------
+    along : array, shape (P, 2 p, s)
+        D B and (S + S') B, transposed.
+    own, cross : array, shape (2, P, p, p) and (2, P, p, q)
+        B' D B and B' (S + S') B, then with C.
+    """
+
+    along: Array
+    own: Array
+    cross: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +172,20 @@ class Sequences:
     ----------
     previous : array of int, shape (n,)
         The row before each row, -1 for the first of a sequence.
-    basis : sparse array, shape (n, p)
-        Of the calibration.
+    calibration : Calibration
+        In parts that no such sequence connects.
     onto : array of bool, shape (n,), or None
         Rows that follow the row before them. None for all, which then are stationary sequences.
     """
 
     previous: IntArray
-    basis: csr_array
+    calibration: Calibration
     onto: BoolArray | None = None
+
+    @classmethod
+    def of(cls, previous: IntArray, basis: csr_array, onto: BoolArray | None = None) -> Sequences:
+        """Sequences and a calibration whose basis has shape (n, p)."""
+        return cls(previous, Calibration.of(previous, basis), onto)
 
     @cached_property
     def before(self) -> IntArray:
@@ -88,105 +198,87 @@ class Sequences:
         return int(np.sum(self.previous < 0)) if self.onto is None else 0
 
     @cached_property
-    def diagonal(self) -> Array:
-        """D, shape (n,)."""
-        successors = np.bincount(self.before[self.before >= 0], minlength=len(self.before)).astype(float)
-        return successors - (self.before < 0) if self.onto is None else successors
+    def _n_after(self) -> Array:
+        """How many rows follow each row, shape (n,)."""
+        return np.bincount(self.before[self.before >= 0], minlength=len(self.before)).astype(float)
 
     @cached_property
-    def _neighbours(self) -> csr_array:
-        n, follows = len(self.before), np.flatnonzero(self.before >= 0)
-        step = csr_array((np.ones(len(follows)), (follows, self.before[follows])), shape=(n, n))
-        return csr_array(step + step.T)
+    def diagonal(self) -> Array:
+        """D, shape (n,)."""
+        return self._n_after - (self.before < 0) if self.onto is None else self._n_after
 
     @cached_property
     def neighbour_squares(self) -> float:
-        """Squared Frobenius norm of (S + S') B: over c^2, the squares that a refit takes off white noise."""
-        return float(np.sum((self._neighbours @ self.basis).data ** 2))
+        """At least the squares that a refit takes off white noise, over c^2: |(S + S') B|^2."""
+        n_neighbours = self._n_after + (self.before >= 0)
+        return 2.0 * float(n_neighbours @ self.calibration.leverage())
+
+    def _add_neighbours(self, rows: IntArray, columns: Array) -> Array:
+        """(S + S') on columns in some rows, which have all of their neighbours; (s, p), 0 in rows -1."""
+        place = np.full(len(self.before) + 1, -1)
+        place[rows] = np.arange(len(rows))
+        place[-1] = -1
+        before = np.where(rows >= 0, place[np.where(rows >= 0, self.before[rows], -1)], -1)
+        after, sums = np.flatnonzero(before >= 0), np.zeros_like(columns)
+        sums[after] = columns[before[after]]
+        sums[before[after]] += columns[after]
+        return sums
 
     @cached_property
-    def _split(self) -> tuple[list[_CalibrationPart], _CalibrationPart]:
-        """Parts of the calibration, and what is shared by all rows."""
-        n, every = len(self.before), csc_array(self.basis)
-        is_shared = np.diff(every.indptr) > SHARED_FILL * n
-        own, shared = csr_array(every[:, ~is_shared]), every[:, is_shared].toarray()
-        neighbours, diagonal = csr_array(self._neighbours @ own), csr_array(diags_array(self.diagonal) @ own)
-        connection = abs(own).T @ (abs(own) + abs(neighbours))
-        _, label = connected_components(connection, directed=False)
-        parts = []
-        inside = csc_array(own), csc_array(diagonal), csc_array(neighbours)
-        for columns in split_positions(label):
-            rows = np.unique(np.concatenate([_entries(one, k)[0] for one in inside for k in columns]))
-            basis, squared, beside = (_take_block(one, rows, columns) for one in inside)
-            turn = _orthonormal_turn(basis)
-            part = _CalibrationPart(rows, basis @ turn, squared @ turn, beside @ turn)
-            shared[rows] -= part.basis @ (part.basis.T @ shared[rows])
-            parts.append(part)
-        shared = shared @ _orthonormal_turn(shared)
-        together = np.arange(n), shared, self.diagonal[:, None] * shared, self._neighbours @ shared
-        return parts, _CalibrationPart(*together)
+    def _products(self) -> tuple[list[_Products], Array, Array]:
+        """Of each stack of parts; what all rows share: D C and (S + S') C, transposed, and C' times both."""
+        calibration = self.calibration.orthonormal()
+        shared = calibration.shared
+        both = self.diagonal[:, None] * shared, self._add_neighbours(np.arange(len(shared)), shared)
+        products = []
+        for one in calibration.stacks:
+            n_parts, n_rows, width = one.basis.shape
+            turned = one.basis.transpose(0, 2, 1)
+            flat = self._add_neighbours(one.rows.ravel(), one.basis.reshape(-1, width))
+            moved = self.diagonal[one.rows][..., None] * one.basis, flat.reshape(n_parts, n_rows, width)
+            along = np.concatenate(moved, axis=2).transpose(0, 2, 1)
+            crosses = np.stack([turned @ one.take(part) for part in both])
+            products.append(_Products(along, np.stack([turned @ part for part in moved]), crosses))
+        return products, np.concatenate(both, axis=1).T, np.stack([shared.T @ part for part in both])
 
     def sum_along(self, residuals: Array) -> list[Array]:
-        """Of each part of the calibration D B and (S + S') B with residuals, (n, k) -> (2 p, k)."""
-        parts, shared = self._split
-        return [
-            np.concatenate([one.diagonal, one.neighbours], axis=1).T @ residuals[one.rows]
-            for one in (*parts, shared)
-        ]
+        """Of each stack D B and (S + S') B with residuals, (n, k) -> (P, 2 p, k); of the shared (2 q, k)."""
+        products, shared, _ = self._products
+        stacks = zip(products, self.calibration.stacks, strict=True)
+        return [*(own.along @ one.take(residuals) for own, one in stacks), shared @ residuals]
 
     def refit(self, coefficient: float) -> CalibrationRefit:
         """The calibration under the correlation of a coefficient."""
-        parts, shared = self._split
+        products, _, together = self._products
+        weight = np.array([coefficient**2, -coefficient])
         solvers, crosses, log_determinant = [], [], 0.0
-        filtered = shared.filtered(coefficient)
-        left = np.eye(shared.basis.shape[1]) + shared.basis.T @ filtered
-        for part in parts:
-            width = part.basis.shape[1]
-            factor = np.linalg.cholesky(np.eye(width) + part.basis.T @ part.filtered(coefficient))
-            solvers.append(np.linalg.solve(factor, _products_of_sums(coefficient, width)))
-            crosses.append(np.linalg.solve(factor, part.basis.T @ filtered[part.rows]))
+        left = np.eye(together.shape[-1]) + np.tensordot(weight, together, 1)
+        for one in products:
+            width = one.own.shape[-1]
+            factor = np.linalg.cholesky(np.eye(width) + np.tensordot(weight, one.own, 1))
+            solvers.append(np.linalg.solve(factor, np.kron(weight, np.eye(width))))
+            cross = np.linalg.solve(factor, np.tensordot(weight, one.cross, 1))
+            crosses.append(cross.reshape(len(factor) * width, len(left)))
             left -= crosses[-1].T @ crosses[-1]
-            log_determinant += 2.0 * float(np.log(factor.diagonal()).sum())
+            log_determinant += 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
         factor = np.linalg.cholesky(left)
         log_determinant += 2.0 * float(np.log(factor.diagonal()).sum())
-        solvers.append(np.linalg.solve(factor, _products_of_sums(coefficient, len(factor))))
+        solvers.append(np.linalg.solve(factor, np.kron(weight, np.eye(len(factor)))))
         crosses = [np.linalg.solve(factor, cross.T) for cross in crosses]
         return CalibrationRefit(solvers, crosses, log_determinant)
 
     def without(self, rows: IntArray) -> Sequences:
         """The sequences of the other rows, which go on after the rows left out."""
         n = len(self.previous)
-        kept, place = np.setdiff1d(np.arange(n), rows), np.full(n + 1, -1)
-        place[kept] = np.arange(len(kept))
         is_out = np.zeros(n + 1, dtype=bool)
         is_out[rows] = True
+        kept, place = np.flatnonzero(~is_out[:n]), np.full(n + 1, -1)
+        place[kept] = np.arange(len(kept))
         previous = self.previous[kept]
         while np.any(inside := is_out[previous]):
             previous = np.where(inside, self.previous[previous], previous)
         onto = None if self.onto is None else self.onto[kept]
-        return Sequences(place[previous], csr_array(self.basis[kept]), onto)
-
-
-def _entries(matrix: csc_array, column: int) -> tuple[IntArray, Array]:
-    """Rows and values of a column."""
-    inside = slice(matrix.indptr[column], matrix.indptr[column + 1])
-    return matrix.indices[inside].astype(np.intp), matrix.data[inside]
-
-
-def _take_block(matrix: csc_array, rows: IntArray, columns: IntArray) -> Array:
-    """Some columns in some rows, which have all of their entries; ten times as fast as scipy's slices."""
-    block = np.zeros((len(rows), len(columns)))
-    for place, column in enumerate(columns):
-        where, values = _entries(matrix, column)
-        block[np.searchsorted(rows, where), place] = values
-    return block
-
-
-def _orthonormal_turn(columns: Array) -> Array:
-    """What turns columns, shape (s, p), into an orthonormal basis of their span, shape (p, q)."""
-    squares, right = np.linalg.eigh(columns.T @ columns)
-    known = squares > RANK_TOL
-    return np.asarray(right[:, known] / np.sqrt(squares[known]))
+        return Sequences(place[previous], self.calibration.without(place), onto)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,21 +329,17 @@ def sum_lags(every: Iterable[Sequences], residuals: Array) -> dict[int, LagSums]
     return sums
 
 
-def _products_of_sums(coefficient: float, width: int) -> Array:
-    """What turns sums as of `Sequences.sum_along` into B' L'L r, shape (p, 2 p)."""
-    return np.concatenate([coefficient**2 * np.eye(width), -coefficient * np.eye(width)], axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrationRefit:
     """A calibration under a correlation.
 
     Attributes
     ----------
-    solvers : list of array, shape (p, 2 p)
-        Of each part, then of what all rows share: sums to B' L'L r, solved by the factor of B' L'L B.
-    crosses : list of array, shape (q, p)
-        What all rows share loses by each part.
+    solvers : list of array, shape (P, p, 2 p); the last (q, 2 q)
+        Of each stack of parts, then of what all rows share: sums to B' L'L r, solved by the factor of
+        B' L'L B.
+    crosses : list of array, shape (q, P p)
+        What all rows share loses by each stack.
     log_determinant : float
         Logarithm of the determinant of B' L'L B.
     """
@@ -264,10 +352,10 @@ class CalibrationRefit:
         """What the refit takes off the sum of squares, shape (k,)."""
         *solved, shared = (one @ along for one, along in zip(self.solvers, sums.along, strict=True))
         squares = np.zeros_like(sums.squares)
-        for cross, own in zip(self.crosses, solved, strict=True):
+        for cross, parts in zip(self.crosses, solved, strict=True):
+            own = parts.reshape(-1, parts.shape[-1])
             squares += np.einsum("ij,ij->j", own, own)
-            if len(shared):
-                shared = shared - cross @ own
+            shared = shared - cross @ own
         return np.asarray(squares + np.einsum("ij,ij->j", shared, shared))
 
 
@@ -325,10 +413,10 @@ def memory_alternatives(linearized: LinearizedFit) -> Iterator[AR1]:
     session = pd.factorize(rows["session"].astype(object))[0]
     for name, group in (("", session), (" of each joint", 10 * session + rows["joint"].to_numpy())):
         before = previous_rows(group.astype(np.int64)).astype(np.intp)
-        both = Sequences(before, linearized.basis)
+        both = Sequences.of(before, linearized.basis)
         yield from (AR1(f"unknown:memory{name}", both, carried) for carried in AR1_COEFFICIENTS)
         for direction, own in (("+", sign > 0), ("-", sign < 0)):
             # Of each direction's noise its own estimate is known, so that the variances need not agree.
-            one_way = Sequences(before, linearized.basis, own)
+            one_way = Sequences(before, both.calibration, own)
             label = f"unknown:memory-by-direction{name}, {direction} only"
             yield from (AR1(label, one_way, carried) for carried in LAG_COEFFICIENTS)

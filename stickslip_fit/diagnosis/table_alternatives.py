@@ -166,7 +166,7 @@ class TableAlternatives:
                 slow = [replace(one, version=term) for one in slow]
             hypotheses += slow
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
-            sequences = Sequences(before, linearized.basis)
+            sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
         periods = sampled_periods(seconds, session) if self.sampled else choose_periods(seconds, session)
         if not len(periods):

@@ -80,7 +80,7 @@ def test_memory_is_judged_by_the_likelihood_of_what_calibration_leaves(rows, lin
         scale2 = along @ np.linalg.solve(inside, along) / len(along)
         return multivariate_normal.logpdf(along, None, scale2 * inside)
 
-    memory = AR1("unknown:memory", Sequences(before, basis, forward if way == "one" else None), carried)
+    memory = AR1("unknown:memory", Sequences.of(before, basis, forward if way == "one" else None), carried)
     sums = sum_lags([memory.sequences], residual[:, None])[id(memory.sequences)]
     found = float(memory.log_evidence(sums, n - basis.shape[1])[0])
     assert found == pytest.approx(best(root @ root.T) - best(np.eye(n)), rel=1e-6)

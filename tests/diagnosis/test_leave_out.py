@@ -53,8 +53,8 @@ def alternatives(study):
         make_hypothesis("unknown:wave", None, None, study.project(waves[:, :1])),
         make_hypothesis("unknown:waves", None, None, study.project(waves)),
         *build_per_session_hypotheses([name], len(rows), sessions, waves[:, None]),
-        AR1("unknown:memory", Sequences(before, study.basis), 0.4),
-        AR1("unknown:memory-by-direction", Sequences(before, study.basis, forward), -0.4),
+        AR1("unknown:memory", Sequences.of(before, study.basis), 0.4),
+        AR1("unknown:memory-by-direction", Sequences.of(before, study.basis, forward), -0.4),
     ]
 
 

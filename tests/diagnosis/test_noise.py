@@ -132,7 +132,7 @@ def test_memory_is_as_large_as_before_recalibration(rows, parts, one_way):
             noise[row] += share * noise[row - 1]
         responses = Prismatic().predict(short, part.values) + NOISE * noise
         linearized = linearize_fit(short, [part], responses, np.full(n, NOISE))
-        sequences = Sequences(before, linearized.basis, onto if one_way else None)
+        sequences = Sequences.of(before, linearized.basis, onto if one_way else None)
         found.append(estimate_ar1_effect(linearized, AR1("unknown:memory", sequences, 0.5)))
     truth = share * np.sqrt(0.5) if one_way else share / np.sqrt(1 - share**2)
     inside = np.mean([each.low <= truth <= each.high for each in found])
@@ -184,7 +184,7 @@ def test_cosines_are_those_of_the_angles_between_spans(rows, linearize):
         [np.linalg.svd(one.directions.T @ other.directions, compute_uv=False)[0] for other in every]
         for one in every
     ]
-    memory = AR1("unknown:memory", Sequences(np.arange(n) - 1, linearized.basis), 0.5)
+    memory = AR1("unknown:memory", Sequences.of(np.arange(n) - 1, linearized.basis), 0.5)
     cosines = compute_cosines([*every, memory], every)
     np.testing.assert_allclose(cosines[:-1], np.minimum(expected, 1.0), atol=1e-12)
     assert not cosines[-1].any()
