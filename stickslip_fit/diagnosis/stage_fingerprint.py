@@ -24,8 +24,11 @@ from stickslip_fit.machine import Machine
 FREE = "free"
 SINGLE = tuple(POWERS)  # of mass is friction's with the sign reversed
 COARSE = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, FRICTION_LIMITED)
+BEYOND = (1.4, 1.7, 2.1)  # of counts that a change may take to the other regime
 REFINEMENTS = 2
+REFITS, FINER = 2, 6  # of the law without the change that fits best, each at ever closer lambdas
 UNLIKELY = 60.0  # deviance beyond the least, in units of the noise, of a lambda that is not looked at
+LARGEST_EXCESS = 6.0  # standard deviations; where the best change leaves more, all lambdas are looked at
 MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
@@ -80,10 +83,24 @@ class Fingerprint:
     fits: tuple[dict[str, ChangeFit], ...]
     df: int
 
+    @classmethod
+    def of(
+        cls, joint: int, direction: str, fits: Mapping[float, dict[str, ChangeFit]], df: int
+    ) -> Fingerprint:
+        """Of fits by lambda."""
+        ratios = sorted(fits)
+        return cls(joint, direction, np.array(ratios), tuple(fits[ratio] for ratio in ratios), df)
+
     @property
     def least(self) -> float:
-        """The deviance that a free change leaves."""
-        return min(fits[FREE].deviance for fits in self.fits)
+        """The deviance that the best change leaves: a free one, or one into the other regime."""
+        return min(fit.deviance for fits in self.fits for fit in fits.values())
+
+    @property
+    def excess(self) -> float:
+        """Deviance that the best of the single changes leaves beyond noise's, in standard deviations."""
+        df = max(self.df, 1)
+        return (min(map(_least, self.fits)) - df) / float(np.sqrt(2.0 * df))
 
     @property
     def spread(self) -> float:
@@ -121,24 +138,54 @@ def fit_changes(
     course : array, shape (n,)
         How far the change is on at each traverse, 1 at most.
     """
-    before: dict[float, LinearizedFit] = {}
 
-    def linearize(ratios: Iterable[float]) -> None:
+    def fit_laws(ratios: Iterable[float], effect: Array) -> dict[float, LinearizedFit]:
+        """The law at each lambda, without an effect."""
+        fits: dict[float, LinearizedFit] = {}
         for laws in laws_by_width(joint, rows, machine, ratios):
-            before.update(_linearize(laws, rows, response - effect, scale))
+            fits.update(_linearize(laws, rows, response - effect, scale))
+        return fits
 
-    linearize(COARSE)
+    before = fit_laws(COARSE, effect)
     for _ in range(REFINEMENTS):
-        linearize(_middles_beside_best(before))
-    ratios = sorted(before)
+        squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+        before.update(fit_laws(_middles_beside_best(squares), effect))
     df = min(at.df for at in before.values()) - 2
-    deviance = np.array([before[ratio].residual @ before[ratio].residual for ratio in ratios])
-    likely = deviance < deviance.min() + UNLIKELY * max(1.0, deviance.min() / max(df, 1))
-    fits = tuple(
-        _fit_all(before[ratio], ratio, response, course) if is_likely else IMPOSSIBLE
-        for ratio, is_likely in zip(ratios, likely, strict=True)
-    )
-    return Fingerprint(joint, direction, np.array(ratios), fits, df)
+    squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+    most = min(squares.values()) + UNLIKELY * max(1.0, min(squares.values()) / max(df, 1))
+    fits = {
+        ratio: _fit_all(at, ratio, response, course) if squares[ratio] < most else IMPOSSIBLE
+        for ratio, at in before.items()
+    }
+    found = Fingerprint.of(joint, direction, fits, df)
+    if found.excess < LARGEST_EXCESS:
+        return found
+    # Of a change that takes some loads from one regime to the other, the finding's effect may be far off, and
+    # with it the lambda that fits best without it.
+    for _ in range(REFITS):
+        before, fits, ratios = {}, {}, [*COARSE, *BEYOND]
+        for _ in range(FINER):
+            before.update(fit_laws(ratios, effect))
+            fits.update({ratio: _fit_all(before[ratio], ratio, response, course) for ratio in ratios})
+            ratios = _middles_beside_best({ratio: _least(own) for ratio, own in fits.items()})
+        effect = _best_effect(before, fits, course)
+    return min(found, Fingerprint.of(joint, direction, fits, df), key=lambda one: one.excess)
+
+
+def _best_effect(
+    before: Mapping[float, LinearizedFit], fits: Mapping[float, dict[str, ChangeFit]], course: Array
+) -> Array:
+    """What the single change that fits best does to each count, shape (n,)."""
+    ratio = min(fits, key=lambda one: _least(fits[one]))
+    name = min(SINGLE, key=lambda one: fits[ratio][one].deviance)
+    (part,) = before[ratio].parts
+    effects = StageEffects(part.law, before[ratio].rows, part.values, ratio)
+    return effects.by(name, fits[ratio][name].size, course)
+
+
+def _least(fits: Mapping[str, ChangeFit]) -> float:
+    """The deviance that the best of the single changes leaves."""
+    return min(fits[name].deviance for name in SINGLE)
 
 
 def _fit_all(at: LinearizedFit, ratio: float, response: Array, course: Array) -> dict[str, ChangeFit]:
@@ -174,10 +221,10 @@ def _linearize(
     }
 
 
-def _middles_beside_best(fits: Mapping[float, LinearizedFit]) -> list[float]:
-    """Middles of the intervals beside the lambda that fits best without the change."""
-    ratios = sorted(fits)
-    best = int(np.argmin([fits[ratio].residual @ fits[ratio].residual for ratio in ratios]))
+def _middles_beside_best(deviance: Mapping[float, float]) -> list[float]:
+    """Middles of the intervals beside the lambda that fits best."""
+    ratios = sorted(deviance)
+    best = int(np.argmin([deviance[ratio] for ratio in ratios]))
     return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import chi2
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import PayloadChange, SessionJump, Wear
@@ -15,7 +16,7 @@ from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_secti
 from stickslip_fit.diagnosis.extension import open_changes
 from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
 from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, order_changes, read_stage
-from stickslip_fit.diagnosis.stage_fingerprint import StageEffects
+from stickslip_fit.diagnosis.stage_fingerprint import StageEffects, fit_changes
 from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.step import step_size
 from stickslip_fit.units import Interval
@@ -48,6 +49,36 @@ def test_a_change_does_to_counts_what_the_closed_form_says(throw_ratio, quantity
     assert effects.unchanged == pytest.approx(np.log(0.012 / before), rel=1e-12)
     change = effects.by(quantity, np.array([np.log(1.1)]), np.ones(len(load)))
     assert change == pytest.approx(np.log(before / after), abs=1e-12)
+
+
+def test_a_change_that_takes_some_loads_into_the_other_regime_is_found():
+    """A ramp 10 % longer takes lambda from 1.375 to 1.136: with the load ahead the slider catches up, else not."""
+    n, rng, noise = 40, np.random.default_rng(1), 0.003
+    load, late = np.tile(np.linspace(-1.0, 1.0, n // 2), 2), np.arange(n) >= n // 2
+    throw, ramp = 1.375 * FRICTION * RAMP**2, np.where(late, 1.1, 1.0) * RAMP
+    steps = 0.012 / step_size(np.full(n, FRICTION), ramp, np.full(n, throw), GRAVITY * load)
+    response = np.log(steps) + noise * rng.standard_normal(n)
+    rows = pd.DataFrame(
+        {"session": "1", "joint": 3, "direction": "+", "q2": -np.pi / 2, "psi": -np.pi / 2}
+        | {
+            "theta": np.arccos(load),
+            "start": 0.0,
+            "stop": 0.012,
+            "steps": np.exp(response),
+            "check_every": 5,
+        },
+        index=range(n),
+    )
+    jump = np.where(late, response[late].mean() - response[~late].mean(), 0.0)
+    scale, course = np.full(n, noise), late.astype(float)
+    found = fit_changes(3, "+", rows, ssf.load_machine(), response, jump, scale, course)
+    best, ratio = min(
+        zip(found.fits, found.ratios, strict=True), key=lambda one: one[0]["ramp time"].deviance
+    )
+    assert ratio == pytest.approx(1.375, abs=0.03)
+    assert best["ramp time"].deviance < chi2.ppf(0.999, n - 4)
+    assert np.exp(best["ramp time"].size[0]) == pytest.approx(1.1, abs=0.005)
+    assert min(fits["friction"].deviance for fits in found.fits) > best["ramp time"].deviance + 30
 
 
 CASES = {  # change: quantities that it may be, what it is called
