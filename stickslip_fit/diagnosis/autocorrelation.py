@@ -29,6 +29,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
+SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
@@ -247,7 +248,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     likelihood = _RestrictedLikelihood(linearized, border, sample)
     best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
     start, without_gain = np.zeros(0), 0
-    for _ in range(min(MAX_ORDER, linked // ROWS_PER_ORDER)):
+    for _ in range(min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER))):
         start = likelihood.maximize(np.append(start, 0.0))
         value = likelihood.criterion(start)
         if value < best:

@@ -46,7 +46,7 @@ from stickslip_fit.logs.history import previous_rows
 DIRECTION_TOL = 1e-3  # of the largest singular value
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
-MIN_CYCLES = 10.0  # of a periodic disturbance in a session of a sampled signal
+MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
