@@ -37,6 +37,7 @@ MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting ch
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
+SINGULAR = 1e12  # nats, for coefficients under which the law's parameters are not known
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
 MIN_SAMPLED = 30  # rows that do
@@ -325,7 +326,10 @@ class _RestrictedLikelihood:
         options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:
-            return self.negative_log(np.tanh(z))
+            try:
+                return self.negative_log(np.tanh(z))
+            except np.linalg.LinAlgError:  # so close to a unit root that nothing of a parameter is left
+                return SINGULAR
 
         bounds = [(-limit, limit)] * len(start)
         result = minimize(

@@ -17,7 +17,7 @@ from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_au
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.mean_structure import criterion, whiten
 
-N_FINER = 41  # periods between the two neighbours of the best of a grid
+OVERSAMPLING, N_FINER = 4, 21  # frequencies for each of the signal's own; about the best of them
 MIN_ADVANTAGE = 6.0  # nats beyond what the criterion asks for
 MAX_WITHOUT_GAIN = 2  # harmonics in a row that do not raise the criterion, after which none is tried
 FASTEST = 2.5  # samples for each period of a wave that is looked for
@@ -35,7 +35,7 @@ def count_harmonics(period: float, interval: float, most: int) -> int:
 
 
 def find_period(
-    linearized: LinearizedFit, effects: Array, sample: IntArray, seconds: Array, periods: Array
+    linearized: LinearizedFit, effects: Array, sample: IntArray, seconds: Array, longest: float
 ) -> tuple[float, int]:
     """The strict period of a signal, and how many harmonics its wave has, the first being the wave itself.
 
@@ -48,8 +48,8 @@ def find_period(
     sample : array of int, shape (n,)
         See `Autocorrelation`.
     seconds : array, shape (n,)
-    periods : array, shape (p,)
-        A grid, evenly in frequency.
+    longest : float
+        Period, in the unit of `seconds`.
 
     Returns
     -------
@@ -58,14 +58,22 @@ def find_period(
     harmonics : int
         0 there.
     """
-    if not len(periods):
-        return float("nan"), 0
     interval = float(np.median(np.diff(seconds)))
-    step = 1.0 / periods.max() if len(periods) == 1 else float(np.abs(np.diff(1.0 / periods)).max())
+    length = OVERSAMPLING * (int(np.ptp(sample)) + 1)
+    rates = np.fft.rfftfreq(length, interval)
+    allowed = np.flatnonzero((rates > 1.0 / longest) & (rates < 1.0 / (FASTEST * interval)))
+    if not len(allowed):
+        return float("nan"), 0
     independent = Autocorrelation(sample, None)
 
     def wave(period: float, number: int) -> Array:
         return linearized.project(linearized.whiten(harmonics(seconds, period, number)))
+
+    def strongest_rate(noise: Autocorrelation) -> float:
+        """Of the periodogram under some noise: a wave is filtered as what it explains is."""
+        series = np.zeros(length)
+        series[sample - sample.min()] = whiten(linearized.residual[:, None], noise)[:, 0]
+        return float(rates[allowed[np.argmax(np.abs(np.fft.rfft(series)[allowed]))]])
 
     def search(around: Array, noise: Autocorrelation, most: int) -> float:
         """The period whose wave explains most of what the law leaves, under some noise."""
@@ -77,8 +85,8 @@ def find_period(
         return float(around[int(np.argmax(explained))])
 
     def finer(period: float) -> Array:
-        rates = 1.0 / period + np.linspace(-step, step, N_FINER)
-        return 1.0 / rates[rates > 0]
+        around = 1.0 / period + rates[1] * np.linspace(-1.0, 1.0, N_FINER)
+        return 1.0 / around[around > 0]
 
     def judge(period: float, number: int) -> tuple[float, Autocorrelation]:
         """What the criterion says of a wave, and the noise beside it."""
@@ -87,14 +95,14 @@ def find_period(
         return criterion(linearized, mean, noise) - number * float(np.log(len(sample))), noise
 
     without = Autocorrelation(sample, None, estimate_autoregression(linearized, effects, sample))
-    least = criterion(linearized, effects, without) + np.log(len(periods) * N_FINER) + MIN_ADVANTAGE
+    least = criterion(linearized, effects, without) + np.log(len(allowed)) + MIN_ADVANTAGE
     best, found = float(least), None
     # Slow noise hides a wave among independent values, and noise that swings takes it into itself. Of a wave
     # with harmonics, one of them may be the strongest.
     for under in (independent, without):
-        strongest = search(finer(search(periods, under, 1)), under, 1)
+        strongest = search(finer(1.0 / strongest_rate(under)), under, 1)
         for period in (strongest, 2.0 * strongest):
-            highest = count_harmonics(period, interval, N_HARMONICS) if period <= periods.max() else 0
+            highest = count_harmonics(period, interval, N_HARMONICS) if period < longest else 0
             without_gain = 0
             for number in range(1, highest + 1):
                 value, noise = judge(period, number)

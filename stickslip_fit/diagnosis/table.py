@@ -38,10 +38,10 @@ from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import (
+    MIN_CYCLES,
     TableAlternatives,
     leading_directions,
     response_columns,
-    sampled_periods,
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
@@ -295,8 +295,8 @@ def _find_wave(
     if problem.rows["session"].nunique() > 1:
         return None
     seconds = problem.rows["session_seconds"].to_numpy(float)
-    periods = sampled_periods(seconds, np.zeros(len(seconds), dtype=np.intp))
-    period, harmonics = find_period(linearized, effects, sample, seconds, periods)
+    longest = float(seconds.max()) / MIN_CYCLES
+    period, harmonics = find_period(linearized, effects, sample, seconds, longest)
     if not harmonics:
         return None
     size = table_library.TRIAL_SHARE * float(np.std(problem.responses))

@@ -86,3 +86,10 @@ def test_noise_that_persists_is_no_structure(carried):
         y = lfilter([1.0], [1.0, -carried], rng.standard_normal(n + 300))[-n:]
         alarms += bool(names(diagnose(y - y.mean(), np.arange(n), seed=seed)))
     assert alarms == 0
+
+
+def test_coefficients_near_a_unit_root_are_no_reason_to_fail():
+    """A sine without noise: the likelihood grows towards roots on the unit circle, where it cannot be computed."""
+    t = np.arange(300.0)
+    found = diagnose(np.sin(2 * np.pi * t / 50) + 1e-6 * np.random.default_rng(9).standard_normal(300), t)
+    assert names(found)[:1] == ["periodic-in-time"]
