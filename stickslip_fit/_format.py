@@ -359,6 +359,8 @@ def format_measured(interval: Interval, unit: str = "") -> str:
     --------
     >>> format_measured(Interval(-0.51234, -0.55, -0.47), "N s/m"), format_measured(Interval(2.0, 1.0, 3.0))
     ('−0.512 N s/m', '2.0')
+    >>> format_measured(Interval(0.0021, 0.0, 0.9))  # a size is never shown as 0
+    '0.002'
     """
     power, decimals = _common_scale(interval)
     if not isfinite(interval.estimate):
@@ -389,7 +391,9 @@ def _common_scale(interval: Interval) -> tuple[int, int]:
     half = abs(interval.high - interval.low) / 2
     if not isfinite(half) or half <= 0:
         return power, SIGNIFICANT_DIGITS - 1 - power
-    return power, 1 - floor(log10(half))
+    is_size = isfinite(interval.estimate) and interval.low >= 0
+    least = -_power_of(interval.estimate) if is_size else 0
+    return power, max(1 - floor(log10(half)), least)
 
 
 def _power_of(value: float) -> int:

@@ -211,7 +211,7 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     if getattr(finding.version, "sentence", ""):
         text = finding.version.describe(finding.parameters)
-        return text if finding.parameters else f"{text}, by {format_size(finding.effect.estimate, table)} rms"
+        return text if finding.parameters else f"{text}, by {_format_rms(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
     source = getattr(finding.version, "source", None)
     if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
@@ -219,7 +219,7 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"
-    return f"{phrase}, by {format_size(finding.effect.estimate, table)} rms"
+    return f"{phrase}, by {_format_rms(finding, table)}"
 
 
 def _largest(finding: Finding, table: TableInfo) -> str:
@@ -256,21 +256,40 @@ def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) 
 def _describe_shape(finding: Finding, table: TableInfo) -> str:
     if finding.version is not None:
         return _describe_proposal(finding, table)
+    if finding.withdrawn:
+        first, *others = (_describe_withdrawn(one, table) for one in finding.withdrawn)
+        return ". Besides that: ".join([first, *map(lower_first, others)])
     text = (
-        f"What the law leaves of {table.response}, {format_size(finding.effect.estimate, table)} rms, "
+        f"What the law leaves of {table.response}, {_format_rms(finding, table)}, "
         f"{describe_table_carrier(finding.carrier)}, and has the shape of no cause that was searched"
     )
-    if finding.note:
-        return f"{text}; {finding.note}"
     if not finding.closest or finding.share < MIN_SHARE:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
 
 
+def _describe_withdrawn(finding: Finding, table: TableInfo) -> str:
+    """What fits best but is not named, with the reason, without a full stop."""
+    assert finding.gain is not None
+    after, before = (format_size(error, table) for error in (finding.gain.extended, finding.gain.baseline))
+    return (
+        f"{describe_table_effect(finding, table)}: of all that was searched this fits best "
+        f"(p {format_p_value(finding.p_value, relation=True)}), but held-out rows are not predicted better "
+        f"with it ({after}, without it {before}), so that {finding.cause} is not named"
+    )
+
+
+def _format_rms(finding: Finding, table: TableInfo) -> str:
+    """The size of an effect in a sentence; where its estimate is 0, the most that it may be."""
+    if finding.effect.estimate > 0:
+        return f"{format_size(finding.effect.estimate, table)} rms"
+    return f"at most {format_size(finding.effect.high, table)} rms"
+
+
 def _describe_proposal(finding: Finding, table: TableInfo) -> str:
     """What is put into the law for structure without a name, without a full stop."""
-    size = format_size(finding.effect.estimate, table)
-    follows = f"{table.response} {describe_table_carrier(finding.carrier)} by {size} rms beyond the law"
+    size = _format_rms(finding, table)
+    follows = f"{table.response} {describe_table_carrier(finding.carrier)} by {size} beyond the law"
     text = f"{follows}, as no cause that was searched does"
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if finding.term:
@@ -347,7 +366,7 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     rows = tuple(
         (
             finding.cause,
-            format_measured(finding.effect),
+            _format_effect(finding.effect),
             format_measured_range(finding.effect),
             format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or MISSING,
@@ -364,6 +383,10 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     ]
     found = Table("What is wrong", columns, rows, note=note)
     return [found, *_parameter_tables(diagnosis.findings), *outliers]
+
+
+def _format_effect(effect: Interval) -> str:
+    return format_measured(effect) if effect.estimate > 0 else f"< {format_significant(effect.high, 2)}"
 
 
 def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:

@@ -125,12 +125,11 @@ def describe_shape(finding: Finding) -> str:
     """What structure without a name does, without a full stop."""
     if finding.version is not None:
         return _describe_proposal(finding)
-    text = (
-        f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
-        f"{describe_carrier(finding.carrier)}, and has the shape of no known cause"
-    )
-    if finding.note:
-        return f"{text}; {finding.note}"
+    left = f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
+    if finding.withdrawn:
+        best = join_words([one.cause for one in finding.withdrawn])
+        return f"{left}is described best by {best}; {finding.note}"
+    text = f"{left}{describe_carrier(finding.carrier)}, and has the shape of no known cause"
     if not finding.closest:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"

@@ -92,6 +92,8 @@ class Finding:
         For outlying counts: those rows, with `departure` (relative) from the law.
     note : str
         For ``unknown``: the causes that are not named, and why.
+    withdrawn : tuple of Finding
+        For ``unknown``: those causes as they were found; the effect is then that of the first.
     together_with : tuple of str
         Other causes without which this one would not have been found.
     term : str
@@ -113,6 +115,7 @@ class Finding:
     carrier: str = ""
     traverses: pd.DataFrame | None = None
     note: str = ""
+    withdrawn: tuple[Finding, ...] = ()
     together_with: tuple[str, ...] = ()
     term: str = ""
     explains: Mapping[str, float] = field(default_factory=dict)

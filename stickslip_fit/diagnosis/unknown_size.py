@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -60,21 +61,12 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     best = misfit.best_hypothesis(UNKNOWN)
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
-    squares = float(shape @ shape)
     if isinstance(best, AR1):
         effect = estimate_ar1_effect(replace(linearized, residual=residual), best).times(
             _rms(linearized.scale)
         )
     else:
         effect = _size_structure(selection, selected, shape, alpha)
-    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
-    closest = max(known, key=lambda cause: known[cause]) if known else ""
-    explains = {
-        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
-        for cause in known
-        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
-    }
-    share = explains.get(closest, 0.0)
     size = np.abs(shape)
     joints = joints_of_laws(
         part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
@@ -90,11 +82,27 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         joints,
         effect,
         (),
-        closest=closest,
-        share=share,
         carrier=carrier,
-        explains=explains,
+        **_compare_causes(misfit, shape),
     )
+
+
+def compare_causes(misfit: Misfit, cause: str) -> dict[str, Any]:
+    """How all causes compare with the likeliest shape of one of them, as attributes of a `Finding`."""
+    return _compare_causes(misfit, _shrink_structure(misfit.best_hypothesis(cause), misfit.residual))
+
+
+def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
+    """Of structure `shape`, (n,), whitened: the share that each cause explains, and the likeliest cause."""
+    squares = float(shape @ shape)
+    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
+    explains = {
+        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+        for cause in known
+        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
+    }
+    closest = max(known, key=lambda cause: known[cause]) if known else ""
+    return {"closest": closest, "share": explains.get(closest, 0.0), "explains": explains}
 
 
 @dataclass(frozen=True, eq=False)
