@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtr
 
 from stickslip_fit._format import (
     MISSING,
@@ -37,6 +38,7 @@ from stickslip_fit.diagnosis._summary import (
 from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
+from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.units import Interval
@@ -46,6 +48,7 @@ MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 FEW_VALUES = 50  # independent ones
 MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
 SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
+RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 CARRIER_PHRASES = {
@@ -195,11 +198,24 @@ def _describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     left = linearized.unwhiten(linearized.residual)
     numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
     named = join_words([f"row {numbers[row]} ({_signed(float(left[row]))})" for row in far])
-    largest = format_significant(float(np.abs(size[far]).max()), 2)
+    largest = float(np.abs(size[far]).max())
     return [
-        f"Check {named}: up to {largest} standard deviations off, by the scatter of the others. Noise with "
-        f"heavy tails leaves such a value of {table.response} now and then, so that nothing is set aside."
+        f"Check {named}: up to {format_significant(largest, 2)} standard deviations off, by the scatter of "
+        f"the others. {_describe_rarity(largest, table, diagnosis.alpha)}, so that nothing is set aside."
     ]
+
+
+def _describe_rarity(size: float, table: TableInfo, alpha: float) -> str:
+    """How often noise leaves a value so many robust standard deviations off, without a full stop."""
+    deviation = size / MEDIAN_OF_NORMAL * UNIT_MEDIAN
+    tables = 1.0 / max(2.0 * table.rows * float(stdtr(TAIL_DF, -deviation)), 1.0 / MAX_TABLES)
+    if tables < RARE_TABLES:
+        return f"Noise with heavy tails leaves such a value of {table.response} now and then"
+    count = f"1 of {float(f'{tables:.2g}'):,.0f}" if tables < MAX_TABLES else "fewer than 1 of 1,000,000"
+    return (
+        f"Even noise with heavy tails (Student t, {TAIL_DF:g} df) leaves such a value of {table.response} in "
+        f"only {count} tables, but p over all that was tested is not below {alpha:g}"
+    )
 
 
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:
