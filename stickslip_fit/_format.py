@@ -333,6 +333,39 @@ def keep_units(text: str) -> str:
     return _KEPT_TOGETHER.sub(NO_BREAK_SPACE, text)
 
 
+# Units of long times: name, seconds, and from how many of it on it is used.
+_LONG_TIMES = (("years", 365.25 * 86_400.0, 2.0), ("days", 86_400.0, 3.0), ("h", 3_600.0, 2.0))
+
+
+def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
+    """The unit in which a time is read most easily, and how many of the given unit it is.
+
+    Only seconds are changed: any other unit was chosen by somebody.
+
+    Examples
+    --------
+    >>> choose_time_unit(90.0, "s"), choose_time_unit(86_430.0, "s"), choose_time_unit(1e6, "min")
+    (('s', 1.0), ('h', 3600.0), ('min', 1.0))
+    """
+    if unit == "s":
+        for name, seconds, least in _LONG_TIMES:
+            if abs(value) >= least * seconds:
+                return name, seconds
+    return unit, 1.0
+
+
+def format_duration(value: float, unit: str, digits: int = 3) -> str:
+    """A time in the unit in which it is read most easily.
+
+    Examples
+    --------
+    >>> format_duration(86_430.0, "s"), format_duration(1.55e7, "s"), format_duration(5.0, "rows")
+    ('24.0 h', '179 days', '5.00 rows')
+    """
+    name, size = choose_time_unit(value, unit)
+    return f"{format_significant(value / size, digits)} {name}"
+
+
 SIGNIFICANT_DIGITS = 3
 POWERS_SHOWN = range(-3, 6)  # of ten, of numbers that are written without one
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

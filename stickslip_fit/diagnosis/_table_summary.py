@@ -16,6 +16,8 @@ from scipy.special import stdtr
 from stickslip_fit._format import (
     MISSING,
     capitalize_first,
+    choose_time_unit,
+    format_duration,
     format_measured,
     format_measured_range,
     format_p_value,
@@ -25,7 +27,8 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
-from stickslip_fit.causes.roles import ROW_NUMBER
+from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis._summary import (
     describe_untestable,
@@ -41,20 +44,19 @@ from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import Interval
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.units import Interval, TableUnit
 
 MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
-FEW_VALUES = 50  # independent ones
+FEW_VALUES, TOO_FEW_VALUES = 50, 5  # independent ones: to tell structure from noise; to judge a law by
 MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
 SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
-CARRIER_PHRASES = {
-    "time": "changes slowly with time, in each session in its own way",
-    "time, the same in each session": "changes slowly with time, in all sessions alike",
-}
+TIMES = ("tau", "moment")  # parameters of generic causes
+TO_SOME_EXTENT = " to some extent"
 
 
 @summarize.register
@@ -67,7 +69,7 @@ def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
 
 def summarize_table_diagnosis(diagnosis: Diagnosis, table: TableInfo) -> Summary:
     """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
-    name = Path(table.file).name or "a table that was never in a file"
+    name = Path(table.file).name or f"{table.response} over {pluralize(table.rows, 'row')}"
     source = f"sha256 {table.sha256}" if table.sha256 else "no hash"
     return Summary(
         f"Diagnosis of {name}",
@@ -123,11 +125,47 @@ def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
             *(_describe_side_effect(finding, table) for finding in others),
             _describe_gain(diagnosis, table),
         ]
-    return [*sentences, *diagnosis.notes, describe_independence(table)]
+    flags = _flag_law(diagnosis, table)
+    return [*flags, *sentences, *diagnosis.notes, describe_independence(table, diagnosis.findings)]
 
 
-def describe_independence(table: TableInfo) -> str:
-    """How many independent values a table has, as a sentence.
+def _flag_law(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
+    """That the law predicts no better than a constant, as a sentence; none where it does.
+
+    Its parameters count as in the adjusted coefficient of determination, which is then below 0.
+    """
+    if not np.isfinite(diagnosis.repeatability) or _is_too_small(table) or _is_constant(diagnosis):
+        return []
+    linearized = diagnosis.selection.problem.linearize()
+    if diagnosis.misfit**2 * (len(linearized) - 1) <= table.response_sd**2 * linearized.df:
+        return []
+    left, scatter = (format_size(size, table) for size in (diagnosis.misfit, table.response_sd))
+    in_order = ", and whether the rows stand in the order of measurement" * (table.roles.get("time") == ORDER)
+    return [
+        f"The fitted law leaves {left} rms where the values of {table.response} themselves scatter by "
+        f"{scatter}, so that it is no better than their mean: check the law and its start values{in_order}."
+    ]
+
+
+def _is_too_small(table: TableInfo) -> bool:
+    """Whether so few values count as independent that no law can be judged by them."""
+    return table.is_correlated and round(table.independent) <= TOO_FEW_VALUES
+
+
+def _is_constant(diagnosis: Diagnosis) -> bool:
+    """Whether the law has one value in each session: that of autocorrelated noise is not the mean."""
+    problem = diagnosis.selection.problem
+    return all(
+        np.ptp(part.law.predict(problem.rows.iloc[rows], part.values[inside])) == 0
+        for part in problem.parts
+        for block in np.unique(part.block)
+        for inside in [part.block == block]
+        for rows in [part.rows[inside]]
+    )
+
+
+def describe_independence(table: TableInfo, findings: Sequence[Finding] = ()) -> str:
+    """How many independent values a table has beside what was found, as a sentence.
 
     Examples
     --------
@@ -136,18 +174,26 @@ def describe_independence(table: TableInfo) -> str:
     >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
     'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
     """
+    if not table.is_correlated and any(one.carrier == "memory" for one in findings):
+        return (
+            f"All {table.rows:,} values of {table.response} count as independent: what carries over from one "
+            "row to the next counts as found, not as noise."
+        )
     if not table.is_correlated:
         return (
             f"The noise of the {table.rows:,} values of {table.response} shows no autocorrelation: "
             "all count as independent."
         )
+    swing = ""
+    if np.isfinite(table.noise_period):
+        period = format_duration(table.noise_period, table.time_unit)
+        swing = f"swings with a period of about {period}: what repeats so passes for noise"
+    if swing and round(table.independent) == table.rows:
+        return f"The noise of the {table.rows:,} values of {table.response} {swing}."
     span = f"{format_significant(table.correlation_rows, 2)} rows"
     if np.isfinite(table.correlation_time) and table.time_unit != "rows":
-        span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
-    warnings = ""
-    if np.isfinite(table.noise_period):
-        period = f"{format_significant(table.noise_period)} {table.time_unit}"
-        warnings += f" It swings with a period of about {period}: what repeats so passes for noise."
+        span += f" ({format_duration(table.correlation_time, table.time_unit)})"
+    warnings = f" It {swing}." if swing else ""
     if table.independent < FEW_VALUES:
         warnings += " What changes as slowly as that passes for noise: a longer record would tell them apart."
     return (
@@ -159,6 +205,13 @@ def describe_independence(table: TableInfo) -> str:
 def _describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
     if not np.isfinite(diagnosis.repeatability):
         return f"Nothing can be said of this table: {diagnosis.untestable[UNKNOWN]}."
+    if _is_too_small(table):
+        return (
+            "This table cannot show whether anything is wrong: with noise that persists so long, its "
+            f"{table.rows:,} values of {table.response} tell as much as {max(round(table.independent), 1)}, "
+            f"too few to judge the law by. It leaves {format_size(diagnosis.misfit, table)} rms "
+            f"(p {format_p_value(diagnosis.p_value, relation=True)})."
+        )
     return (
         f"Nothing is wrong that this table can show: the law leaves {format_size(diagnosis.misfit, table)} "
         f"rms of {table.response}, as noise alone would "
@@ -176,7 +229,7 @@ def _describe_nearest(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
         what = name_cause(cause, diagnosis)
     else:
         carrier = misfit.best_hypothesis(UNKNOWN).cause.removeprefix(f"{UNKNOWN}:")
-        what = f"{table.response} {describe_table_carrier(carrier)} beyond the law"
+        what = f"{table.response} {describe_table_carrier(carrier, table)} beyond the law"
     return [
         f"Closest to an alarm, which needs p < {diagnosis.alpha:g}: {what}. More rows, or replicates of "
         "these, would show whether it is there."
@@ -195,13 +248,19 @@ def _describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     far = far[np.abs(size[far]) > SUSPECT_SD]
     if not len(far):
         return []
-    left = linearized.unwhiten(linearized.residual)
+    left, foretold = linearized.residual * linearized.scale, ""
+    if (
+        linearized.noise_filter is not None
+    ):  # whose rows give the departure from what the rows before foretell
+        left = left / linearized.noise_filter.diagonal()
+        foretold = " what the rows before foretell"
     numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
     named = join_words([f"row {numbers[row]} ({_signed(float(left[row]))})" for row in far])
     largest = float(np.abs(size[far]).max())
     return [
-        f"Check {named}: up to {format_significant(largest, 2)} standard deviations off, by the scatter of "
-        f"the others. {_describe_rarity(largest, table, diagnosis.alpha)}, so that nothing is set aside."
+        f"Check {named}: up to {format_significant(largest, 2)} standard deviations off{foretold}, by the "
+        f"scatter of the others. {_describe_rarity(largest, table, diagnosis.alpha)}, so that nothing is set "
+        "aside."
     ]
 
 
@@ -226,16 +285,32 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     if getattr(finding.version, "sentence", ""):
-        text = finding.version.describe(finding.parameters)
+        text = finding.version.describe(show_times(finding))
         return text if finding.parameters else f"{text}, by {_format_rms(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
     source = getattr(finding.version, "source", None)
     if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
         phrase = f"{capitalize_first(finding.cause)}: {lower_first(phrase)}"
-    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in show_times(finding)]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"
     return f"{phrase}, by {_format_rms(finding, table)}"
+
+
+def show_times(finding: Finding) -> tuple[SizedParameter, ...]:
+    """The parameters of a finding, times in the unit in which they are read most easily."""
+    unit = getattr(finding.version, "time_unit", "")
+    shown = []
+    for one in finding.parameters:
+        if one.name in TIMES:
+            name, size = choose_time_unit(one.size.estimate, unit)
+            one = one.times(1.0 / size, TableUnit(name))
+        elif unit == "s" and one.unit.endswith("/s") and hasattr(finding.version, "longest"):
+            name, size = choose_time_unit(finding.version.longest, unit)
+            per = name if size == 1.0 else name.removesuffix("s")
+            one = one.times(size, TableUnit(one.unit.removesuffix(unit) + per))
+        shown.append(one)
+    return tuple(shown)
 
 
 def _largest(finding: Finding, table: TableInfo) -> str:
@@ -243,20 +318,30 @@ def _largest(finding: Finding, table: TableInfo) -> str:
     return format_size(float(finding.traverses["departure"].abs().max()), table)
 
 
-def describe_table_carrier(carrier: str) -> str:
+def describe_table_carrier(carrier: str, table: TableInfo) -> str:
     """What unknown structure does, as the end of a sentence.
 
     Examples
     --------
-    >>> describe_table_carrier("temperature"), describe_table_carrier("memory")
-    ('follows temperature', 'carries over from one row to the next')
+    >>> table = TableInfo("F", "N", 1.0, 600, 600.0, roles={"time": "t", "group": "Lot"})
+    >>> describe_table_carrier("time", table), describe_table_carrier("memory", table)
+    ('changes slowly with time', 'carries over from one row to the next')
+    >>> describe_table_carrier("group", table), describe_table_carrier("covariate:T to some extent", table)
+    ('follows Lot', 'follows T to some extent')
     """
-    if carrier.startswith("period"):
+    if carrier.startswith("period of "):
         return f"comes and goes with a {carrier}"
-    if carrier.startswith("memory"):
+    if carrier == "memory":
         return "carries over from one row to the next"
-    name = "what the law predicts" if carrier == PREDICTION else carrier
-    return CARRIER_PHRASES.get(carrier, f"follows {name}")
+    if carrier in ("time", "time, the same in each session") and table.roles.get("time"):
+        ways = ", in each session in its own way" if carrier == "time" else ", in all sessions alike"
+        return f"changes slowly with time{ways if table.roles.get('session') else ''}"
+    if carrier.endswith(TO_SOME_EXTENT) and not carrier.startswith(COVARIATE_PREFIX):
+        return f"has something of {carrier.removesuffix(TO_SOME_EXTENT)}"
+    name, _, opposite = carrier.partition(" by direction")
+    names = {PREDICTION: "what the law predicts", "group": table.roles.get("group") or "group"}
+    way = ", oppositely in the two directions" if opposite or carrier != name else ""
+    return f"follows {names.get(name, name).removeprefix(COVARIATE_PREFIX)}{way}"
 
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) -> str:
@@ -277,7 +362,7 @@ def _describe_shape(finding: Finding, table: TableInfo) -> str:
         return ". Besides that: ".join([first, *map(lower_first, others)])
     text = (
         f"What the law leaves of {table.response}, {_format_rms(finding, table)}, "
-        f"{describe_table_carrier(finding.carrier)}, and has the shape of no cause that was searched"
+        f"{describe_table_carrier(finding.carrier, table)}, and has the shape of no cause that was searched"
     )
     if not finding.closest or finding.share < MIN_SHARE:
         return text
@@ -305,12 +390,12 @@ def _format_rms(finding: Finding, table: TableInfo) -> str:
 def _describe_proposal(finding: Finding, table: TableInfo) -> str:
     """What is put into the law for structure without a name, without a full stop."""
     size = _format_rms(finding, table)
-    follows = f"{table.response} {describe_table_carrier(finding.carrier)} by {size} beyond the law"
+    follows = f"{table.response} {describe_table_carrier(finding.carrier, table)} by {size} beyond the law"
     text = f"{follows}, as no cause that was searched does"
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if finding.term:
         return f"{text}; a term is proposed: {', '.join([finding.term, *sizes])}"
-    wave = "wave" if finding.carrier.startswith("period") else "smooth function of it"
+    wave = "wave" if finding.carrier.startswith("period of ") else "smooth function of it"
     return f"{text}; a {wave} is proposed"
 
 
@@ -421,7 +506,7 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
         )
         for finding in findings
         if finding.traverses is None
-        for parameter in finding.parameters
+        for parameter in show_times(finding)
     ]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]

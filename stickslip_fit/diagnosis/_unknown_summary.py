@@ -294,20 +294,22 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
 
 
 def describe_company(finding: Finding) -> str:
-    """With which other causes a finding was found, as the end of a sentence; empty where it shows alone.
+    """With which other causes a finding was found, as the end of a sentence; empty where it needs none.
+
+    Each may show alone, where another cause, or structure without a name, describes the data better.
 
     Examples
     --------
     >>> from stickslip_fit.units import Interval
     >>> size = Interval(0.01, 0.0, 0.02)
     >>> describe_company(Finding("drift", None, (), 0.001, (3,), size, (), together_with=("wear",)))
-    '; found together with wear: neither shows alone'
+    '; found together with wear: neither is the likeliest alone'
     """
     others = finding.together_with
     if not others:
         return ""
-    alone = "neither shows" if len(others) == 1 else "none of them shows"
-    return f"; found together with {join_words(others)}: {alone} alone"
+    alone = "neither" if len(others) == 1 else "none of them"
+    return f"; found together with {join_words(others)}: {alone} is the likeliest alone"
 
 
 def explains_tables(diagnosis: Diagnosis) -> list[Table]:

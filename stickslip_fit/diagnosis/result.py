@@ -56,7 +56,7 @@ class Diagnosis(Summarized):
     p_value : float
         Of the whole search; `misfit` says how it is computed.
     misfit : float
-        Rms residual of the baseline, relative.
+        Rms residual of the baseline, relative; outliers are left out.
     repeatability : float
         Repeatability standard deviation, relative; rms over the rows.
     inclusion : dict of str to float or None
