@@ -326,7 +326,7 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     """Testable causes, likeliest first: name, probability, log10 of the Bayes factor against noise alone.
 
     The Bayes factor is that of the test in which the cause was selected, or else of the last one; unknown
-    structure has that of the cause that is not named for it.
+    structure has that of the cause that it is most like, if that is not named.
     """
     evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
     withdrawn = [one.cause for finding in diagnosis.findings for one in finding.withdrawn]
@@ -334,8 +334,8 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
         if selected.misfit is not None:
             own = selected.misfit.log_evidence_by_cause
             names = (selected.cause, *selected.cause_set.rivals)
-            if selected.cause == UNKNOWN and withdrawn:
-                own = own | {UNKNOWN: own[withdrawn[0]]}
+            if selected.cause == UNKNOWN and selected.version is None:
+                own = own | {UNKNOWN: max(own.values())}
                 names = (UNKNOWN, *withdrawn)
             evidence |= {cause: own[cause] for cause in names if cause in own}
     probability = {cause: value for cause, value in diagnosis.inclusion.items() if value is not None}

@@ -40,7 +40,7 @@ from stickslip_fit.diagnosis._summary import (
 )
 from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
-from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -56,7 +56,6 @@ RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a valu
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 TIMES = ("tau", "moment")  # parameters of generic causes
-TO_SOME_EXTENT = " to some extent"
 
 
 @summarize.register
@@ -362,8 +361,11 @@ def _describe_shape(finding: Finding, table: TableInfo) -> str:
         return ". Besides that: ".join([first, *map(lower_first, others)])
     text = (
         f"What the law leaves of {table.response}, {_format_rms(finding, table)}, "
-        f"{describe_table_carrier(finding.carrier, table)}, and has the shape of no cause that was searched"
+        f"{describe_table_carrier(finding.carrier, table)}, "
     )
+    if finding.carrier.endswith(TO_SOME_EXTENT):
+        return f"{text}but by the evidence of one or two rows, so that no cause is named"
+    text += "and has the shape of no cause that was searched"
     if not finding.closest or finding.share < MIN_SHARE:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"

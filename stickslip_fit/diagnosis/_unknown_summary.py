@@ -25,7 +25,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Table
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PAUSES
-from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.log import has_replicates
@@ -129,6 +129,9 @@ def describe_shape(finding: Finding) -> str:
     if finding.withdrawn:
         best = join_words([one.cause for one in finding.withdrawn])
         return f"{left}is described best by {best}; {finding.note}"
+    if finding.carrier.endswith(TO_SOME_EXTENT):
+        cause = finding.carrier.removesuffix(TO_SOME_EXTENT)
+        return f"{left}has something of {cause}, but by the evidence of one or two traverses"
     text = f"{left}{describe_carrier(finding.carrier)}, and has the shape of no known cause"
     if not finding.closest:
         return text

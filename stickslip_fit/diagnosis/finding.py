@@ -11,6 +11,8 @@ import pandas as pd
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.units import UNITS, Interval, from_si
 
+TO_SOME_EXTENT = " to some extent"  # ends the carrier of structure like that of a cause that is not named
+
 
 def shown_size(parameter: SizedParameter) -> Interval:
     """A parameter's size in its display unit; one of a table's own units is not converted.

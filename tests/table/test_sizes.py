@@ -11,7 +11,11 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit._format import format_measured
+from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.effect_interval import strength_interval
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.selection import refit_selection
+from stickslip_fit.diagnosis.unknown_size import compare_causes, size_unknown
 from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.units import Interval
 
@@ -73,3 +77,29 @@ def test_no_size_is_shown_as_zero_that_is_not_zero():
     for unit in 10.0 ** np.arange(-12, 6):
         shown = format_measured(Interval(0.0021, 0.0, 0.9).times(unit))
         assert float(shown.split("×")[0].replace(",", "")) > 0, shown
+
+
+def test_structure_of_which_no_cause_is_named_is_told_by_the_cause_that_it_is_most_like(days):
+    """Not by the likeliest unstructured alternative, which may have nothing to do with it."""
+    (one,) = days.selection.selected
+    causes = form_cause_set(one.misfit, UNKNOWN)
+    unknown = replace(one, cause=UNKNOWN, version=None, start=np.zeros(0), cause_set=causes)
+    finding = size_unknown(refit_selection(days.selection, (unknown,)), unknown, days.alpha)
+    assert finding.carrier == "covariate:T to some extent"
+    assert finding.effect.estimate == pytest.approx(days.findings[0].effect.estimate, rel=0.1)
+    assert max(finding.explains.values()) == pytest.approx(1.0)
+    text = replace(days, findings=(finding,)).summary().headline[0]
+    assert "follows T to some extent, but by the evidence of one or two rows" in text
+    assert "no cause that was searched" not in text
+
+
+def test_shares_of_a_structure_are_at_most_all_of_it():
+    """Of a sudden change beside a law's parameters that all rows share."""
+    rng = np.random.default_rng(7)
+    t = np.arange(200.0)
+    y = 2.0 * np.exp(-t / 60.0) + 0.3 * (t > 90) + 0.05 * rng.standard_normal(200)
+    law = ssf.Law("y ~ a*exp(-t/b) + c", start={"a": 2.0, "b": 60.0}, shared="all")
+    found = ssf.diagnose_table(pd.DataFrame({"t": t, "y": y}), law, time="t", gain=False)
+    misfit = found.selection.selected[0].misfit
+    shares = compare_causes(misfit, "sudden-change")["explains"]
+    assert max(shares.values()) == pytest.approx(1.0)
