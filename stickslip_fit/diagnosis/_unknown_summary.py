@@ -118,7 +118,9 @@ def name_finding(finding: Finding) -> str:
     """A finding as a table calls it; a proposal is called one."""
     if finding.cause != UNKNOWN or finding.version is None:
         return finding.cause
-    return f"{UNKNOWN}: {'proposed term' if finding.term else 'smooth function'}"
+    if finding.term:
+        return f"{UNKNOWN}: proposed term"
+    return f"{UNKNOWN}: {'wave' if finding.carrier.startswith('period of ') else 'smooth function'}"
 
 
 def describe_shape(finding: Finding) -> str:
