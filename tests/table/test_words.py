@@ -13,6 +13,7 @@ import stickslip_fit as ssf
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis._table_summary import write_table_headline
 from stickslip_fit.diagnosis._table_words import describe_independence, describe_table_carrier
+from stickslip_fit.diagnosis._unknown_summary import name_finding
 
 
 def text_of(diagnosis):
@@ -109,3 +110,21 @@ def test_a_wave_with_a_wrong_start_is_flagged():
     flags = ["no better than its mean" in one.summary().headline[0] for one in (found, right)]
     assert right.misfit == pytest.approx(1.0, abs=0.15)
     assert flags == [True, False], (found.misfit, found.table.response_sd)
+
+
+def test_a_wave_is_called_one(independent):
+    (finding,) = independent.findings
+    wave = replace(finding, cause="unknown", carrier="period of 12.0 h")
+    assert name_finding(wave) == "unknown: wave"
+    assert name_finding(replace(wave, carrier="T")) == "unknown: smooth function"
+
+
+def test_a_row_to_check_is_told_with_its_departure_from_what_the_rows_before_foretell():
+    """Of a random walk that is its step, not its distance from the mean."""
+    steps = np.random.default_rng(1).standard_normal(400)
+    steps[200] = 6.0
+    found = ssf.diagnose_table(pd.DataFrame({"y": np.cumsum(steps)}), "y ~ a", time="order", gain=False)
+    assert found.verdict == "nothing wrong"
+    (told,) = re.findall(r"row 201 \(\+([\d.]+)\)", " ".join(found.summary().headline))
+    assert float(told) == pytest.approx(6.0, abs=0.7)
+    assert "what the rows before foretell" in text_of(found)
