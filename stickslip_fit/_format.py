@@ -333,6 +333,39 @@ def keep_units(text: str) -> str:
     return _KEPT_TOGETHER.sub(NO_BREAK_SPACE, text)
 
 
+# Units of long times: name, seconds, and from how many of it on it is used.
+_LONG_TIMES = (("years", 365.25 * 86_400.0, 2.0), ("days", 86_400.0, 3.0), ("h", 3_600.0, 2.0))
+
+
+def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
+    """The unit in which a time is read most easily, and how many of the given unit it is.
+
+    Only seconds are changed: any other unit was chosen by somebody.
+
+    Examples
+    --------
+    >>> choose_time_unit(90.0, "s"), choose_time_unit(86_430.0, "s"), choose_time_unit(1e6, "min")
+    (('s', 1.0), ('h', 3600.0), ('min', 1.0))
+    """
+    if unit == "s":
+        for name, seconds, least in _LONG_TIMES:
+            if abs(value) >= least * seconds:
+                return name, seconds
+    return unit, 1.0
+
+
+def format_duration(value: float, unit: str, digits: int = 3) -> str:
+    """A time in the unit in which it is read most easily.
+
+    Examples
+    --------
+    >>> format_duration(86_430.0, "s"), format_duration(1.55e7, "s"), format_duration(5.0, "rows")
+    ('24.0 h', '179 days', '5.00 rows')
+    """
+    name, size = choose_time_unit(value, unit)
+    return f"{format_significant(value / size, digits)} {name}"
+
+
 SIGNIFICANT_DIGITS = 3
 POWERS_SHOWN = range(-3, 6)  # of ten, of numbers that are written without one
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -359,6 +392,8 @@ def format_measured(interval: Interval, unit: str = "") -> str:
     --------
     >>> format_measured(Interval(-0.51234, -0.55, -0.47), "N s/m"), format_measured(Interval(2.0, 1.0, 3.0))
     ('−0.512 N s/m', '2.0')
+    >>> format_measured(Interval(0.0021, 0.0, 0.9))  # a size is never shown as 0
+    '0.002'
     """
     power, decimals = _common_scale(interval)
     if not isfinite(interval.estimate):
@@ -389,7 +424,9 @@ def _common_scale(interval: Interval) -> tuple[int, int]:
     half = abs(interval.high - interval.low) / 2
     if not isfinite(half) or half <= 0:
         return power, SIGNIFICANT_DIGITS - 1 - power
-    return power, 1 - floor(log10(half))
+    is_size = isfinite(interval.estimate) and interval.low >= 0
+    least = -_power_of(interval.estimate) if is_size else 0
+    return power, max(1 - floor(log10(half)), least)
 
 
 def _power_of(value: float) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
@@ -91,13 +92,8 @@ class PeriodicTime(AddedTerm):
     shows_best = "one condition again and again, at most a quarter of the period apart"
     remedy = "averaging over whole periods"
     combine_trials = True
+    sentence = "The response comes and goes with a period of {period}, by {swing} either way{opposite}"
     columns = ("session_seconds",)
-
-    @property
-    def sentence(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        period = f"a period of {{period:.4g}} {self.time_unit}"
-        return f"The response comes and goes with {period}, by {{swing}} either way{{opposite}}"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -111,7 +107,11 @@ class PeriodicTime(AddedTerm):
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `GenericCause`."""
-        return {**super().quantities({}), "period": self.period, "swing": sizes["amplitude"]}
+        return {
+            **super().quantities({}),
+            "period": format_duration(self.period, self.time_unit, 4),
+            "swing": sizes["amplitude"],
+        }
 
     def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
         """Amplitude of the wave and of each harmonic, of coefficients (q,) with their covariance (q, q)."""

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import format_significant
+from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import proposed
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
@@ -156,7 +156,7 @@ class PeriodicTableTerm(SmoothTableTerm):
         >>> str(PeriodicTableTerm(period=1.25, sessions=("all",), limits=((0.0, 9.0),), sds=(1.0, 1.0)))
         'period of 1.25 s'
         """
-        return f"period of {format_significant(self.period, 3)} {self.time_unit}"
+        return f"period of {format_duration(self.period, self.time_unit)}"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

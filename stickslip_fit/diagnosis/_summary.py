@@ -325,13 +325,18 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
 def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     """Testable causes, likeliest first: name, probability, log10 of the Bayes factor against noise alone.
 
-    The Bayes factor is that of the test in which the cause was selected, or else of the last one.
+    The Bayes factor is that of the test in which the cause was selected, or else of the last one; unknown
+    structure has that of the cause that it is most like, if that is not named.
     """
     evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
+    withdrawn = [one.cause for finding in diagnosis.findings for one in finding.withdrawn]
     for selected in diagnosis.selection.selected:
         if selected.misfit is not None:
             own = selected.misfit.log_evidence_by_cause
             names = (selected.cause, *selected.cause_set.rivals)
+            if selected.cause == UNKNOWN and selected.version is None:
+                own = own | {UNKNOWN: max(own.values())}
+                names = (UNKNOWN, *withdrawn)
             evidence |= {cause: own[cause] for cause in names if cause in own}
     probability = {cause: value for cause, value in diagnosis.inclusion.items() if value is not None}
     order = sorted(probability, key=lambda cause: (-probability[cause], cause))

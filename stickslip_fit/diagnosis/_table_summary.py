@@ -15,6 +15,7 @@ import numpy as np
 from stickslip_fit._format import (
     MISSING,
     capitalize_first,
+    choose_time_unit,
     format_measured,
     format_measured_range,
     format_p_value,
@@ -24,34 +25,36 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.roles import ROW_NUMBER
-from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis._summary import (
     describe_untestable,
     list_untestable,
     lower_first,
-    name_cause,
     ranking_tables,
     summarize_log_diagnosis,
 )
+from stickslip_fit.diagnosis._table_words import (
+    describe_independence,
+    describe_nearest,
+    describe_no_misfit,
+    describe_suspects,
+    describe_table_carrier,
+    flag_law,
+    format_signed,
+    format_size,
+    name_table_cause,
+)
 from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
-from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
-from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo, shown_size
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import Interval
+from stickslip_fit.units import Interval, TableUnit
 
 MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
-FEW_VALUES = 50  # independent ones
-MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
-SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
-MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
-CARRIER_PHRASES = {
-    "time": "changes slowly with time, in each session in its own way",
-    "time, the same in each session": "changes slowly with time, in all sessions alike",
-}
+TIMES = ("tau", "moment")  # parameters of generic causes
 
 
 @summarize.register
@@ -64,7 +67,7 @@ def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
 
 def summarize_table_diagnosis(diagnosis: Diagnosis, table: TableInfo) -> Summary:
     """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
-    name = Path(table.file).name or "a table that was never in a file"
+    name = Path(table.file).name or f"{table.response} over {pluralize(table.rows, 'row')}"
     source = f"sha256 {table.sha256}" if table.sha256 else "no hash"
     return Summary(
         f"Diagnosis of {name}",
@@ -93,24 +96,13 @@ def _list_columns(table: TableInfo) -> list[str]:
     return [f"response: {table.response}{unit}", *roles]
 
 
-def format_size(value: float, table: TableInfo) -> str:
-    """A size in the unit of the response.
-
-    Examples
-    --------
-    >>> format_size(0.26398, TableInfo("F", "N", 1.0, 600, 600.0))
-    '0.264 N'
-    """
-    return f"{format_significant(value)} {table.unit}".rstrip()
-
-
 def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     """Sentences: what is wrong, what to do about it, what else is wrong, and how much the table tells."""
     if not diagnosis.findings:
         sentences = [
-            _describe_no_misfit(diagnosis, table),
-            *_describe_nearest(diagnosis, table),
-            *_describe_suspects(diagnosis, table),
+            describe_no_misfit(diagnosis, table),
+            *describe_nearest(diagnosis, table),
+            *describe_suspects(diagnosis, table),
             describe_untestable(diagnosis),
         ]
     else:
@@ -120,86 +112,8 @@ def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
             *(_describe_side_effect(finding, table) for finding in others),
             _describe_gain(diagnosis, table),
         ]
-    return [*sentences, *diagnosis.notes, describe_independence(table)]
-
-
-def describe_independence(table: TableInfo) -> str:
-    """How many independent values a table has, as a sentence.
-
-    Examples
-    --------
-    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0))
-    'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows.'
-    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
-    'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
-    """
-    if not table.is_correlated:
-        return (
-            f"The noise of the {table.rows:,} values of {table.response} shows no autocorrelation: "
-            "all count as independent."
-        )
-    span = f"{format_significant(table.correlation_rows, 2)} rows"
-    if np.isfinite(table.correlation_time) and table.time_unit != "rows":
-        span += f" ({format_significant(table.correlation_time)} {table.time_unit})"
-    warnings = ""
-    if np.isfinite(table.noise_period):
-        period = f"{format_significant(table.noise_period)} {table.time_unit}"
-        warnings += f" It swings with a period of about {period}: what repeats so passes for noise."
-    if table.independent < FEW_VALUES:
-        warnings += " What changes as slowly as that passes for noise: a longer record would tell them apart."
-    return (
-        f"The {table.rows:,} values of {table.response} tell as much as about {round(table.independent):,} "
-        f"independent ones: the noise persists over {span}.{warnings}"
-    )
-
-
-def _describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
-    if not np.isfinite(diagnosis.repeatability):
-        return f"Nothing can be said of this table: {diagnosis.untestable[UNKNOWN]}."
-    return (
-        f"Nothing is wrong that this table can show: the law leaves {format_size(diagnosis.misfit, table)} "
-        f"rms of {table.response}, as noise alone would "
-        f"(p {format_p_value(diagnosis.p_value, relation=True)})."
-    )
-
-
-def _describe_nearest(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
-    """What came closest to an alarm, as a sentence; none where nothing came near."""
-    misfit = diagnosis.selection.first_misfit
-    if not misfit.log_evidence_by_cause or misfit.p_value > MAX_NEAR_P_VALUE:
-        return []
-    cause = max(misfit.log_evidence_by_cause, key=lambda name: misfit.log_evidence_by_cause[name])
-    if cause != UNKNOWN:
-        what = name_cause(cause, diagnosis)
-    else:
-        carrier = misfit.best_hypothesis(UNKNOWN).cause.removeprefix(f"{UNKNOWN}:")
-        what = f"{table.response} {describe_table_carrier(carrier)} beyond the law"
-    return [
-        f"Closest to an alarm, which needs p < {diagnosis.alpha:g}: {what}. More rows, or replicates of "
-        "these, would show whether it is there."
-    ]
-
-
-def _describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
-    """The rows that are far off beside the others, as a sentence; none where there are none."""
-    selection = diagnosis.selection
-    if not np.isfinite(diagnosis.repeatability):
-        return []
-    linearized = selection.problem.linearize()
-    size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
-    size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
-    far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
-    far = far[np.abs(size[far]) > SUSPECT_SD]
-    if not len(far):
-        return []
-    left = linearized.unwhiten(linearized.residual)
-    numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
-    named = join_words([f"row {numbers[row]} ({_signed(float(left[row]))})" for row in far])
-    largest = format_significant(float(np.abs(size[far]).max()), 2)
-    return [
-        f"Check {named}: up to {largest} standard deviations off, by the scatter of the others. Noise with "
-        f"heavy tails leaves such a value of {table.response} now and then, so that nothing is set aside."
-    ]
+    flags = flag_law(diagnosis, table)
+    return [*flags, *sentences, *diagnosis.notes, describe_independence(table, diagnosis.findings)]
 
 
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:
@@ -210,37 +124,37 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     if getattr(finding.version, "sentence", ""):
-        text = finding.version.describe(finding.parameters)
-        return text if finding.parameters else f"{text}, by {format_size(finding.effect.estimate, table)} rms"
+        text = finding.version.describe(show_times(finding))
+        return text if finding.parameters else f"{text}, by {_format_rms(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
     source = getattr(finding.version, "source", None)
     if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
         phrase = f"{capitalize_first(finding.cause)}: {lower_first(phrase)}"
-    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in show_times(finding)]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"
-    return f"{phrase}, by {format_size(finding.effect.estimate, table)} rms"
+    return f"{phrase}, by {_format_rms(finding, table)}"
+
+
+def show_times(finding: Finding) -> tuple[SizedParameter, ...]:
+    """The parameters of a finding, times in the unit in which they are read most easily."""
+    unit = getattr(finding.version, "time_unit", "")
+    shown = []
+    for one in finding.parameters:
+        if one.name in TIMES:
+            name, size = choose_time_unit(one.size.estimate, unit)
+            one = one.times(1.0 / size, TableUnit(name))
+        elif unit == "s" and one.unit.endswith("/s") and hasattr(finding.version, "longest"):
+            name, size = choose_time_unit(finding.version.longest, unit)
+            per = name if size == 1.0 else name.removesuffix("s")
+            one = one.times(size, TableUnit(one.unit.removesuffix(unit) + per))
+        shown.append(one)
+    return tuple(shown)
 
 
 def _largest(finding: Finding, table: TableInfo) -> str:
     assert finding.traverses is not None
     return format_size(float(finding.traverses["departure"].abs().max()), table)
-
-
-def describe_table_carrier(carrier: str) -> str:
-    """What unknown structure does, as the end of a sentence.
-
-    Examples
-    --------
-    >>> describe_table_carrier("temperature"), describe_table_carrier("memory")
-    ('follows temperature', 'carries over from one row to the next')
-    """
-    if carrier.startswith("period"):
-        return f"comes and goes with a {carrier}"
-    if carrier.startswith("memory"):
-        return "carries over from one row to the next"
-    name = "what the law predicts" if carrier == PREDICTION else carrier
-    return CARRIER_PHRASES.get(carrier, f"follows {name}")
 
 
 def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) -> str:
@@ -249,33 +163,55 @@ def _describe_finding(finding: Finding, diagnosis: Diagnosis, table: TableInfo) 
     effect = f"{describe_table_effect(finding, table)}{describe_company(finding)}"
     if not finding.equivalent:
         return effect
-    either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
+    either = join_words([name_table_cause(cause, diagnosis) for cause in finding.cause_set], "or")
     return f"This table cannot tell what is wrong: {either}. If it is the first: {lower_first(effect)}"
 
 
 def _describe_shape(finding: Finding, table: TableInfo) -> str:
     if finding.version is not None:
         return _describe_proposal(finding, table)
+    if finding.withdrawn:
+        first, *others = (_describe_withdrawn(one, table) for one in finding.withdrawn)
+        return ". Besides that: ".join([first, *map(lower_first, others)])
     text = (
-        f"What the law leaves of {table.response}, {format_size(finding.effect.estimate, table)} rms, "
-        f"{describe_table_carrier(finding.carrier)}, and has the shape of no cause that was searched"
+        f"What the law leaves of {table.response}, {_format_rms(finding, table)}, "
+        f"{describe_table_carrier(finding.carrier, table)}, "
     )
-    if finding.note:
-        return f"{text}; {finding.note}"
+    if finding.carrier.endswith(TO_SOME_EXTENT):
+        return f"{text}but by the evidence of one or two rows, so that no cause is named"
+    text += "and has the shape of no cause that was searched"
     if not finding.closest or finding.share < MIN_SHARE:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
 
 
+def _describe_withdrawn(finding: Finding, table: TableInfo) -> str:
+    """What fits best but is not named, with the reason, without a full stop."""
+    assert finding.gain is not None
+    after, before = (format_size(error, table) for error in (finding.gain.extended, finding.gain.baseline))
+    return (
+        f"{describe_table_effect(finding, table)}: of all that was searched this fits best "
+        f"(p {format_p_value(finding.p_value, relation=True)}), but held-out rows are not predicted better "
+        f"with it ({after}, without it {before}), so that {finding.cause} is not named"
+    )
+
+
+def _format_rms(finding: Finding, table: TableInfo) -> str:
+    """The size of an effect in a sentence; where its estimate is 0, the most that it may be."""
+    if finding.effect.estimate > 0:
+        return f"{format_size(finding.effect.estimate, table)} rms"
+    return f"at most {format_size(finding.effect.high, table)} rms"
+
+
 def _describe_proposal(finding: Finding, table: TableInfo) -> str:
     """What is put into the law for structure without a name, without a full stop."""
-    size = format_size(finding.effect.estimate, table)
-    follows = f"{table.response} {describe_table_carrier(finding.carrier)} by {size} rms beyond the law"
+    size = _format_rms(finding, table)
+    follows = f"{table.response} {describe_table_carrier(finding.carrier, table)} by {size} beyond the law"
     text = f"{follows}, as no cause that was searched does"
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if finding.term:
         return f"{text}; a term is proposed: {', '.join([finding.term, *sizes])}"
-    wave = "wave" if finding.carrier.startswith("period") else "smooth function of it"
+    wave = "wave" if finding.carrier.startswith("period of ") else "smooth function of it"
     return f"{text}; a {wave} is proposed"
 
 
@@ -347,7 +283,7 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     rows = tuple(
         (
             finding.cause,
-            format_measured(finding.effect),
+            _format_effect(finding.effect),
             format_measured_range(finding.effect),
             format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or MISSING,
@@ -366,6 +302,10 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     return [found, *_parameter_tables(diagnosis.findings), *outliers]
 
 
+def _format_effect(effect: Interval) -> str:
+    return format_measured(effect) if effect.estimate > 0 else f"< {format_significant(effect.high, 2)}"
+
+
 def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
     columns: tuple[Column, ...] = (
         *words("cause", "parameter"),
@@ -382,7 +322,7 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
         )
         for finding in findings
         if finding.traverses is None
-        for parameter in finding.parameters
+        for parameter in show_times(finding)
     ]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
@@ -401,7 +341,7 @@ def _outliers_table(finding: Finding, table: TableInfo) -> Table:
         (
             str(row[ROW_NUMBER] + 1),
             *(_cell(row[name]) for name in named),
-            _signed(float(row["departure"])),
+            format_signed(float(row["departure"])),
         )
         for _, row in largest.iterrows()
     )
@@ -413,10 +353,6 @@ def _outliers_table(finding: Finding, table: TableInfo) -> Table:
 
 def _cell(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _signed(value: float) -> str:
-    return ("+" if value > 0 else "") + format_significant(value)
 
 
 def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:

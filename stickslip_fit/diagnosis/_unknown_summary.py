@@ -25,7 +25,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Table
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PAUSES
-from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.log import has_replicates
@@ -118,19 +118,23 @@ def name_finding(finding: Finding) -> str:
     """A finding as a table calls it; a proposal is called one."""
     if finding.cause != UNKNOWN or finding.version is None:
         return finding.cause
-    return f"{UNKNOWN}: {'proposed term' if finding.term else 'smooth function'}"
+    if finding.term:
+        return f"{UNKNOWN}: proposed term"
+    return f"{UNKNOWN}: {'wave' if finding.carrier.startswith('period of ') else 'smooth function'}"
 
 
 def describe_shape(finding: Finding) -> str:
     """What structure without a name does, without a full stop."""
     if finding.version is not None:
         return _describe_proposal(finding)
-    text = (
-        f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
-        f"{describe_carrier(finding.carrier)}, and has the shape of no known cause"
-    )
-    if finding.note:
-        return f"{text}; {finding.note}"
+    left = f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
+    if finding.withdrawn:
+        best = join_words([one.cause for one in finding.withdrawn])
+        return f"{left}is described best by {best}; {finding.note}"
+    if finding.carrier.endswith(TO_SOME_EXTENT):
+        cause = finding.carrier.removesuffix(TO_SOME_EXTENT)
+        return f"{left}has something of {cause}, but by the evidence of one or two traverses"
+    text = f"{left}{describe_carrier(finding.carrier)}, and has the shape of no known cause"
     if not finding.closest:
         return text
     return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
@@ -295,20 +299,22 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
 
 
 def describe_company(finding: Finding) -> str:
-    """With which other causes a finding was found, as the end of a sentence; empty where it shows alone.
+    """With which other causes a finding was found, as the end of a sentence; empty where it needs none.
+
+    Each may show alone, where another cause, or structure without a name, describes the data better.
 
     Examples
     --------
     >>> from stickslip_fit.units import Interval
     >>> size = Interval(0.01, 0.0, 0.02)
     >>> describe_company(Finding("drift", None, (), 0.001, (3,), size, (), together_with=("wear",)))
-    '; found together with wear: neither shows alone'
+    '; found together with wear: neither is the likeliest alone'
     """
     others = finding.together_with
     if not others:
         return ""
-    alone = "neither shows" if len(others) == 1 else "none of them shows"
-    return f"; found together with {join_words(others)}: {alone} alone"
+    alone = "neither" if len(others) == 1 else "none of them"
+    return f"; found together with {join_words(others)}: {alone} is the likeliest alone"
 
 
 def explains_tables(diagnosis: Diagnosis) -> list[Table]:

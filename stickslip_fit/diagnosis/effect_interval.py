@@ -232,11 +232,18 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
     (18.0, 22.0, 0.0)
     >>> round(strength_interval(11.8, 1, 9.3).low, 1)
     9.7
+
+    Below the threshold the alarm came of more than this effect; nothing then says that it is not 0.
+
+    >>> below = strength_interval(3.0, 1, 4.0)
+    >>> round(below.low, 1), round(below.estimate, 1), round(below.high, 1)
+    (0.0, 3.0, 5.0)
     """
-    if z > MAX_CONDITIONAL_STRENGTH:
-        limits = (np.sqrt(max((z + shift) ** 2 - dimensions + 1.0, 0.0)) for shift in (0.0, -Z_95, Z_95))
-        return Interval(*map(float, limits))
-    threshold = min(threshold, z * (1 - 1e-9))
+    if z > MAX_CONDITIONAL_STRENGTH or z <= threshold:
+        estimate, low, high = (
+            float(np.sqrt(max((z + shift) ** 2 - dimensions + 1.0, 0.0))) for shift in (0.0, -Z_95, Z_95)
+        )
+        return Interval(estimate, low if z > threshold else 0.0, high)
 
     from scipy.optimize import brentq
 

@@ -11,6 +11,8 @@ import pandas as pd
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.units import UNITS, Interval, from_si
 
+TO_SOME_EXTENT = " to some extent"  # ends the carrier of structure like that of a cause that is not named
+
 
 def shown_size(parameter: SizedParameter) -> Interval:
     """A parameter's size in its display unit; one of a table's own units is not converted.
@@ -92,6 +94,8 @@ class Finding:
         For outlying counts: those rows, with `departure` (relative) from the law.
     note : str
         For ``unknown``: the causes that are not named, and why.
+    withdrawn : tuple of Finding
+        For ``unknown``: those causes as they were found; the effect is then that of the first.
     together_with : tuple of str
         Other causes without which this one would not have been found.
     term : str
@@ -113,6 +117,7 @@ class Finding:
     carrier: str = ""
     traverses: pd.DataFrame | None = None
     note: str = ""
+    withdrawn: tuple[Finding, ...] = ()
     together_with: tuple[str, ...] = ()
     term: str = ""
     explains: Mapping[str, float] = field(default_factory=dict)

@@ -163,13 +163,13 @@ def diagnose_problem(
             break
     selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
-    searched, linearized = selection.problem, search.linearized
+    searched = selection.problem
     row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
     return Diagnosis(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
-        misfit=float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2))),
+        misfit=_rms_left(search),
         repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
         untestable=search.untestable,
@@ -181,6 +181,14 @@ def diagnose_problem(
         noise_properties=_noise_properties(selection, findings),
         notes=_search_notes(search.problem, selection.first_misfit),
     )
+
+
+def _rms_left(search: _Search) -> float:
+    """Rms that the baseline leaves of all rows that do not count as outliers."""
+    linearized, outliers = search.linearized, search.selection.outliers
+    if len(outliers):
+        linearized = search.problem.without_rows(outliers).linearize()
+    return float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2)))
 
 
 def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tuple[str, ...]:

@@ -56,7 +56,7 @@ class Diagnosis(Summarized):
     p_value : float
         Of the whole search; `misfit` says how it is computed.
     misfit : float
-        Rms residual of the baseline, relative.
+        Rms residual of the baseline, relative; outliers are left out.
     repeatability : float
         Repeatability standard deviation, relative; rms over the rows.
     inclusion : dict of str to float or None
@@ -165,7 +165,7 @@ class Diagnosis(Summarized):
             unsupported = find_unsupported(findings)
             if not unsupported:
                 break
-            selection, findings = withdraw_causes(selection, findings, unsupported, self.alpha, self.table)
+            selection, findings = withdraw_causes(selection, findings, unsupported, self.table)
             for one in unsupported:
                 unknown = inclusion.get(UNKNOWN) or 0.0
                 inclusion |= {UNKNOWN: max(inclusion[one.cause] or 0.0, unknown), one.cause: unknown}

@@ -121,11 +121,12 @@ def select_causes(
     effects = compute_finite_effects(problem.linearize(), problem.causes)
     problem, linearized, residual = _reestimate_noise(problem, effects)
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
-    outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE)
-    outliers = np.zeros(0, dtype=np.intp)
+    outlying, outliers = np.setdiff1d(test.rows, trusted), np.zeros(0, dtype=np.intp)
+    # Rows that are trusted are no evidence that anything is wrong.
+    outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE) if len(outlying) else 1.0
     misfires: list[SelectedCause] = []
-    if test.p_value < OUTLIER_ALPHA_SHARE * alpha and len(np.setdiff1d(test.rows, trusted)):
-        outliers = np.setdiff1d(test.rows, trusted)
+    if len(outlying) and test.p_value < OUTLIER_ALPHA_SHARE * alpha:
+        outliers = outlying
         problem = problem.without_rows(outliers).with_autocorrelation()
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -29,7 +30,7 @@ from stickslip_fit.diagnosis.effect_interval import (
     strength_interval,
 )
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
-from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -57,31 +58,24 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     """The finding of unknown structure in the residuals that a selection leaves."""
     misfit, linearized = selected.misfit, selection.linearized
     assert misfit is not None
-    best = misfit.best_hypothesis(UNKNOWN)
+    evidence = {UNKNOWN: -np.inf} | misfit.log_evidence_by_cause
+    # A cause may be likelier that rests on one or two rows, and is not named.
+    strongest = UNKNOWN if selected.version is not None else max(evidence, key=lambda name: evidence[name])
+    best = misfit.best_hypothesis(strongest)
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
-    squares = float(shape @ shape)
     if isinstance(best, AR1):
         effect = estimate_ar1_effect(replace(linearized, residual=residual), best).times(
             _rms(linearized.scale)
         )
     else:
-        effect = _size_structure(selection, selected, shape, alpha)
-    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
-    closest = max(known, key=lambda cause: known[cause]) if known else ""
-    explains = {
-        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
-        for cause in known
-        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
-    }
-    share = explains.get(closest, 0.0)
+        effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
     size = np.abs(shape)
     joints = joints_of_laws(
         part.law for part in linearized.parts if np.any(size[part.rows] > 1e-3 * size.max())
     )
-    # Where nothing but the causes was searched, the shape is that of one that is not supported.
     is_cause = not best.cause.startswith(UNKNOWN)
-    carrier = f"{best.cause} to some extent" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
+    carrier = f"{best.cause}{TO_SOME_EXTENT}" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
     return Finding(
         UNKNOWN,
         None,
@@ -90,11 +84,29 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         joints,
         effect,
         (),
-        closest=closest,
-        share=share,
         carrier=carrier,
-        explains=explains,
+        **_compare_causes(misfit, shape),
     )
+
+
+def compare_causes(misfit: Misfit, cause: str) -> dict[str, Any]:
+    """How all causes compare with the likeliest shape of one of them, as attributes of a `Finding`."""
+    return _compare_causes(misfit, _shrink_structure(misfit.best_hypothesis(cause), misfit.residual))
+
+
+def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
+    """Of structure `shape`, (n,), whitened: the share that each cause explains, and the likeliest cause."""
+    if misfit.basis is not None:  # directions of one session need not be orthogonal to shared parameters
+        shape = shape - misfit.basis @ (misfit.basis.T @ shape)
+    squares = float(shape @ shape)
+    known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
+    explains = {
+        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+        for cause in known
+        if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
+    }
+    closest = max(known, key=lambda cause: known[cause]) if known else ""
+    return {"closest": closest, "share": explains.get(closest, 0.0), "explains": explains}
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +133,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     problem, misfit = selection.problem, selected.misfit
     assert misfit is not None
     linearized, plain = selection.linearized, linearize_unweighted(selection)
-    law, candidates, left = None, _alternatives(misfit), None
+    law, candidates, left = None, _alternatives(misfit, selected.cause), None
     if selected.version is None:
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     else:
@@ -130,7 +142,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         candidates = _beyond_law(misfit, linearized)
     ratio = (expect_noise(problem, selection.linearized, left).scale / problem.scale) ** 2
     inflation = float(np.sqrt(shape**2 @ ratio / max(float(shape @ shape), MIN_LENGTH)))
-    components = _weigh_components(candidates, linearized, len(_alternatives(misfit)))
+    components = _weigh_components(candidates, linearized, len(_alternatives(misfit, selected.cause)))
     nothing = [] if law is None else [_Component(None, np.zeros(0), np.zeros(0), 0.0)]
     rms = _draw_rms(
         law,
@@ -151,12 +163,10 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     return strength_interval(middle / error, 1, threshold / error).times(error)
 
 
-def _alternatives(misfit: Misfit) -> list[Hypothesis]:
-    """The unstructured alternatives; where nothing but causes was searched, the likeliest of these."""
-    found = [
-        one for one in misfit.hypotheses if isinstance(one, Hypothesis) and classify_cause(one) == UNKNOWN
-    ]
-    return found or [misfit.best_subspace(UNKNOWN)]
+def _alternatives(misfit: Misfit, cause: str = UNKNOWN) -> list[Hypothesis]:
+    """The unstructured alternatives, or the shapes of a cause; where there are none, the likeliest of all."""
+    found = [one for one in misfit.hypotheses if isinstance(one, Hypothesis) and classify_cause(one) == cause]
+    return found or [misfit.best_subspace(cause)]
 
 
 def _beyond_law(misfit: Misfit, extended: LinearizedFit) -> list[Hypothesis]:

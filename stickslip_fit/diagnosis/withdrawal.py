@@ -19,7 +19,7 @@ from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection, refit_selection
-from stickslip_fit.diagnosis.unknown_size import size_unknown
+from stickslip_fit.diagnosis.unknown_size import compare_causes
 
 
 def is_supported(gain: Gain) -> bool:
@@ -38,17 +38,21 @@ def withdraw_causes(
     selection: Selection,
     findings: Sequence[Finding],
     unsupported: Sequence[Finding],
-    alpha: float,
     table: TableInfo | None = None,
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """The selection and its findings with `unknown` for the unsupported ones; of a log without a `table`."""
+    """The selection and its findings with `unknown` for the unsupported ones; of a log without a `table`.
+
+    What is said of it is what was found, with the size that it has as the cause: what unstructured
+    alternatives see of it may be less, or another thing.
+    """
     names = [one.cause for one in unsupported]
     if names == [UNKNOWN]:
         return _withdraw_term(selection, findings)
     names = [name for name in names if name != UNKNOWN]
-    unsupported = [one for one in unsupported if one.cause != UNKNOWN]
+    withdrawn = [one for one in unsupported if one.cause != UNKNOWN]
     first = next(one for one in selection.selected if one.cause in names)
     assert first.misfit is not None
+    withdrawn.sort(key=lambda one: one.cause != first.cause)
     unknown = replace(
         first,
         cause=UNKNOWN,
@@ -56,11 +60,31 @@ def withdraw_causes(
         start=np.zeros(0),
         cause_set=form_cause_set(first.misfit, UNKNOWN),
     )
+    before = [one for one in findings if one.withdrawn]
+    withdrawn += [one for finding in before for one in finding.withdrawn]
     others = [one for one in selection.selected if one.cause not in (*names, UNKNOWN)]
     smaller = refit_selection(selection, (*others, unknown))
-    note = "; ".join(_explain(one, table) for one in unsupported)
     kept = [one for one in findings if one.cause not in (*names, UNKNOWN)]
-    return smaller, (*kept, replace(size_unknown(smaller, unknown, alpha), note=note))
+    finding = Finding(
+        UNKNOWN,
+        None,
+        (),
+        withdrawn[0].p_value,
+        withdrawn[0].joints,
+        withdrawn[0].effect,
+        (),
+        carrier=_name_carrier(withdrawn[0]),
+        note="; ".join(_explain(one, table) for one in withdrawn),
+        withdrawn=tuple(withdrawn),
+        **compare_causes(first.misfit, first.cause),
+    )
+    return smaller, (*kept, finding)
+
+
+def _name_carrier(finding: Finding) -> str:
+    """The columns that a cause follows; its name where it follows none."""
+    columns = [name for name in getattr(finding.version, "columns", ()) if name != "session"]
+    return " and ".join("time" if name == "session_seconds" else name for name in columns) or finding.cause
 
 
 def _withdraw_term(

@@ -13,6 +13,7 @@ from stickslip_fit._format import (
     format_measured,
     format_measured_range,
     format_significant,
+    pluralize,
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize
@@ -27,7 +28,7 @@ ALL_SESSIONS = "all"
 def summarize_table_fit(fit: TableFit) -> Summary:
     """What the law leaves, flags, and its parameters."""
     source = fit.source
-    name = Path(source.file).name or "a table that was never in a file"
+    name = Path(source.file).name or f"{fit.law.response_name} over {pluralize(source.rows, 'row')}"
     return Summary(
         title=f"Law fitted to {name}",
         headline=(typeset_text(describe_fit(fit)),),

@@ -86,7 +86,7 @@ def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
             else f"time since the session's first row ({table.time_unit})"
         )
         columns[label] = rows["session_seconds"].to_numpy(float)
-        labels |= {"session_seconds": label, roles["time"]: label}
+        labels |= {"session_seconds": label, "time": label, roles["time"]: label}
     for name in dict.fromkeys(filter(None, names)):
         if name in hidden or not pd.api.types.is_numeric_dtype(rows[name]):
             continue

@@ -55,7 +55,7 @@ def test_a_cause_that_predicts_worse_becomes_unknown_with_a_note(named):
     findings = tuple(replace(one, gain=gain_of(0.063)) for one in named.findings)
     unsupported = find_unsupported(findings)
     assert [one.cause for one in unsupported] == [named.findings[0].cause]
-    selection, left = withdraw_causes(named.selection, findings, unsupported, named.alpha)
+    selection, left = withdraw_causes(named.selection, findings, unsupported)
     assert [one.cause for one in left] == [UNKNOWN]
     assert not selection.law_causes
     assert f"{named.findings[0].cause} is not named" in left[0].note

@@ -129,11 +129,13 @@ def test_causes_that_show_only_together_say_so(named):
     (drift,) = named.findings
     together = replace(drift, together_with=("wear",))
     assert write_headline(replace(named, findings=(together,)))[0].endswith(
-        "; found together with wear: neither shows alone."
+        "; found together with wear: neither is the likeliest alone."
     )
     three = replace(drift, together_with=("wear", "humidity"))
     besides = write_headline(replace(named, findings=(drift, three)))[2]
-    assert besides.endswith("(drift); found together with wear and humidity: none of them shows alone.")
+    assert besides.endswith(
+        "(drift); found together with wear and humidity: none of them is the likeliest alone."
+    )
 
 
 def test_the_figure_shows_what_is_left_without_the_proposal_the_proposal_and_what_is_left_with_it(proposed):

@@ -174,9 +174,7 @@ def withdrawn(diagnosis):
     """What a finding that does not predict better is replaced by."""
     (finding,) = diagnosis.findings
     poor = replace(finding, gain=replace(finding.gain, extended=2.0 * finding.gain.baseline))
-    _, (unknown,) = withdraw_causes(
-        diagnosis.selection, [poor], [poor], diagnosis.alpha, table=diagnosis.table
-    )
+    _, (unknown,) = withdraw_causes(diagnosis.selection, [poor], [poor], diagnosis.table)
     return unknown
 
 

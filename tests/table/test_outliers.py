@@ -1,0 +1,65 @@
+"""Outlying values of a table: whose p-value counts, what the others leave, and how rare such a value is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.diagnosis.extension import OUTLIER_ALPHA_SHARE
+from stickslip_fit.diagnosis.selection import select_causes
+from stickslip_fit.diagnosis.table import problem_from_table
+
+OFF = [7, 31]
+
+
+@pytest.fixture(scope="module")
+def line():
+    """A line with two values so far off the others that the law leaves mostly them."""
+    rng = np.random.default_rng(5)
+    x = rng.uniform(0.0, 10.0, 60)
+    y = 1.0 + 0.5 * x + 0.2 * rng.standard_normal(60)
+    y[OFF] += 3.0
+    return pd.DataFrame({"x": x, "y": y})
+
+
+def test_rows_that_are_trusted_are_no_evidence_against_the_law(line):
+    """Else nothing is wrong, and p is below the false-alarm rate."""
+    problem, _ = problem_from_table(line, "y ~ a + b*x")
+    rng = np.random.default_rng(0)
+    doubted = select_causes(problem, 0.01, 3000, rng)
+    assert set(OFF) <= set(doubted.outliers.tolist())
+    assert doubted.p_value < 0.01
+    trusted = select_causes(problem, 0.01, 3000, rng, trusted=doubted.outliers)
+    assert not trusted.selected
+    assert trusted.p_value == pytest.approx(
+        min(1.0, trusted.first_misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
+    )
+
+
+def test_what_the_law_leaves_is_that_of_all_other_rows(line):
+    found = ssf.diagnose_table(line, "y ~ a + b*x", gain=False)
+    assert [one.cause for one in found.findings] == ["outliers"]
+    others = line.drop(index=OFF)
+    left = others["y"] - np.polyval(np.polyfit(others["x"], others["y"], 1), others["x"])
+    assert found.misfit == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert f"of all others the law leaves {found.misfit:.3f} rms" in found.summary().headline[1]
+
+
+@pytest.mark.parametrize(("off", "rare"), [((-53.0, -2.0), True), ((-2.0, 30.0), False)])
+def test_how_rare_a_value_far_off_is_is_told(off, rare):
+    """Against draws of Student's t: of 66 values in units of their median, the largest."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"x": rng.normal(27.0, 5.0, 66).round()})
+    frame.loc[[1, 53], "x"] = off
+    found = ssf.diagnose_table(frame, "x ~ a", time="order", gain=False)
+    assert found.verdict == "nothing wrong"
+    text = " ".join(found.summary().headline)
+    left = np.abs(frame["x"] - frame["x"].mean())
+    draws = np.abs(rng.standard_t(5, (20_000, 66)))
+    largest = np.max(draws, axis=1) / np.median(draws, axis=1)
+    share = np.mean(largest > left.max() / np.median(left))
+    assert (share < 2e-3) == rare
+    assert ("now and then" in text) != rare
+    assert ("in only 1 of" in text) == rare
