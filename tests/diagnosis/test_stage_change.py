@@ -52,7 +52,7 @@ def test_a_change_does_to_counts_what_the_closed_form_says(throw_ratio, quantity
 
 
 def test_a_change_that_takes_some_loads_into_the_other_regime_is_found():
-    """A ramp 10 % longer takes lambda from 1.375 to 1.136: with the load ahead the slider catches up, else not."""
+    """A ramp 10 % longer: lambda falls from 1.375 to 1.136, and under some loads the slider catches up."""
     n, rng, noise = 40, np.random.default_rng(1), 0.003
     load, late = np.tile(np.linspace(-1.0, 1.0, n // 2), 2), np.arange(n) >= n // 2
     throw, ramp = 1.375 * FRICTION * RAMP**2, np.where(late, 1.1, 1.0) * RAMP

@@ -89,7 +89,7 @@ def test_noise_that_persists_is_no_structure(carried):
 
 
 def test_coefficients_near_a_unit_root_are_no_reason_to_fail():
-    """A sine without noise: the likelihood grows towards roots on the unit circle, where it cannot be computed."""
+    """A sine without noise: the likelihood grows towards unit roots, where it cannot be computed."""
     t = np.arange(300.0)
     found = diagnose(np.sin(2 * np.pi * t / 50) + 1e-6 * np.random.default_rng(9).standard_normal(300), t)
     assert names(found)[:1] == ["periodic-in-time"]
