@@ -120,7 +120,7 @@ def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
             *(_describe_side_effect(finding, table) for finding in others),
             _describe_gain(diagnosis, table),
         ]
-    return [*sentences, *diagnosis.notes, describe_independence(table)]
+    return [*sentences, *table.notes, *diagnosis.notes, describe_independence(table)]
 
 
 def describe_independence(table: TableInfo) -> str:

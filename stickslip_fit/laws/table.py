@@ -26,6 +26,7 @@ MAX_STARTS = 125  # places where a search may begin
 MAX_EVALUATIONS = 50  # for start values
 BAD_FIT = 1e6  # standard deviations, in place of what is no number
 MAX_LINEAR = 16  # parameters that are looked at
+MIN_MISTYPED = 3  # letters of a name that may have a wrong one
 LINEAR_TOL = 1e-9  # share of the response's change
 
 
@@ -278,3 +279,29 @@ def similar_name(name: str, names: Iterable[str]) -> str:
         other for other in names if len(other) > 1 and (name.startswith(other) or other.startswith(name))
     ]
     return next(iter([*get_close_matches(shorten(name), names, 1), *begins]), "")
+
+
+def mistyped_column(name: str, columns: Iterable[str]) -> str:
+    """The column that a name is, but for its case or, of three letters and more, for one letter; "" if none.
+
+    Examples
+    --------
+    >>> mistyped_column("X", ["t", "x"]), mistyped_column("temperatur", ["Temperature"])
+    ('x', 'Temperature')
+    >>> mistyped_column("a", ["t", "x"]), mistyped_column("speed", ["pseed"])
+    ('', 'pseed')
+    """
+    columns = list(columns)
+    alike = [column for column in columns if column.lower() == name.lower()]
+    near = [column for column in columns if min(len(name), len(column)) >= MIN_MISTYPED]
+    return next(iter([*alike, *(one for one in near if _is_one_edit(name.lower(), one.lower()))]), "")
+
+
+def _is_one_edit(one: str, other: str) -> bool:
+    """Whether a letter was added, left out, replaced, or put before its neighbour."""
+    short, long = sorted((one, other), key=len)
+    same = next((k for k, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short))
+    if len(long) > len(short):
+        return len(long) == len(short) + 1 and short[same:] == long[same + 1 :]
+    swapped = short[:same] + short[same : same + 2][::-1] + short[same + 2 :]
+    return short[same + 1 :] == long[same + 1 :] or swapped == long
