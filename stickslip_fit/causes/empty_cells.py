@@ -91,7 +91,9 @@ def _describe_lost(lost: BoolArray, names: Sequence[str], places: pd.Index | Non
         return ()
     rows = np.flatnonzero(lost) if places is None else places[lost].to_numpy()
     shown = [f"{row + 1}" for row in rows[:MAX_ROWS_NAMED].tolist()]
-    listed = ", ".join([*shown, "..."]) if len(rows) > MAX_ROWS_NAMED else join_words(shown)
+    listed = join_words(
+        [*shown, *([f"{len(rows) - MAX_ROWS_NAMED:,} more"] if len(rows) > len(shown) else [])]
+    )
     is_are, row = ("is", "row") if len(rows) == 1 else ("are", "rows")
     return (
         f"{len(rows):,} of {len(lost):,} rows {is_are} left out, where {join_words(names, 'or')} is empty: "

@@ -123,7 +123,7 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     seconds, time_issues = _read_time(frame, roles)
     if issues or time_issues:
         raise InputError([*issues, *time_issues])
-    session = frame[roles.session].astype(str) if roles.session else pd.Series(ONE_SESSION, frame.index)
+    session = _label_sessions(frame[roles.session]) if roles.session else pd.Series(ONE_SESSION, frame.index)
     order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
     own = {"session": session.astype(object), "session_seconds": seconds, "joint": 1}
     rows = frame.assign(**own, **{ROW_NUMBER: frame.index})
@@ -136,6 +136,13 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     else:
         rows["session_seconds"] = np.nan
     return rows
+
+
+def _label_sessions(cells: pd.Series[Any]) -> pd.Series[Any]:
+    """Sessions as text; whole numbers are written as such, also beside cells that were empty."""
+    if cells.dtype.kind == "f" and (cells % 1 == 0).all():
+        cells = cells.astype(int)
+    return cells.astype(str)
 
 
 def _count_rows(rows: pd.DataFrame) -> pd.Series[Any]:

@@ -128,9 +128,9 @@ def diagnose_table(
     check_count("seed", seed, least=0)
     law, causes = as_law(law), tuple(causes)
     roles = TableRoles(session, time, position, direction, group)
-    used = _find_columns(law, response, causes)
-    table, source = read_rows(frame, sheet, roles, used)
-    table, notes = leave_out_gaps(table, {*used, *roles.columns.values()})
+    used, levels = _find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
+    table, source = read_rows(frame, sheet, roles, used, levels)
+    table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
     source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
     roles = replace(roles, time_unit=_time_unit(law, table, time))
     if shared is not None:
@@ -346,17 +346,24 @@ def read_table(
 
 
 def read_rows(
-    frame: pd.DataFrame | str | Path, sheet: str | None, roles: TableRoles, used: Sequence[str]
+    frame: pd.DataFrame | str | Path,
+    sheet: str | None,
+    roles: TableRoles,
+    used: Sequence[str],
+    levels: Sequence[str] = (),
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """As `read_table`, without the rows in which a role or a column in `used` is empty."""
+    """As `read_table`, without the rows in which a role or a column is empty.
+
+    Columns in `used` are of numbers, those in `levels` of anything.
+    """
     table, source = read_table(frame, sheet)
     names = [str(name) for name in table.columns]
-    if len(table) == 0 or len(set(names)) < len(names):  # which `prepare_rows` refuses
-        return table, source | {"notes": ()}
+    if len(table) == 0 or len(set(names)) < len(names):
+        prepare_rows(table, roles)  # which says what is wrong
     numbers = [*used, *filter(None, [roles.position])]
-    table = with_numbers(table.set_axis(names, axis=1), {*numbers, roles.time or ""})
-    texts = [roles.session, roles.direction, roles.group, roles.time]
-    table, notes = leave_out_empty(table, numbers, [name for name in texts if name is not None])
+    texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
+    table = with_numbers(table.set_axis(names, axis=1), numbers)
+    table, notes = leave_out_empty(table, numbers, [name for name in texts if name])
     return table, source | {"notes": (*source.get("notes", ()), *notes)}
 
 
@@ -364,7 +371,9 @@ def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[
     """What was taken for what where another reading is possible, as sentences."""
     notes = []
     labels = direction_labels(table[roles.direction]) if roles.direction in table else ()
-    if labels and labels != ("-", "+"):
+    is_number = bool(labels) and table[roles.direction].dtype.kind in "iuf"
+    are_signs = float(labels[0]) < 0 < float(labels[-1]) if is_number else labels == ("-", "+")
+    if labels and not are_signs:
         notes.append(f"Of the direction {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
     if roles.time in table and (note := read_times(table[roles.time]).note):
         notes.append(f"Of the time {roles.time}, {note}.")
@@ -418,7 +427,7 @@ def _find_columns(law: Any, response: str | None, causes: Iterable[Any]) -> list
     names = [*getattr(law, "names", ()), *(left.names if left is not None else [response or ""])]
     for cause in causes:
         if isinstance(cause, CauseFormula):
-            names += [*cause.effect.names, cause.by, cause.target]
+            names += [*cause.effect.names, cause.target]
     return list(dict.fromkeys(filter(None, names)))
 
 

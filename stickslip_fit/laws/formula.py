@@ -142,7 +142,7 @@ class Law:
         ------
         InputError
             With every fault of names: unknown columns with what is similar, parameters that are never used
-            or have no effect. Then for declared units that do not fit together, for responses or predictions
+            or have no effect, or are a column but for their case. Then for declared units that do not fit together, for responses or predictions
             that are no numbers, and for combinations of parameters that the rows cannot tell apart.
         """
         left = self._left_of(response)

@@ -61,6 +61,20 @@ def test_rows_without_a_cell_of_a_role_are_left_out(table, role):
     assert answer.table.rows == N - 1
 
 
+def test_a_minus_is_a_value_of_a_direction_and_of_what_a_cause_acts_by(table):
+    ways = table.assign(way=np.where(np.arange(N) % 2, "-", "+"))
+    cause = ssf.Cause("lag", "+ k*x", "k", by="way")
+    answer = diagnose(ways, direction="way", causes=[cause])
+    assert answer.table.rows == N
+    assert answer.table.notes == ()
+    assert diagnose(put(ways, "way", ""), causes=[cause]).table.rows == N - 1
+
+
+def test_sessions_keep_their_names_beside_an_empty_cell(table):
+    frame = put(table.assign(run=np.repeat([1, 2], N // 2)), "run", None)
+    assert ssf.fit_table(frame, LAW, session="run").sessions == ("1", "2")
+
+
 def test_later_messages_count_rows_as_the_table_does(table):
     bad = put(table, "y", np.nan, "over")
     with pytest.raises(ssf.InputError, match="column y, value 'over': row 7 is no finite number"):

@@ -140,16 +140,17 @@ def test_a_date_that_may_be_read_in_two_ways_is_refused(rows):
     ("cells", "note"),
     [
         ([0, 1], "Of the direction way, 1 is + and 0 is -."),
-        (["out", "back"], "Of the direction way, out is +"),
+        ([-1, 0], "Of the direction way, 0 is + and -1 is -."),
+        (["out", "back"], "Of the direction way, out is + and back is -."),
     ],
 )
 def test_the_answer_says_which_way_is_which(rows, cells, note):
     signed, words = (
         ssf.diagnose_table(rows.assign(way=pair * 30), LAW, direction="way", gain=False)
-        for pair in ([-1, 1] if cells[0] == 0 else [1, -1], cells)
+        for pair in ([1, -1] if "out" in cells else [-1, 1], cells)
     )
     assert note in " ".join(str(words).split())
-    assert signed.table.notes[0].startswith("Of the direction way, 1 is + and -1 is -.")
+    assert not signed.table.notes
     assert words.p_value == signed.p_value
 
 
