@@ -141,9 +141,10 @@ class Law:
         Raises
         ------
         InputError
-            With every fault of names: unknown columns with what is similar, parameters that are never used
-            or have no effect, or are a column but for their case. Then for declared units that do not fit together, for responses or predictions
-            that are no numbers, and for combinations of parameters that the rows cannot tell apart.
+            With every fault of names: unknown columns with what is similar, parameters that are never used,
+            have no effect, or are a column but for their case. Then for declared units that do not fit
+            together, for responses or predictions that are no numbers, and for combinations of parameters
+            that the rows cannot tell apart.
         """
         left = self._left_of(response)
         columns = [str(name) for name in frame.columns]

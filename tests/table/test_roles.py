@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
+from stickslip_fit._format import typeset_text
 from stickslip_fit.causes import TableRoles, prepare_rows
 from stickslip_fit.causes.roles import direction_labels, direction_sign
 from tests.table.signals import LAW, signal
@@ -149,7 +150,8 @@ def test_the_answer_says_which_way_is_which(rows, cells, note):
         ssf.diagnose_table(rows.assign(way=pair * 30), LAW, direction="way", gain=False)
         for pair in ([1, -1] if "out" in cells else [-1, 1], cells)
     )
-    assert note in " ".join(str(words).split())
+    assert words.table.notes == (note,)
+    assert typeset_text(note) in " ".join(str(words).split())
     assert not signed.table.notes
     assert words.p_value == signed.p_value
 
