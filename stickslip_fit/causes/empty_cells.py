@@ -15,7 +15,7 @@ from stickslip_fit._format import join_words, pluralize
 from stickslip_fit._typing import BoolArray
 from stickslip_fit.causes.levels import explain_unusable_levels
 from stickslip_fit.causes.roles import ROW_NUMBER
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.logs._numbers import is_empty_number
 
 MAX_SHARE_LOST = 0.1  # of the rows, for the sake of columns that only might matter
@@ -69,12 +69,10 @@ def leave_out_gaps(frame: pd.DataFrame, used: Collection[str]) -> tuple[pd.DataF
     Columns with the fewest empty cells come first. A column stays as it is where too many rows would be lost,
     with its empty cells, so that it is no candidate.
     """
-    gaps = {
-        str(name): _find_empty(cells, pd.api.types.is_numeric_dtype(cells))
-        for name, cells in frame.items()
-        if name not in used and name != ROW_NUMBER and _may_matter(cells)
-    }
-    lost, filled, notes = np.zeros(len(frame), dtype=bool), list[str](), list[str]()
+    others = {str(name): cells for name, cells in frame.items() if name not in used and name != ROW_NUMBER}
+    gaps = {name: _find_gaps(cells) for name, cells in others.items() if _may_matter(cells)}
+    lost, filled = np.zeros(len(frame), dtype=bool), list[str]()
+    notes = [*filter(None, (_describe_text(cells) for name, cells in others.items() if name not in gaps))]
     for name in sorted((name for name in gaps if gaps[name].any()), key=lambda name: int(gaps[name].sum())):
         if np.count_nonzero(lost | gaps[name]) <= MAX_SHARE_LOST * len(frame):
             lost |= gaps[name]
@@ -82,10 +80,14 @@ def leave_out_gaps(frame: pd.DataFrame, used: Collection[str]) -> tuple[pd.DataF
         else:
             cells = pluralize(int(np.count_nonzero(gaps[name])), "cell")
             notes.append(f"The column {name} is left out: {cells} of {len(frame):,} are empty.")
-    return frame[~lost], (*_describe_lost(lost, filled, frame.index), *notes)
+    infinite = any(others[name].dtype.kind == "f" and np.isinf(others[name]).any() for name in filled)
+    state = "is empty or infinite" if infinite else "is empty"
+    return frame[~lost], (*_describe_lost(lost, filled, frame.index, state), *notes)
 
 
-def _describe_lost(lost: BoolArray, names: Sequence[str], places: pd.Index | None = None) -> tuple[str, ...]:
+def _describe_lost(
+    lost: BoolArray, names: Sequence[str], places: pd.Index | None = None, state: str = "is empty"
+) -> tuple[str, ...]:
     """Which rows are left out, and why."""
     if not lost.any():
         return ()
@@ -96,9 +98,28 @@ def _describe_lost(lost: BoolArray, names: Sequence[str], places: pd.Index | Non
     )
     is_are, row = ("is", "row") if len(rows) == 1 else ("are", "rows")
     return (
-        f"{len(rows):,} of {len(lost):,} rows {is_are} left out, where {join_words(names, 'or')} is empty: "
+        f"{len(rows):,} of {len(lost):,} rows {is_are} left out, where {join_words(names, 'or')} {state}: "
         f"{row} {listed}.",
     )
+
+
+def _describe_text(cells: pd.Series) -> str:
+    """That a column is of numbers but for a few cells, and so no candidate; "" where it is not."""
+    if not (cells.dtype == object or isinstance(cells.dtype, pd.StringDtype)):
+        return ""
+    filled = cells[~_find_empty(cells, is_number=True)]
+    wrong = pd.to_numeric(filled, errors="coerce").isna()
+    if not 0 < wrong.mean() <= MAX_SHARE_LOST:
+        return ""
+    row, value = wrong.idxmax(), shorten(str(filled[wrong].iloc[0]))
+    return f"The column {cells.name} is left out: {value!r} in row {row + 1} is no number."
+
+
+def _find_gaps(cells: pd.Series) -> BoolArray:
+    """Cells of a column that are empty, or no finite numbers."""
+    if cells.dtype.kind == "f":
+        return ~np.isfinite(cells.to_numpy(dtype=float, na_value=np.nan))
+    return _find_empty(cells, pd.api.types.is_numeric_dtype(cells))
 
 
 def _find_empty(cells: pd.Series, is_number: bool) -> BoolArray:

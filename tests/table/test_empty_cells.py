@@ -100,6 +100,17 @@ def test_a_column_with_many_empty_cells_is_left_out_and_named(table):
     assert answer.untestable["covariate:T"] == "7 of its cells are empty or infinite"
 
 
+def test_an_infinite_cell_of_a_column_is_a_gap(table):
+    answer = diagnose(put(table, "T", np.inf, None))
+    assert answer.table.notes == ("2 of 60 rows are left out, where T is empty or infinite: rows 4 and 7.",)
+
+
+def test_a_column_of_numbers_with_a_text_in_it_is_named(table):
+    answer = diagnose(put(table, "T", None, "over").assign(note="good"))
+    assert answer.table.notes == ("The column T is left out: 'over' in row 7 is no number.",)
+    assert answer.table.rows == N
+
+
 def test_empty_rows_and_columns_need_no_word(table):
     bad = table.assign(nothing=np.nan)
     bad.loc[[3, 8]] = np.nan
