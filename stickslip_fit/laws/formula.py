@@ -24,7 +24,7 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Parameter, Rows
 from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law
 from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
-from stickslip_fit.laws.table import TableLaw, mistyped_column, similar_name
+from stickslip_fit.laws.table import TableLaw, as_written, is_alike, mistyped_column, similar_name
 from stickslip_fit.laws.table_check import check_table_law, explain_mistyped, list_names
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
@@ -330,7 +330,7 @@ class _Names:
         ]
         unused = [name for name in self.columns if name not in (*law.names, *self.left.names)]
         for name in free if self.of == "table" else []:
-            other = next((column for column in unused if column.lower() == name.lower()), "")
+            other = next((column for column in unused if is_alike(name, column)), "")
             if other and name not in (*declared, *unknown):
                 issues.append(explain_mistyped(name, other, self.columns))
         both = [name for name in self.left.names if name in law.names]
@@ -340,7 +340,7 @@ class _Names:
 
     def _unknown_column(self, name: str, strict: bool = False) -> InputIssue:
         similar = mistyped_column(name, self.columns) or similar_name(name, self.columns)
-        hint = f"did you mean {similar}? " if similar else ""
+        hint = f"did you mean {as_written(similar)}? " if similar else ""
         parameter = f". If {name} is a parameter, name it in units, bounds or start" if strict else ""
         return InputIssue(
             f"the law {shorten(self.law.text)!r} has {name}, which is no column of the {self.of}; {hint}"

@@ -19,7 +19,14 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Rows
 from stickslip_fit.laws.dimensions import check_dimensions
-from stickslip_fit.laws.table import TableLaw, count_rows, mistyped_column, number_column, similar_name
+from stickslip_fit.laws.table import (
+    TableLaw,
+    as_written,
+    count_rows,
+    mistyped_column,
+    number_column,
+    similar_name,
+)
 
 RANK_TOL = 1e-7  # singular values relative to the largest, columns of length 1
 SAME_TOL = 1e-4  # between two points, and of a coefficient that is 0
@@ -274,8 +281,8 @@ def _find_mistyped(law: TableLaw, frame: Rows, null: Array) -> list[InputIssue]:
 def explain_mistyped(name: str, other: str, columns: Sequence[str]) -> InputIssue:
     """A name of a law that is almost a column."""
     return InputIssue(
-        f"no column {name}; the table has {other} (columns: {list_names(columns)}). If {name} is a "
-        "parameter, name it in the law's units, bounds or start"
+        f"no column {name}; the table has {as_written(other)} (columns: {list_names(columns)}). If {name} is "
+        "a parameter, name it in the law's units, bounds or start"
     )
 
 

@@ -26,6 +26,20 @@ def test_a_column_with_a_wrong_letter_or_case_is_named(table, name):
     assert str(caught.value).startswith(told)
 
 
+def test_a_column_with_a_unit_in_its_name_is_told_as_a_formula_writes_it(table):
+    named = table.rename(columns={"temperature": "temperature (K)", "y": "y [N]", "t": "t (s)"})
+    for law, told in (
+        ("y ~ p", 'did you mean Q("y [N]")?'),
+        ('Q("y [N]") ~ p + b*temperature', 'no column temperature; the table has Q("temperature (K)")'),
+    ):
+        with pytest.raises(ssf.InputError) as caught:
+            ssf.fit_table(named, law)
+        assert told in str(caught.value)
+    with pytest.raises(ssf.InputError, match=r"did you mean t \(s\)\?"):
+        ssf.fit_table(named, 'Q("y [N]") ~ p', time="t")
+    assert len(ssf.fit_table(named, 'Q("y [N]") ~ p + b*Q("temperature (K)")').parameters) == 2
+
+
 def test_a_wrong_case_is_named_even_where_a_fit_would_do(table):
     with pytest.raises(ssf.InputError, match="no column T; the table has t "):
         ssf.fit_table(table, "y ~ T")
