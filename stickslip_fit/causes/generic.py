@@ -60,7 +60,10 @@ class GenericCause(TableCause):
 
     base_name: ClassVar[str]
     base_phrase: ClassVar[str]
-    max_trial_factor = 1.0 / TRIAL_SHARE
+    # What the law lacks may be nearly all of the response, and from end to end several standard deviations.
+    max_trial_factor = 10.0 / TRIAL_SHARE
+    # Autocorrelation is known within an error: slow effects no larger than noise that persists may be noise.
+    share_where_noise_persists: ClassVar[float] = 0.1
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -29,6 +29,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
+SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
@@ -36,6 +37,7 @@ MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting ch
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
+SINGULAR = 1e12  # nats, for coefficients under which the law's parameters are not known
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
 MIN_SAMPLED = 30  # rows that do
@@ -247,7 +249,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     likelihood = _RestrictedLikelihood(linearized, border, sample)
     best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
     start, without_gain = np.zeros(0), 0
-    for _ in range(min(MAX_ORDER, linked // ROWS_PER_ORDER)):
+    for _ in range(min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER))):
         start = likelihood.maximize(np.append(start, 0.0))
         value = likelihood.criterion(start)
         if value < best:
@@ -324,7 +326,10 @@ class _RestrictedLikelihood:
         options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:
-            return self.negative_log(np.tanh(z))
+            try:
+                return self.negative_log(np.tanh(z))
+            except np.linalg.LinAlgError:  # so close to a unit root that nothing of a parameter is left
+                return SINGULAR
 
         bounds = [(-limit, limit)] * len(start)
         result = minimize(

@@ -15,9 +15,11 @@ from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.mean_structure import criterion, whiten
 
-N_FINER = 41  # periods between the two neighbours of the best of a grid
-MIN_ADVANTAGE = 3.0  # nats beyond what the criterion asks for
+OVERSAMPLING, N_FINER = 4, 21  # frequencies for each of the signal's own; about the best of them
+MIN_ADVANTAGE = 6.0  # nats beyond what the criterion asks for
+MAX_WITHOUT_GAIN = 2  # harmonics in a row that do not raise the criterion, after which none is tried
 FASTEST = 2.5  # samples for each period of a wave that is looked for
 
 
@@ -33,9 +35,9 @@ def count_harmonics(period: float, interval: float, most: int) -> int:
 
 
 def find_period(
-    linearized: LinearizedFit, effects: Array, sample: IntArray, seconds: Array, periods: Array
-) -> float:
-    """The strict period of a signal; NaN where noise that swings describes it as well.
+    linearized: LinearizedFit, effects: Array, sample: IntArray, seconds: Array, longest: float
+) -> tuple[float, int]:
+    """The strict period of a signal, and how many harmonics its wave has, the first being the wave itself.
 
     Parameters
     ----------
@@ -46,51 +48,70 @@ def find_period(
     sample : array of int, shape (n,)
         See `Autocorrelation`.
     seconds : array, shape (n,)
-    periods : array, shape (p,)
-        A grid, evenly in frequency.
+    longest : float
+        Period, in the unit of `seconds`.
+
+    Returns
+    -------
+    period : float
+        NaN where noise that swings describes the signal as well.
+    harmonics : int
+        0 there.
     """
-    if not len(periods):
-        return float("nan")
     interval = float(np.median(np.diff(seconds)))
-    step = 1.0 / periods.max() if len(periods) == 1 else float(np.abs(np.diff(1.0 / periods)).max())
+    length = OVERSAMPLING * (int(np.ptp(sample)) + 1)
+    rates = np.fft.rfftfreq(length, interval)
+    allowed = np.flatnonzero((rates > 1.0 / longest) & (rates < 1.0 / (FASTEST * interval)))
+    if not len(allowed):
+        return float("nan"), 0
     independent = Autocorrelation(sample, None)
+
+    def wave(period: float, number: int) -> Array:
+        return linearized.project(linearized.whiten(harmonics(seconds, period, number)))
+
+    def strongest_rate(noise: Autocorrelation) -> float:
+        """Of the periodogram under some noise: a wave is filtered as what it explains is."""
+        series = np.zeros(length)
+        series[sample - sample.min()] = whiten(linearized.residual[:, None], noise)[:, 0]
+        return float(rates[allowed[np.argmax(np.abs(np.fft.rfft(series)[allowed]))]])
 
     def search(around: Array, noise: Autocorrelation, most: int) -> float:
         """The period whose wave explains most of what the law leaves, under some noise."""
-        target, explained = _whiten(linearized.residual[:, None], noise), []
+        target, explained = whiten(linearized.residual[:, None], noise), []
         for period in around:
-            wave = harmonics(seconds, period, count_harmonics(period, interval, most))
-            columns = _whiten(linearized.project(linearized.whiten(wave)), noise)
+            columns = whiten(wave(period, count_harmonics(period, interval, most)), noise)
             size = np.linalg.lstsq(columns, target, rcond=None)[0]
             explained.append(float(np.sum((columns @ size) ** 2)))
         return float(around[int(np.argmax(explained))])
 
     def finer(period: float) -> Array:
-        rates = 1.0 / period + np.linspace(-step, step, N_FINER)
-        return 1.0 / rates[rates > 0]
+        around = 1.0 / period + rates[1] * np.linspace(-1.0, 1.0, N_FINER)
+        return 1.0 / around[around > 0]
 
-    period = search(finer(search(periods, independent, 2)), independent, 2)
-    wave = harmonics(seconds, period, count_harmonics(period, interval, 2))
-    with_wave = np.concatenate([effects, linearized.project(linearized.whiten(wave))], axis=1)
-    cost = 0.5 * wave.shape[1] * np.log(len(sample)) + np.log(len(periods) * N_FINER)
-    noise = Autocorrelation(sample, None, estimate_autoregression(linearized, with_wave, sample))
+    def judge(period: float, number: int) -> tuple[float, Autocorrelation]:
+        """What the criterion says of a wave, and the noise beside it."""
+        mean = np.concatenate([effects, wave(period, number)], axis=1)
+        noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
+        return criterion(linearized, mean, noise) - number * float(np.log(len(sample))), noise
+
     without = Autocorrelation(sample, None, estimate_autoregression(linearized, effects, sample))
-    advantage = _criterion(linearized, with_wave, noise) - _criterion(linearized, effects, without)
-    if advantage < cost + MIN_ADVANTAGE:
-        return float("nan")
-    return search(finer(period), noise, N_HARMONICS)  # the harmonics tell the period best
-
-
-def _whiten(columns: Array, noise: Autocorrelation) -> Array:
-    return columns if noise.noise_filter is None else np.asarray(noise.noise_filter @ columns)
-
-
-def _criterion(linearized: LinearizedFit, effects: Array, noise: Autocorrelation) -> float:
-    """Log likelihood with an autoregression, less what the criterion asks for its coefficients."""
-    columns = np.concatenate([linearized.basis.toarray(), effects, linearized.residual[:, None]], axis=1)
-    columns, n, order = _whiten(columns, noise), len(columns), len(noise.coefficients)
-    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
-    innovations = columns[:, -1] - columns[:, :-1] @ size
-    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
-    log_determinant = noise.log_determinant if order else 0.0
-    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * order * float(np.log(n))
+    least = criterion(linearized, effects, without) + np.log(len(allowed)) + MIN_ADVANTAGE
+    best, found = float(least), None
+    # Slow noise hides a wave among independent values, and noise that swings takes it into itself. Of a wave
+    # with harmonics, one of them may be the strongest.
+    for under in (independent, without):
+        strongest = search(finer(1.0 / strongest_rate(under)), under, 1)
+        for period in (strongest, 2.0 * strongest):
+            highest = count_harmonics(period, interval, N_HARMONICS) if period < longest else 0
+            without_gain = 0
+            for number in range(1, highest + 1):
+                value, noise = judge(period, number)
+                without_gain = 0 if value > best else without_gain + 1
+                if value > best:
+                    best, found = value, (period, number, noise)
+                if without_gain == MAX_WITHOUT_GAIN:
+                    break
+    if found is None:
+        return float("nan"), 0
+    period, number, noise = found
+    return search(finer(period), noise, number), number  # the harmonics tell the period best

@@ -27,23 +27,24 @@ from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.empty_cells import leave_out_empty, leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
 from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels, prepare_rows
+from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.causes.times import read_times
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
-from stickslip_fit.diagnosis.hypotheses import compute_finite_effects
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
-from stickslip_fit.diagnosis.periodicity import count_harmonics, find_period
+from stickslip_fit.diagnosis.mean_structure import find_mean_effects
+from stickslip_fit.diagnosis.periodicity import find_period
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import (
+    MIN_CYCLES,
     TableAlternatives,
     leading_directions,
     response_columns,
-    sampled_periods,
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
@@ -55,7 +56,8 @@ from stickslip_fit.logs.table_file import read_table_file
 
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
-MIN_RELATIVE_SD = 1e-9  # of the noise, relative to the largest response; less is rounding
+# Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
+MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 N_REFITS = 4
 PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
@@ -223,7 +225,7 @@ def problem_from_table(
     y, rounding = bound.response(rows)
     _check_response(y, rows, bound.response_name)
     part, repeatability = _fit_law(bound, rows, y)
-    least_sd = MIN_RELATIVE_SD * (float(np.abs(y).max()) or 1.0)
+    least_sd = MIN_RELATIVE_SD * float(np.std(y)) + ROUNDING * (float(np.abs(y).max()) or 1.0)
     session = pd.factorize(rows["session"])[0].astype(np.intp)
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
@@ -266,19 +268,35 @@ def with_samples(
     """
     linearized = problem.linearize()
     effects: dict[str, list[Array]] = {}
+    shapes: list[Array] = []
     for one in compute_finite_effects(linearized, problem.causes):
         if not one.version.session:
-            effects.setdefault(one.cause, []).append(linearized.project(np.nan_to_num(one.changes)))
+            changes = linearized.project(np.nan_to_num(one.changes))
+            effects.setdefault(one.cause, []).append(changes)
+            shapes += [changes] if one.version.combine_trials else np.split(changes, changes.shape[1], axis=1)
     most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
     columns = [np.concatenate(own, axis=1) for own in effects.values()]
     directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
-    scaled = directions * np.sqrt(len(problem)) * float(problem.repeatability[0])
-    wave = None if time_unit is None else _find_wave(problem, linearized, directions, sample, time_unit)
-    if wave is None:
-        return replace(problem, autocorrelation=Autocorrelation(sample, scaled))
-    waves = float(problem.repeatability[0]) * wave.functions(problem.rows)
-    noise = Autocorrelation(sample, np.concatenate([scaled, waves], axis=1))
-    return replace(problem, autocorrelation=noise, causes=(*problem.causes, wave))
+    # Waves are looked for at finer periods, and with harmonics.
+    shapes += [
+        one.directions
+        for one in problem.alternatives(linearized)
+        if isinstance(one, Hypothesis) and not isinstance(one.version, PeriodicTableTerm)
+    ]
+    wave, mean = None, np.zeros((len(problem), 0))
+    for step in ("wave", "effects", "wave"):
+        if step == "effects":
+            mean = np.concatenate([mean, find_mean_effects(linearized, shapes, mean, sample)], axis=1)
+        elif wave is None and time_unit is not None:
+            wave = _find_wave(problem, linearized, mean, sample, time_unit)
+            if wave is not None:
+                functions = linearized.whiten(wave.functions(problem.rows))
+                mean = np.concatenate([mean, linearized.project(functions)], axis=1)
+    mean = np.concatenate([mean, directions], axis=1)
+    mean /= np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
+    scaled = mean * np.sqrt(len(problem)) * float(problem.repeatability[0])
+    causes = problem.causes if wave is None else (*problem.causes, wave)
+    return replace(problem, autocorrelation=Autocorrelation(sample, scaled), causes=causes)
 
 
 def _find_wave(
@@ -288,11 +306,10 @@ def _find_wave(
     if problem.rows["session"].nunique() > 1:
         return None
     seconds = problem.rows["session_seconds"].to_numpy(float)
-    periods = sampled_periods(seconds, np.zeros(len(seconds), dtype=np.intp))
-    period = find_period(linearized, effects, sample, seconds, periods)
-    if not np.isfinite(period):
+    longest = float(seconds.max()) / MIN_CYCLES
+    period, harmonics = find_period(linearized, effects, sample, seconds, longest)
+    if not harmonics:
         return None
-    harmonics = count_harmonics(period, float(np.median(np.diff(seconds))), N_HARMONICS)
     size = table_library.TRIAL_SHARE * float(np.std(problem.responses))
     unit = str(problem.parts[0].law.response_unit)
     return PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)

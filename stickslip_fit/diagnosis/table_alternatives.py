@@ -46,7 +46,8 @@ from stickslip_fit.logs.history import previous_rows
 DIRECTION_TOL = 1e-3  # of the largest singular value
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
-MIN_CYCLES = 10.0  # of a periodic disturbance in a session of a sampled signal
+MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
+N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for each cycle more in the record
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
@@ -168,7 +169,7 @@ class TableAlternatives:
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
-        periods = sampled_periods(seconds, session) if self.sampled else choose_periods(seconds, session)
+        periods = (sampled_periods if self.sampled else unevenly_sampled_periods)(seconds, session)
         if not len(periods):
             return hypotheses
         angles = 2 * np.pi * seconds[:, None] / periods
@@ -232,6 +233,16 @@ def sampled_periods(seconds: Array, session: IntArray) -> Array:
     """Periods that a sampled signal may show: those of which a session has many cycles."""
     periods = choose_periods(seconds, session)
     return periods[periods < seconds.max() / MIN_CYCLES]
+
+
+def unevenly_sampled_periods(seconds: Array, session: IntArray) -> Array:
+    """Periods that rows at any times may show: the slow ones so close that none is missed between two."""
+    periods, longest = choose_periods(seconds, session), float(seconds.max())
+    if not len(periods):
+        return periods
+    rates = 1.0 / periods.max() + np.arange(N_SLOW) / (PERIODS_PER_CYCLE * longest)
+    slow = 1.0 / rates[rates < 1.0 / periods.min()]
+    return np.sort(np.concatenate([slow, periods[periods < slow.min(initial=np.inf)]]))[::-1]
 
 
 def _column_functions(name: str, values: Array) -> Iterator[ColumnFunction]:

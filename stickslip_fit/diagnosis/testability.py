@@ -22,7 +22,6 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
 MIN_DF = 10
 
-
 NO_TRIALS = (
     "none of its trials could be computed: the effect of each is no number, or its equations have no solution"
 )
@@ -34,7 +33,8 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     untestable, sessions = {}, split_sessions(linearized)
     data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
-        strength = largest_strength(cause, linearized, sessions, problem.outlier_cause)
+        share = getattr(cause, "share_where_noise_persists", 1.0) if len(problem.correlation) else 1.0
+        strength = share * largest_strength(cause, linearized, sessions, problem.outlier_cause, share)
         if strength < EFFECT_TOL and _always_fails(cause, linearized, sessions):
             untestable[cause.name] = NO_TRIALS
         elif strength < EFFECT_TOL:
@@ -53,11 +53,15 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
 
 
 def largest_strength(
-    cause: Any, linearized: LinearizedFit, sessions: Mapping[str, SessionFit], outlier_cause: str
+    cause: Any,
+    linearized: LinearizedFit,
+    sessions: Mapping[str, SessionFit],
+    outlier_cause: str,
+    share: float = 1.0,
 ) -> float:
     """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs.
 
-    Of a cause that is tried at many values, the first norm that is large enough for a test.
+    Of a cause that is tried at many values, the first norm of which a share is large enough for a test.
     """
     if cause.name == outlier_cause:
         return np.inf
@@ -76,7 +80,7 @@ def largest_strength(
                 effects = compute_effects(linearized, version, some)
             own = _largest_combination(effects) if combined else np.linalg.norm(effects, axis=0).max()
             strongest = max(strongest, float(own))
-            if strongest >= MIN_TESTABLE_STRENGTH:
+            if share * strongest >= MIN_TESTABLE_STRENGTH:
                 return strongest
     return strongest
 

@@ -1,0 +1,119 @@
+"""What of a sampled signal is structure, not noise that persists, while its noise is estimated.
+
+An autoregression follows whatever is smooth in time. Where the law lacks something, the estimate would take
+it for noise that persists, of which few values are independent, and nothing would be wrong. Each effect of a
+candidate cause, and each unstructured alternative, is therefore tried as part of the mean: the noise is
+estimated beside it, and noise alone is compared with the effect in noise by the Bayesian information
+criterion (G. Schwarz, Ann. Stat. 6:461, 1978), the logarithm of the number of effects being a price. Where
+noise really persists, noise alone has the better of it, since no effect makes its innovations much smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+
+MAX_EFFECTS = 4
+MIN_ADVANTAGE = 3.0  # nats beyond what the criterion asks for
+MAX_SHARE = 0.2  # of the rows, of an effect's directions
+RANK_TOL = 1e-6
+
+
+def find_mean_effects(
+    linearized: LinearizedFit, effects: Sequence[Array], known: Array, sample: IntArray
+) -> Array:
+    """Effects that describe a signal better than noise that persists does.
+
+    Parameters
+    ----------
+    linearized : LinearizedFit
+        Of n rows, whose noise counts as independent.
+    effects : sequence of array, shape (n, q)
+        Whitened and projected; each is fitted as a whole.
+    known : array, shape (n, m)
+        The same; part of the mean in any case.
+    sample : array of int, shape (n,)
+        See `Autocorrelation`.
+
+    Returns
+    -------
+    found : array, shape (n, k)
+        No columns where there are none.
+    """
+    n = len(sample)
+    tried = [one for one in effects if 0 < one.shape[1] <= MAX_SHARE * n]
+    found = np.zeros((n, 0))
+    noise, value = _judge(linearized, known, sample)
+    for _ in range(MAX_EFFECTS if tried else 0):
+        mean = np.concatenate([known, found], axis=1)
+        better = None
+        for under in (Autocorrelation(sample, None), noise):
+            effect = tried[_most_explained(linearized, tried, mean, under)]
+            beside, own_value = _judge(linearized, np.concatenate([mean, effect], axis=1), sample)
+            advantage = own_value - value - 0.5 * effect.shape[1] * np.log(n) - np.log(len(tried))
+            if better is None or advantage > better[0]:
+                better = advantage, effect, beside, own_value
+        if better is None or better[0] < MIN_ADVANTAGE:
+            break
+        found = np.concatenate([found, better[1]], axis=1)
+        noise, value = better[2:]
+    return found
+
+
+def _judge(linearized: LinearizedFit, mean: Array, sample: IntArray) -> tuple[Autocorrelation, float]:
+    """The noise beside a mean, and what the criterion says of both."""
+    noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
+    return noise, criterion(linearized, mean, noise)
+
+
+def _most_explained(
+    linearized: LinearizedFit, effects: Sequence[Array], mean: Array, noise: Autocorrelation
+) -> int:
+    """Which effect explains most of what is left under some noise, at half of log(n) for each direction."""
+    n = len(linearized)
+    absorbed = _spanning(whiten(np.concatenate([linearized.basis.toarray(), mean], axis=1), noise))
+    target = whiten(linearized.residual[:, None], noise)[:, 0]
+    target = target - absorbed @ (absorbed.T @ target)
+    squares = max(float(target @ target), float(np.finfo(float).tiny))
+    scores = []
+    for columns in _whitened(effects, noise):
+        own = _spanning(columns - absorbed @ (absorbed.T @ columns))
+        explained = min(float(np.sum((own.T @ target) ** 2)) / squares, 1.0 - 1e-12)
+        scores.append(-0.5 * n * np.log1p(-explained) - 0.5 * columns.shape[1] * np.log(n))
+    return int(np.argmax(scores))
+
+
+def _whitened(effects: Sequence[Array], noise: Autocorrelation) -> Iterator[Array]:
+    """Each effect under some noise; all are filtered at once."""
+    ends = np.cumsum([one.shape[1] for one in effects])[:-1]
+    yield from np.split(whiten(np.concatenate(effects, axis=1), noise), ends, axis=1)
+
+
+def _spanning(columns: Array) -> Array:
+    """An orthonormal basis of columns, shape (n, q)."""
+    if columns.shape[1] == 1:
+        length = float(np.linalg.norm(columns))
+        return columns / length if length > RANK_TOL else columns[:, :0]
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, singular > RANK_TOL * max(float(singular.max(initial=0.0)), RANK_TOL)])
+
+
+def whiten(columns: Array, noise: Autocorrelation) -> Array:
+    """Columns, shape (n, q), as they are under noise of variance 1 that is independent."""
+    return columns if noise.noise_filter is None else np.asarray(noise.noise_filter @ columns)
+
+
+def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
+    """Log likelihood with an autoregression, less what the criterion asks for its coefficients."""
+    columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
+    columns, n, order = whiten(columns, noise), len(columns), len(noise.coefficients)
+    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    innovations = columns[:, -1] - columns[:, :-1] @ size
+    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
+    log_determinant = noise.log_determinant if order else 0.0
+    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * order * float(np.log(n))

@@ -1,0 +1,95 @@
+"""What a law lacks is told from noise that persists, under laws that lack nearly all of the response."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.signal import lfilter
+
+import stickslip_fit as ssf
+
+
+def diagnose(y, t, law="y ~ c", **options):
+    return ssf.diagnose_table(pd.DataFrame({"t": t, "y": y}), law, time="t", gain=False, **options)
+
+
+def names(found):
+    return [one.cause for one in found.findings]
+
+
+@pytest.mark.parametrize(
+    ("course", "cause"),
+    [(lambda s: 3.0 * s, "drift"), (lambda s: 1.2 * -np.expm1(-5.0 * s), "warm-up")],
+    ids=["drift", "warm-up"],
+)
+def test_a_short_record_shows_a_change_that_is_nearly_all_of_it(course, cause):
+    """31 rows under a constant: the response's scatter is that of the effect."""
+    t = np.linspace(0.0, 30.0, 31)
+    y = course(t / 30.0) + 0.02 * np.random.default_rng(3).standard_normal(31)
+    assert names(diagnose(y, t)) == [cause]
+
+
+def test_a_curve_beyond_a_line_is_no_noise_that_persists():
+    """As regression says, a parabola of 15 times the noise; an autoregression of 50 rows follows it too."""
+    t = np.linspace(0.0, 1.0, 50)
+    y = 0.3 * (t - 0.5) ** 2 + 0.002 * np.random.default_rng(4).standard_normal(50)
+    found = diagnose(y, t, "y ~ a + b*t")
+    assert found.verdict != "nothing wrong"
+    assert found.table.independent > 40
+    assert found.repeatability == pytest.approx(0.002, rel=0.3)
+
+
+@pytest.mark.parametrize("cycles", [3, 5, 20])
+def test_a_few_cycles_are_a_period(cycles):
+    t = np.arange(200.0)
+    y = np.sin(2 * np.pi * t * cycles / 200) + 0.1 * np.random.default_rng(cycles).standard_normal(200)
+    found = diagnose(y, t)
+    assert names(found) == ["periodic-in-time"]
+    (one,) = found.selection.law_causes
+    assert one.version.period == pytest.approx(200 / cycles, rel=0.01)
+
+
+def test_a_fast_wave_is_found_in_slow_noise():
+    """An hour's wave in noise that wanders 20 times as far over weeks."""
+    rng, t = np.random.default_rng(5), np.arange(400.0)
+    wander = lfilter([1.0], [1.0, -0.99], 0.2 * rng.standard_normal(800))[400:]
+    found = diagnose(wander + 0.3 * np.sin(2 * np.pi * t / 12.0), t)
+    assert "periodic-in-time" in names(found)
+
+
+def test_a_slow_period_is_found_at_uneven_times():
+    """150 nights over 20 years, a wave of 3.2 years: between two of as many periods, spread over all."""
+    rng = np.random.default_rng(6)
+    t = np.sort(rng.uniform(0.0, 7300.0, 150))
+    y = 5.0 * np.sin(2 * np.pi * t / 1170.0) + 3.0 * rng.standard_normal(150)
+    found = diagnose(y, t)
+    assert found.verdict == "unknown cause"
+    assert found.findings[0].carrier.startswith("period of 1,")
+
+
+def test_a_large_constant_changes_nothing():
+    rng, t = np.random.default_rng(7), np.arange(60.0)
+    y = 0.02 * t + 0.1 * rng.standard_normal(60)
+    plain, shifted = diagnose(y, t), diagnose(y + 1e8, t)
+    assert names(plain) == names(shifted) != []
+    assert shifted.repeatability == pytest.approx(plain.repeatability, rel=1e-3)
+
+
+@pytest.mark.parametrize("carried", [0.9, pytest.param(1.0, marks=pytest.mark.nightly)])
+def test_noise_that_persists_is_no_structure(carried):
+    """Walks of 60 to 240 rows: none of 8 is an alarm, of which 1 % may be."""
+    alarms = 0
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        n = int(rng.integers(60, 240))
+        y = lfilter([1.0], [1.0, -carried], rng.standard_normal(n + 300))[-n:]
+        alarms += bool(names(diagnose(y - y.mean(), np.arange(n), seed=seed)))
+    assert alarms == 0
+
+
+def test_coefficients_near_a_unit_root_are_no_reason_to_fail():
+    """A sine without noise: the likelihood grows towards roots on the unit circle, where it cannot be computed."""
+    t = np.arange(300.0)
+    found = diagnose(np.sin(2 * np.pi * t / 50) + 1e-6 * np.random.default_rng(9).standard_normal(300), t)
+    assert names(found)[:1] == ["periodic-in-time"]
